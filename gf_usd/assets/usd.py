@@ -1,0 +1,114 @@
+"""USD files (usda, usdc, usd, usdz) to an Asset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pxr import Usd, UsdGeom
+
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_material import Looks
+from gf_usd.assets.usd_mesh import Reading, read_surface
+from gf_usd.assets.usd_place import LeftAlone
+from gf_usd.assets.usd_select import Selection, select
+from gf_usd.assets.usd_skel import Skins
+from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
+from gf_usd.errors import InputError
+from gf_usd.model import Asset, StageFacts, Surface
+
+
+def read_usd(
+    path: Path,
+    *,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    time_code: float | None = None,
+) -> Asset:
+    """The visible meshes and implicit shapes of a stage, posed at one time.
+
+    The arguments are those of `gf_usd.assets.read_asset`.  Raises InputError for a file that is
+    not USD or damaged, for broken meshes, and where there is nothing to make soft.
+    """
+    with reading(path):
+        stage = open_stage(path)
+        notes = Notes()
+        facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
+        time = _pose_time(facts, time_code)
+        found = select(stage, path, prims, time)
+        surfaces, skipped = _surfaces(path, found, facts, time, notes)
+        if not surfaces:
+            raise _nothing(stage, path, found, skipped, notes, by_name=bool(prims))
+        return Asset(
+            facts=replace(facts, notes=notes.lines()),
+            surfaces=tuple(surfaces),
+            skipped=tuple(skipped.items()),
+        )
+
+
+def _pose_time(facts: StageFacts, time_code: float | None) -> Usd.TimeCode:
+    """The given time, else the stage's start, else each attribute's earliest sample."""
+    time = facts.start_time_code if time_code is None else time_code
+    return Usd.TimeCode.EarliestTime() if time is None else Usd.TimeCode(time)
+
+
+def _surfaces(
+    path: Path, found: Selection, facts: StageFacts, time: Usd.TimeCode, notes: Notes
+) -> tuple[list[Surface], dict[str, str]]:
+    """A Surface for each prim of the selection, and (path, reason) of those left alone."""
+    xforms = UsdGeom.XformCache(time)
+    context = Reading(
+        path=path,
+        time=time,
+        meters_per_unit=facts.units.length,
+        xforms=xforms,
+        skins=Skins(time, xforms, notes),
+        looks=Looks(time, notes),
+        notes=notes,
+    )
+    surfaces: list[Surface] = []
+    skipped = dict(found.skipped)
+    for prim in found.geometry:
+        try:
+            surfaces.append(read_surface(prim, context))
+        except LeftAlone as reason:
+            skipped[str(prim.GetPath())] = str(reason)
+    return surfaces, skipped
+
+
+def _nothing(
+    stage: Usd.Stage,
+    path: Path,
+    found: Selection,
+    skipped: dict[str, str],
+    notes: Notes,
+    *,
+    by_name: bool,
+) -> InputError:
+    """The error for a selection without one surface, with what was there instead."""
+    under = ", ".join(str(root.GetPath()) for root in found.roots[:3]) or "its root"
+    if missing := [line for line in notes.lines() if line.startswith("does not compose")]:
+        return InputError(
+            f"{path}: there is no mesh under {under}; {missing[0]}",
+            "bring the missing files along, or correct the paths in the asset",
+        )
+    if skipped:
+        where, reason = next(iter(skipped.items()))
+        more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
+        return InputError(
+            f"{path}: nothing under {under} can be made soft: {where} ({reason}){more}",
+            "give the asset a visible mesh, or name other prims with --prim",
+        )
+    there = ", ".join(f"{n} {name}" for name, n in found.types.most_common(5)) or "nothing"
+    elsewhere = [] if by_name else _meshes_elsewhere(stage)
+    hint = "give an asset with a mesh in it"
+    if elsewhere:
+        hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
+    return InputError(f"{path}: there is no mesh under {under}: found {there}", hint)
+
+
+def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:
+    every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    return [str(prim.GetPath()) for prim in every if prim.IsA(UsdGeom.Mesh)]

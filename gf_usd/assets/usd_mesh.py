@@ -1,0 +1,169 @@
+"""A mesh or an implicit shape of a stage, posed at one time, as a Surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_colour import colours
+from gf_usd.assets.usd_implicit import IMPLICIT, tessellate
+from gf_usd.assets.usd_material import Looks
+from gf_usd.assets.usd_normals import read_normals
+from gf_usd.assets.usd_place import ANIMATED, LeftAlone, Placement
+from gf_usd.assets.usd_primvars import Corners
+from gf_usd.assets.usd_skel import Skins
+from gf_usd.errors import InputError
+from gf_usd.model import Surface
+from gf_usd.topology import triangulate
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What reading one prim needs of the whole stage."""
+
+    path: Path  # the file, for messages
+    time: Usd.TimeCode
+    meters_per_unit: float
+    xforms: UsdGeom.XformCache
+    skins: Skins
+    looks: Looks
+    notes: Notes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polygons:
+    """A mesh as authored: stage units, in its own space."""
+
+    points: Floats  # (V, 3)
+    counts: Ints  # (P,)
+    indices: Ints  # (C,)
+    holes: Ints  # (H,) faces that are not there
+    left_handed: bool
+
+
+def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
+    """The Surface of a Mesh or implicit prim, in metres, world.
+
+    Raises InputError for broken data (prim path and numbers in it) and LeftAlone for a prim
+    without a surface.
+    """
+    polygons = _polygons(prim, reading)
+    place = _placement(prim, reading)
+    points = place.points(polygons.points) * reading.meters_per_unit
+    if not np.isfinite(points).all():
+        raise _broken(prim, reading, "its points leave the range of numbers in the world")
+    triangles, corners, faces = triangulate(points, polygons.counts, polygons.indices)
+    kept = ~np.isin(faces, polygons.holes)
+    triangles, corners, faces = triangles[kept], corners[kept], faces[kept]
+    if len(triangles) == 0:
+        raise LeftAlone("has no face with three or more corners")
+    if polygons.left_handed != place.mirrored:
+        triangles, corners = triangles[:, ::-1], corners[:, ::-1]
+    where = Corners(
+        n_points=len(points),
+        n_corners=len(polygons.indices),
+        n_faces=len(polygons.counts),
+        triangles=triangles,
+        corners=corners,
+        faces=faces,
+    )
+    normals = read_normals(
+        prim, place, points, where, polygons.counts, polygons.indices, reading.time, reading.notes
+    )
+    look = colours(prim, where, reading.looks, reading.time, reading.notes)
+    return Surface(
+        path=str(prim.GetPath()),
+        type_name=str(prim.GetTypeName()),
+        points=points,
+        face_counts=polygons.counts,
+        face_indices=polygons.indices,
+        triangles=np.ascontiguousarray(triangles),
+        triangle_corners=np.ascontiguousarray(corners),
+        normals=normals.values,
+        normals_interpolation=normals.interpolation,
+        normal_points=normals.carriers,
+        triangle_colours=look.colours,
+        triangle_uvs=look.uvs,
+        triangle_materials=look.indices,
+        materials=look.materials,
+        skinned=place.skinned,
+    )
+
+
+def _placement(prim: Usd.Prim, reading: Reading) -> Placement:
+    posed = reading.skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
+    return posed or Placement.of(reading.xforms.GetLocalToWorldTransform(prim))
+
+
+def _broken(prim: Usd.Prim, reading: Reading, what: str) -> InputError:
+    return InputError(
+        f"{reading.path}: {prim.GetPath()}: {what}",
+        "repair this mesh in the program that made it, or choose other prims with --prim",
+    )
+
+
+def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
+    if str(prim.GetTypeName()) in IMPLICIT:
+        points, counts, indices = tessellate(prim, reading.time)
+        return Polygons(
+            points=points, counts=counts, indices=indices, holes=_ints(None), left_handed=False
+        )
+    mesh, time = UsdGeom.Mesh(prim), reading.time
+    counts = _ints(mesh.GetFaceVertexCountsAttr().Get(time))
+    indices = _ints(mesh.GetFaceVertexIndicesAttr().Get(time))
+    points = np.asarray(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
+    if len(points) == 0 or len(counts) == 0:
+        raise LeftAlone(f"has {len(points)} points and {len(counts)} faces")
+    _require_sound(prim, reading, points, counts, indices)
+    if mesh.GetPointsAttr().ValueMightBeTimeVarying():
+        reading.notes.add(ANIMATED, str(prim.GetPath()))
+    if mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying():
+        reading.notes.add(
+            "its topology changes over time: the one at the first frame is used",
+            str(prim.GetPath()),
+        )
+    return Polygons(
+        points=points,
+        counts=counts,
+        indices=indices,
+        holes=_ints(mesh.GetHoleIndicesAttr().Get(time)),
+        left_handed=mesh.GetOrientationAttr().Get(time) == UsdGeom.Tokens.leftHanded,
+    )
+
+
+def _ints(values: object) -> Ints:
+    return np.asarray([] if values is None else values, dtype=np.int64).reshape(-1)
+
+
+def _require_sound(
+    prim: Usd.Prim, reading: Reading, points: Floats, counts: Ints, indices: Ints
+) -> None:
+    """Raise InputError where points or topology cannot be what was meant."""
+    lost = int((~np.isfinite(points)).any(axis=1).sum())
+    if lost:
+        raise _broken(prim, reading, f"{lost} of {len(points)} points are not finite (NaN or inf)")
+    if counts.min() < 0:
+        raise _broken(prim, reading, f"a face has {counts.min()} corners")
+    if counts.sum() != len(indices):
+        raise _broken(
+            prim,
+            reading,
+            f"faceVertexCounts add up to {counts.sum()} corners, "
+            f"but there are {len(indices)} faceVertexIndices",
+        )
+    outside = (indices < 0) | (indices >= len(points))
+    if outside.any():
+        raise _broken(
+            prim,
+            reading,
+            f"{int(outside.sum())} faceVertexIndices are outside its {len(points)} points, "
+            f"the first is {indices[outside][0]}",
+        )

@@ -1,0 +1,222 @@
+"""A stage as a picture shows it: what is visible at a time, and its extent over the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_extent import motion_bounds, sample_times
+from gf_usd.assets.usd_finish import to_render_mesh
+from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.assets.usd_material import Looks
+from gf_usd.assets.usd_mesh import Reading, read_surface
+from gf_usd.assets.usd_particles import SPLAT_TYPE, as_ellipsoids, is_ours, read_points, read_splats
+from gf_usd.assets.usd_place import ANIMATED, LeftAlone, Placement
+from gf_usd.assets.usd_skel import Skins
+from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
+from gf_usd.errors import InputError, UsageError
+from gf_usd.scene import Bounds, Motion, RenderEllipsoids, RenderMesh, RenderSplats, Scene
+
+# what can be shown: kinds of prim, and the display variant of a bake that holds them
+SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
+    "mesh": (("mesh",), "mesh"),
+    "gaussians": (("gaussians",), "gaussians"),
+    "ellipsoids": (("gaussians",), "gaussians"),
+    "points": (("points",), "points"),
+    "both": (("mesh", "gaussians"), "mesh"),
+}
+DISPLAYS = {"mesh", "gaussians", "points"}
+PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
+
+
+class PictureStage:
+    """A stage opened for pictures.
+
+    Parameters
+    ----------
+    path : a USD file.
+    show : "mesh", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
+        gaussians and points that is there.
+
+    Raises
+    ------
+    InputError : no such file, not USD, or nothing of that kind is visible in it.
+    UsageError : an unknown `show`.
+    """
+
+    def __init__(self, path: Path, show: str | None = None) -> None:
+        if show is not None and show not in SHOWS:
+            raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise InputError(f"{path} {what}.", "give the USD file to draw")
+        self._path = path
+        self._stage_notes = Notes()
+        with reading(path):
+            self._stage = open_stage(path)
+            self._facts = stage_facts(
+                self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
+            )
+            self.show = show or self._first_kind()
+            self._select_display(SHOWS[self.show][1])
+            self._prims = self._visible(SHOWS[self.show][0])
+        if not self._prims:
+            there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
+            raise InputError(
+                f"{path}: there is no visible {' or '.join(SHOWS[self.show][0])} in it.",
+                f"it holds {there}: choose with --show",
+            )
+        self._motion: Motion | None = None
+
+    @property
+    def motion(self) -> Motion:
+        """The extent over the whole time range, looked up once.
+
+        The floor is height 0 where the body stands there, to 5 % of its size, or comes down on it
+        from above; else it is under the lowest point of the motion.
+        """
+        if self._motion is None:
+            prims = [prim for _, prim in self._prims]
+            with reading(self._path):
+                times = sample_times(prims)
+                bounds = motion_bounds(prims, times, self._facts.units.length)
+                first = motion_bounds(prims, times[:1], self._facts.units.length)
+            up = self._facts.up
+            self._motion = Motion(
+                bounds=bounds,
+                up=(float(up[0]), float(up[1]), float(up[2])),
+                ground=_ground(bounds, first, up),
+                time_codes=tuple(times),
+                frames_per_second=float(self._stage.GetFramesPerSecond()),
+                time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
+            )
+        return self._motion
+
+    def scene(self, time_code: float | None = None) -> Scene:
+        """What is visible at a time code; None: the first of the stage.
+
+        Raises InputError for broken meshes, and where nothing can be drawn at that time.
+        """
+        time = self._time(time_code)
+        notes = Notes()
+        with reading(self._path):
+            xforms = UsdGeom.XformCache(time)
+            context = Reading(
+                path=self._path,
+                time=time,
+                meters_per_unit=self._facts.units.length,
+                xforms=xforms,
+                skins=Skins(time, xforms, notes),
+                looks=Looks(time, notes),
+                notes=notes,
+            )
+            drawn = [item for kind, prim in self._prims if (item := _read(kind, prim, context))]
+        if not drawn:
+            raise InputError(
+                f"{self._path}: nothing can be drawn at {time}: {'; '.join(notes.lines())}",
+                "check the file with usdview, or choose another --frame",
+            )
+        clouds = [item for item in drawn if isinstance(item, RenderSplats)]
+        solid = [item for item in drawn if isinstance(item, RenderEllipsoids)]
+        if self.show == "ellipsoids":
+            clouds, solid = [], [as_ellipsoids(cloud) for cloud in clouds]
+        return Scene(
+            up=self.motion.up,
+            meshes=tuple(item for item in drawn if isinstance(item, RenderMesh)),
+            splats=tuple(clouds),
+            ellipsoids=tuple(solid),
+            ground=self.motion.ground,
+            # that the motion is not simulated further is no news for a picture
+            notes=tuple(
+                line
+                for line in (*self._stage_notes.lines(), *notes.lines())
+                if not line.endswith(ANIMATED)
+            ),
+        )
+
+    def _time(self, time_code: float | None) -> Usd.TimeCode:
+        if time_code is not None:
+            return Usd.TimeCode(time_code)
+        start = self._facts.start_time_code
+        return Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+
+    def _all(self) -> list[tuple[str, Usd.Prim]]:
+        """Every prim that could be drawn with its kind, hidden ones included."""
+        found = []
+        walk = iter(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
+        for prim in walk:
+            name = str(prim.GetTypeName())
+            if prim.IsA(UsdGeom.PointInstancer):
+                # its prototypes below it stand nowhere by themselves
+                self._stage_notes.add("not drawn: PointInstancer", str(prim.GetPath()))
+                walk.PruneChildren()
+            elif prim.IsA(UsdGeom.Mesh) or name in IMPLICIT:
+                found.append(("mesh", prim))
+            elif name == SPLAT_TYPE:
+                found.append(("gaussians", prim))
+            elif prim.IsA(UsdGeom.Points):
+                found.append(("points", prim))
+        return found
+
+    def _visible(self, kinds: tuple[str, ...]) -> list[tuple[str, Usd.Prim]]:
+        """Prims of these kinds to draw; a bake's particles even where its display hides them."""
+        time = self._time(None)
+        return [
+            (kind, prim)
+            for kind, prim in self._all()
+            if kind in kinds
+            and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
+            and (_is_visible(prim, time) or is_ours(prim))
+        ]
+
+    def _first_kind(self) -> str:
+        time = self._time(None)
+        there = {kind for kind, prim in self._all() if _is_visible(prim, time)}
+        return next((kind for kind in ("mesh", "gaussians", "points") if kind in there), "mesh")
+
+    def _select_display(self, display: str) -> None:
+        """Select a bake's display variant, in the session only."""
+        self._stage.SetEditTarget(self._stage.GetSessionLayer())
+        for prim in self._stage.GetPseudoRoot().GetChildren():
+            sets = prim.GetVariantSets()
+            for name in sets.GetNames():
+                if set(sets.GetVariantSet(name).GetVariantNames()) == DISPLAYS:
+                    sets.SetSelection(name, display)
+
+
+def read_scene(path: Path, time_code: float | None = None, show: str | None = None) -> Scene:
+    """What is visible in a stage at a time code; see `PictureStage`."""
+    return PictureStage(path, show).scene(time_code)
+
+
+def _read(
+    kind: str, prim: Usd.Prim, context: Reading
+) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
+    """One prim; None, and a note, for one that holds nothing."""
+    try:
+        if kind == "mesh":
+            return to_render_mesh(read_surface(prim, context), prim.GetStage(), context.time)
+        place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
+        read = read_splats if kind == "gaussians" else read_points
+        return read(prim, context.time, place, context.meters_per_unit, context.notes)
+    except LeftAlone as reason:
+        context.notes.add(f"not drawn: {reason}", str(prim.GetPath()))
+        return None
+
+
+def _is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
+
+
+def _ground(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:
+    """Height of the floor [m]; see `PictureStage.motion`."""
+    if motion is None or first is None:
+        return None
+    lowest, start = (float(np.min(box.corners @ up)) for box in (motion, first))
+    near = FLOOR_TOLERANCE * motion.diagonal
+    stands, lands = abs(lowest) <= near, lowest <= near and start >= -near
+    return 0.0 if stands or lands else lowest

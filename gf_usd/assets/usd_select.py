@@ -1,0 +1,117 @@
+"""Which prims of a stage are geometry to make soft, and why the others are left alone."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Sdf, Usd, UsdGeom
+
+from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.errors import InputError
+
+# Prims of an instance are read in place, as if it were not one.
+PROXIES = Usd.TraverseInstanceProxies()
+BAKED_PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection:
+    """The prims under a set of roots, sorted by what happens to them."""
+
+    roots: tuple[Usd.Prim, ...]
+    geometry: tuple[Usd.Prim, ...]  # meshes and implicit shapes, in stage order
+    skipped: tuple[tuple[str, str], ...]  # (prim path, reason)
+    types: Counter[str]  # how often each prim type occurs, for words about an empty stage
+
+
+def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCode) -> Selection:
+    """The visible geometry of purpose default or render under `prims`.
+
+    No prims: under the default prim, or where there is none under every root prim.  Raises
+    InputError for a prim path that does not exist.
+    """
+    if prims:
+        roots = [_named(stage, path, name) for name in prims]
+    elif default := stage.GetDefaultPrim():
+        roots = [default]
+    else:
+        roots = list(stage.GetPseudoRoot().GetChildren())
+    geometry: dict[Sdf.Path, Usd.Prim] = {}
+    skipped: dict[str, str] = {}
+    types: Counter[str] = Counter()
+    for root in roots:
+        walk = iter(Usd.PrimRange(root, PROXIES))
+        for prim in walk:
+            types[str(prim.GetTypeName()) or "untyped prim"] += 1
+            if _is_hidden(prim, time):
+                skipped[str(prim.GetPath())] = "invisible"
+                walk.PruneChildren()
+            elif prim.IsA(UsdGeom.PointInstancer):
+                skipped[str(prim.GetPath())] = "PointInstancer: its instances are not made soft"
+                walk.PruneChildren()
+            elif prim.IsA(UsdGeom.Gprim):
+                reason = _why_not(prim)
+                if reason:
+                    skipped[str(prim.GetPath())] = reason
+                else:
+                    geometry[prim.GetPath()] = prim
+    return Selection(
+        roots=tuple(roots),
+        geometry=tuple(geometry.values()),
+        skipped=tuple(skipped.items()),
+        types=types,
+    )
+
+
+def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    imageable = UsdGeom.Imageable(prim)
+    return bool(imageable) and imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible
+
+
+def _why_not(prim: Usd.Prim) -> str:
+    """Words for a visible gprim that is not made soft; empty for one that is."""
+    if not (prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in IMPLICIT):
+        return f"{prim.GetTypeName()}: only meshes and solid implicit shapes are made soft"
+    purpose = UsdGeom.Imageable(prim).ComputePurpose()
+    return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
+
+
+def _named(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
+    """The prim that a user named; InputError with the nearest names where there is none."""
+    if Sdf.Path.IsValidPathString(name) and (wanted := Sdf.Path(name)).IsAbsolutePath():
+        if wanted == Sdf.Path.absoluteRootPath:
+            return stage.GetPseudoRoot()
+        prim = stage.GetPrimAtPath(wanted) if wanted.IsPrimPath() else None
+        if prim and prim.IsActive() and prim.IsDefined():
+            return prim
+        if prim:
+            raise InputError(
+                f"{path}: the prim {name} is {'not defined' if prim.IsActive() else 'inactive'}",
+                "activate it in the file, or name another prim",
+            )
+    else:
+        wanted = None
+    every = [str(p.GetPath()) for p in Usd.PrimRange.Stage(stage, PROXIES)]
+    leaf = name.rsplit("/", 1)[-1]
+    close = [p for p in every if p.rsplit("/", 1)[-1] == leaf][:3]
+    close += [p for p in difflib.get_close_matches(name, every, n=3) if p not in close]
+    if close:
+        hint = f"did you mean {' or '.join(close)}?"
+    else:
+        parent = _nearest(stage, wanted)
+        names = ", ".join(str(p.GetPath()) for p in parent.GetAllChildren()[:8])
+        hint = f"{parent.GetPath()} exists and holds {names or 'nothing'}"
+    raise InputError(f"{path}: there is no prim {name}", hint)
+
+
+def _nearest(stage: Usd.Stage, wanted: Sdf.Path | None) -> Usd.Prim:
+    """The nearest existing ancestor."""
+    while wanted and wanted != Sdf.Path.absoluteRootPath:
+        wanted = wanted.GetParentPath()
+        if prim := stage.GetPrimAtPath(wanted):
+            return prim
+    return stage.GetPseudoRoot()

@@ -1,0 +1,68 @@
+"""The command ``gf-usd``: its commands, and how any of them ends.
+
+Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 130 and 143
+interrupted (docs/guide.md).
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Annotated, NoReturn
+
+import typer
+
+from gf_usd import __version__
+from gf_usd.cli.bake import bake
+from gf_usd.cli.materials import materials
+from gf_usd.cli.preview import preview
+from gf_usd.cli.schema_path import schema_path
+from gf_usd.errors import GfUsdError
+
+app = typer.Typer(
+    name="gf-usd",
+    help="Make any USD or mesh asset soft, without touching it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(bake)
+app.command()(preview)
+app.command()(materials)
+app.command(name="schema-path")(schema_path)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"gf-usd {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print and exit."),
+    ] = False,
+) -> None:
+    pass
+
+
+def run() -> NoReturn:
+    """Run the command line; an expected error ends in words on stderr, never in a traceback."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        app(standalone_mode=True)
+    except GfUsdError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        typer.echo("interrupted; only *.partial.* files remain", err=True)
+        sys.exit(130)
+    sys.exit(0)
+
+
+def _terminate(number: int, frame: object) -> NoReturn:
+    typer.echo("terminated; only *.partial.* files remain", err=True)
+    sys.exit(143)

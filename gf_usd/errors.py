@@ -1,0 +1,41 @@
+"""Errors that a person can act on: what is wrong, with its numbers, and what to do."""
+
+from __future__ import annotations
+
+
+class GfUsdError(Exception):
+    """An expected failure, reported without a traceback.
+
+    Parameters
+    ----------
+    message : what is wrong; names the file, the prim path and the numbers.
+    hint : what to do about it.
+    """
+
+    exit_status = 1
+
+    def __init__(self, message: str, hint: str) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message}\n\nhint: {self.hint}"
+
+
+class UsageError(GfUsdError):
+    """The options do not make sense (exit status 2); nothing was read or written."""
+
+    exit_status = 2
+
+
+class InputError(GfUsdError):
+    """The input was refused (exit status 3); nothing was written."""
+
+    exit_status = 3
+
+
+class BakeError(GfUsdError):
+    """The bake failed while running (exit status 1); only ``*.partial.*`` files remain."""
+
+    exit_status = 1

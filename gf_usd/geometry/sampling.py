@@ -1,0 +1,140 @@
+"""Filling a solid with particles, and its surface with contact samples.
+
+Particles are stratified: one, at a random place, in each cube of a lattice, kept if it lies inside.
+Eight cubes make a cell of the solver's grid, so that every full cell holds exactly eight particles
+(physics.md section 3).  All have the same rest volume V0 = V / N.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from gf_usd.errors import InputError
+from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.surface import colours, nearest
+from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
+
+JITTER = 0.7  # of a stratum that a particle may lie in: less is more even, more is less regular
+SIGMA_T = 0.6  # tangential standard deviation over the spacing: neighbours overlap at one sigma
+SIGMA_R = 0.15  # along the normal
+LEAST_PARTICLES = 16  # fewer do not hold a grid
+MOST_PARTICLES = 50_000_000
+CHUNK = 2_000_000  # lattice cubes looked at together: bounds memory
+
+
+def sample_solid(
+    solid: Solid, *, particles: int | None, spacing: float | None, seed: int
+) -> Particles:
+    """Particles at a spacing [m], or about `particles` of them.
+
+    Raises InputError where the solid holds too few or too many at that spacing.
+    """
+    a = spacing if spacing else float(np.cbrt(solid.volume / (particles or 1)))
+    expected = solid.volume / a**3
+    if expected > MOST_PARTICLES:
+        raise InputError(
+            f"a spacing of {a:.3g} m would take {expected:.3g} particles"
+            f" (at most {MOST_PARTICLES})",
+            "raise --spacing or lower --particles",
+        )
+    corner, X = _strata(solid, a, np.random.default_rng(seed))
+    if len(X) < LEAST_PARTICLES:
+        raise InputError(
+            f"only {len(X)} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
+            f" (at least {LEAST_PARTICLES})",
+            "lower --spacing or raise --particles",
+        )
+    at = nearest(solid, X)
+    n = len(X)
+    s = float(np.cbrt(solid.volume / n))
+    return Particles(
+        X=X,
+        V0=np.full(n, solid.volume / n),
+        material=np.zeros(n, np.int64),
+        orientation=quaternion_from_axis(at.normal),
+        scale=np.tile(s * np.array([SIGMA_R, SIGMA_T, SIGMA_T]), (n, 1)),
+        colour=colours(solid, at),
+        opacity=np.ones(n),
+        surface=at.surface,
+        spacing=s,
+        volume=solid.volume,
+        lattice=a,
+        corner=corner,
+    )
+
+
+def _strata(solid: Solid, a: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Corner of the lattice and the particles kept, cube by cube."""
+    size = solid.high - solid.low
+    n = np.maximum(1, np.ceil(size / a).astype(int))
+    # Centred on the asset: a symmetric asset gets a symmetric lattice.
+    corner = solid.low + 0.5 * (size - n * a)
+    slab = max(1, CHUNK // int(n[1] * n[2]))
+    kept = []
+    for start in range(0, int(n[0]), slab):
+        count = np.array([min(slab, int(n[0]) - start), n[1], n[2]])
+        cube = np.stack(np.unravel_index(np.arange(np.prod(count)), tuple(count)), -1)
+        cube[:, 0] += start
+        place = 0.5 + JITTER * (rng.random(cube.shape) - 0.5)
+        X = corner + a * (cube + place)
+        kept.append(X[solid.inside(X)])
+    return corner, np.concatenate(kept)
+
+
+def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
+    """(k, 4) the shortest rotation (w, x, y, z) that takes axis 0 to n (k, 3), unit."""
+    w = 1.0 + n[:, 0]
+    q = np.stack([w, np.zeros(len(n)), -n[:, 2], n[:, 1]], 1)
+    q[w < 1e-9] = (0.0, 0.0, 1.0, 0.0)  # half a turn: any axis across will do
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def sample_surface(solid: Solid, spacing: float, seed: int) -> SurfaceSamples:
+    """Contact samples about a spacing [m] apart; sharp vertices are always among them.
+
+    Candidates are the vertices, then random points by area; each is kept if no kept one is nearer
+    than 0.7 spacings.  The area a sample stands for is that of the candidates nearest to it.
+    """
+    rng = np.random.default_rng(seed + 1)
+    clouds, vertices = [], []
+    total = 0.0
+    for surface, triangles in zip(solid.surfaces, solid.triangles):
+        a, b, c = np.moveaxis(surface.points[triangles], 1, 0)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        total += float(area.sum())
+        count = max(64, int(np.ceil(12.0 * area.sum() / spacing**2)))
+        # Systematic draws along the cumulated area: every stretch of surface gets its share.
+        u = (np.arange(count) + rng.random(count)) / count * area.sum()
+        face = np.minimum(np.searchsorted(np.cumsum(area), u), len(area) - 1)
+        r = rng.random((count, 2))
+        flip = r.sum(1) > 1.0
+        r[flip] = 1.0 - r[flip]
+        clouds.append(a[face] + r[:, :1] * (b - a)[face] + r[:, 1:] * (c - a)[face])
+        vertices.append(surface.points[np.unique(triangles)])
+    cloud = np.concatenate(clouds)
+    corners = np.concatenate(vertices)
+    candidates = np.concatenate([corners, cloud])
+    X = candidates[thin(candidates, 0.7 * spacing)]
+    share = np.bincount(cKDTree(X).query(cloud)[1], minlength=len(X)) / len(cloud)
+    used = share > 0.0
+    return SurfaceSamples(X=X[used], area=share[used] * total)
+
+
+def thin(points: Floats, radius: float) -> Ints:
+    """Indices of a greedy subset, in order, no two nearer than radius [m]."""
+    # Points in one cell of edge radius/sqrt(3) exclude each other: drop those first, then search.
+    cell = np.floor((points - points.min(0)) / (radius / np.sqrt(3.0))).astype(np.int64)
+    _, first = np.unique(cell, axis=0, return_index=True)
+    first.sort()
+    few = points[first]
+    pairs = cKDTree(few).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[np.argsort(pairs[:, 1], kind="stable")]
+    start = np.searchsorted(pairs[:, 1], np.arange(len(few) + 1))
+    lower = pairs[:, 0]
+    kept = np.ones(len(few), bool)
+    for i in range(len(few)):
+        if start[i] < start[i + 1]:
+            kept[i] = not kept[lower[start[i] : start[i + 1]]].any()
+    return first[kept]

@@ -1,0 +1,124 @@
+"""Deformed Gaussians as orientation and scale, continuous in time.
+
+A Gaussian rides as Sigma = F Sigma0 F^T (GaussianFlesh section 3.1).  USD stores it as a rotation Q
+and standard deviations s, Sigma = Q diag(s^2) Q^T, which leaves axes that may swap and flip from
+frame to frame; a client that interpolates would then show a spinning needle.  So each frame starts
+from the last one's axes turned by the body's own rotation and turns them no further than it must:
+cyclic Jacobi rotations of at most 45 degrees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.model import Floats, GaussianPose, Pose
+
+SWEEPS = 6  # Jacobi converges quadratically: f64 digits are used up well before
+
+
+class GaussianTrack:
+    """Turns poses into Gaussians, one frame after another.
+
+    rest_orientation : (N, 4) (w, x, y, z); rest_scale : (N, 3) [m].
+    """
+
+    def __init__(self, rest_orientation: Floats, rest_scale: Floats) -> None:
+        self._rest = matrix_from_quaternion(rest_orientation)
+        self._rest_scale = np.asarray(rest_scale, float)
+        self._axes = self._rest
+        self._turn = np.broadcast_to(np.eye(3), self._rest.shape)
+        self._last = np.asarray(rest_orientation, float)
+
+    def advance(self, pose: Pose) -> GaussianPose:
+        """The Gaussians at a pose; call once a frame, in order."""
+        A = pose.F @ (self._rest * self._rest_scale[:, None, :])
+        turn = nearest_rotation(pose.F)
+        start = turn @ np.swapaxes(self._turn, 1, 2) @ self._axes
+        B = np.swapaxes(start, 1, 2) @ A
+        S, spin = jacobi(B @ np.swapaxes(B, 1, 2))
+        self._axes, self._turn = start @ spin, turn
+        q = quaternion_from_matrix(self._axes)
+        q *= np.where((q * self._last).sum(1, keepdims=True) < 0.0, -1.0, 1.0)
+        self._last = q
+        return GaussianPose(
+            positions=pose.x,
+            velocities=pose.v,
+            orientations=q,
+            scales=np.sqrt(np.maximum(np.einsum("naa->na", S), 0.0)),
+        )
+
+
+def nearest_rotation(F: Floats) -> NDArray[np.float64]:
+    """(N, 3, 3) R of the polar decomposition with det R = 1, by the signed SVD."""
+    U, _, Vt = np.linalg.svd(F)
+    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+    return U @ Vt
+
+
+def jacobi(S: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Diagonalise symmetric S (N, 3, 3): returns Q^T S Q and Q, det Q = 1, Q near the identity."""
+    S = np.array(S, float)
+    Q = np.broadcast_to(np.eye(3), S.shape).copy()
+    # Below rounding an off-diagonal says nothing, and turning by it would be noise.
+    scale = 1e-14 * np.maximum(np.einsum("naa->n", S), 1e-300)
+    for _ in range(SWEEPS):
+        moved = False
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            active = np.abs(S[:, p, q]) > scale
+            if not active.any():
+                continue
+            moved = True
+            off = np.where(active, S[:, p, q], 1.0)
+            tau = (S[:, q, q] - S[:, p, p]) / (2.0 * off)
+            t = np.where(tau >= 0.0, 1.0, -1.0) / (np.abs(tau) + np.sqrt(1.0 + tau * tau))
+            t = np.where(active, t, 0.0)
+            c = 1.0 / np.sqrt(1.0 + t * t)
+            J = np.broadcast_to(np.eye(3), S.shape).copy()
+            J[:, p, p] = J[:, q, q] = c
+            J[:, p, q], J[:, q, p] = t * c, -t * c
+            S = np.swapaxes(J, 1, 2) @ S @ J
+            Q = Q @ J
+        if not moved:
+            break
+    return S, Q
+
+
+def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
+    """(N, 3, 3) rotation of unit quaternions (N, 4), (w, x, y, z)."""
+    w, x, y, z = np.asarray(q, float).T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )
+
+
+def quaternion_from_matrix(R: Floats) -> NDArray[np.float64]:
+    """(N, 4) unit quaternion (w, x, y, z) of rotations (N, 3, 3)."""
+    a, b, c = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    # The largest of four squared components is at least a quarter: divide by that one.
+    squares = 0.25 * np.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], 1)
+    products = 0.25 * np.stack(
+        [
+            R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1],
+            R[:, 1, 0] + R[:, 0, 1], R[:, 0, 2] + R[:, 2, 0], R[:, 2, 1] + R[:, 1, 2],
+        ],
+        1,
+    )  # fmt: skip
+    wx, wy, wz, xy, xz, yz = products.T
+    w2, x2, y2, z2 = squares.T
+    rows = np.stack(
+        [
+            np.stack([w2, wx, wy, wz], 1),
+            np.stack([wx, x2, xy, xz], 1),
+            np.stack([wy, xy, y2, yz], 1),
+            np.stack([wz, xz, yz, z2], 1),
+        ],
+        1,
+    )
+    q = rows[np.arange(len(R)), np.argmax(squares, 1)]
+    return q / np.linalg.norm(q, axis=1, keepdims=True)

@@ -1,0 +1,151 @@
+"""The substeps, put together for a law and a precision.
+
+Per substep of length dt, with everything but u and v constant (physics.md section 1):
+
+    v <- v + alpha (A v - v)                 every `every` substeps (GaussianFlesh eq. 1 and 3)
+    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly
+    f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
+    v_i <- (v_i + dt (f_i / m_i + g)) exp(-drag dt)
+    u_i <- u_i + dt v_i                      half of it before the first and after the last substep
+
+The half steps make a frame position Verlet: second order, and exact under gravity alone.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import taichi as ti
+
+from gf_usd.physics.cell_kernel import filter_cell, stress_cell
+from gf_usd.physics.contact_kernel import sample_contact
+from gf_usd.physics.lanes import LANES
+from gf_usd.physics.node_kernel import drift_node, filter_node, follow, follower_share, move_node
+from gf_usd.physics.stencil_kernel import gradient, lane_sum, load, spline
+
+STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
+
+
+@cache
+def pack_type(real):
+    """The arguments of a body, one pack: a launch then costs the same however many arrays."""
+    reals = (
+        *("fx", "V0", "m", "mu", "lam", "viscosity", "block", "u", "v", "inverse_mass"),
+        *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
+        *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
+        *("share", "leader_weight", "follow_weight"),
+    )
+    ints = (
+        *("cell_batch", "cell_nodes", "node_slot_start", "node_slot"),
+        *("sample_start", "sample_node", "sample_active", "sample_capped"),
+        *("node_sample_start", "node_sample"),
+        *("leader_start", "leader_follower", "follow_start", "follow_node"),
+    )
+    members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
+    members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in ints}
+    return ti.types.argpack(**members)
+
+
+@cache
+def build(law, damped: bool, real) -> SimpleNamespace:
+    """The kernels for one law, with or without viscosity, in f32 or f64."""
+    Body = pack_type(real)
+    vec = ti.types.vector(3, real)
+
+    @ti.kernel
+    def serial(
+        body: Body, cells: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        substeps: ti.i32, every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real,
+        dt: real, keep: real, ih: real, converged: real,
+    ):  # fmt: skip
+        """All substeps of a frame in one launch on one thread: small bodies are all launch cost."""
+        ti.loop_config(serialize=True)
+        for s in range(substeps):
+            if s == 0:
+                for n in range(free):
+                    drift_node(body, n, 0.5 * dt)
+                for n in range(followers):
+                    follow(body, n, free)
+            drift = dt
+            if s == substeps - 1:
+                drift = 0.5 * dt
+            if every > 0 and (s + phase) % every == 0:
+                for c in range(cells):
+                    filter_cell(body, c)
+                for n in range(followers):
+                    follower_share(body, n, free)
+                for n in range(free):
+                    filter_node(body, n, alpha)
+                for n in range(followers):
+                    follow(body, n, free)
+            for c in range(cells):
+                stress_cell(body, c, law, damped, ih, converged)
+            for k in range(active):
+                sample_contact(body, body.sample_active[k], up, lift, dt)
+            for n in range(followers):
+                follower_share(body, n, free)
+            for n in range(free):
+                move_node(body, n, active, g, dt, drift, keep)
+            for n in range(followers):
+                follow(body, n, free)
+
+    @ti.kernel
+    def parallel(
+        body: Body, cells: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        filtered: ti.i32, alpha: real, g: vec, up: vec, lift: real,
+        dt: real, keep: real, ih: real, converged: real, drift: real,
+    ):  # fmt: skip
+        """One substep over all threads."""
+        for z in range(cells * STRIDE * filtered):
+            if z % STRIDE == 0:
+                filter_cell(body, z // STRIDE)
+        for n in range(followers * filtered):
+            follower_share(body, n, free)
+        for n in range(free * filtered):
+            filter_node(body, n, alpha)
+        for n in range(followers * filtered):
+            follow(body, n, free)
+        for z in range(cells * STRIDE):
+            if z % STRIDE == 0:
+                stress_cell(body, z // STRIDE, law, damped, ih, converged)
+        for k in range(active):
+            sample_contact(body, body.sample_active[k], up, lift, dt)
+        for n in range(followers):
+            follower_share(body, n, free)
+        for n in range(free):
+            move_node(body, n, active, g, dt, drift, keep)
+        for n in range(followers):
+            follow(body, n, free)
+
+    @ti.kernel
+    def start(body: Body, free: ti.i32, followers: ti.i32, drift: real):
+        """u += drift v: the half step that opens a frame of `parallel` substeps."""
+        for n in range(free):
+            drift_node(body, n, drift)
+        for n in range(followers):
+            follow(body, n, free)
+
+    @ti.kernel
+    def energy(body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
+               converged: real):  # fmt: skip
+        """out[cell] = sum_p V0 psi(F_p)."""
+        for z in range(cells * STRIDE):
+            if z % STRIDE == 0:
+                cell = z // STRIDE
+                total = ih * 0.0
+                for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
+                    w0, d0 = spline(load(body.fx, b * 24))
+                    w1, d1 = spline(load(body.fx, b * 24 + 8))
+                    w2, d2 = spline(load(body.fx, b * 24 + 16))
+                    w = [w0, w1, w2]
+                    dw = [d0, d1, d2]
+                    F = gradient(body, body.u, cell, w, dw)
+                    for a in ti.static(range(9)):
+                        F[a] = F[a] * ih
+                    for a in ti.static(range(3)):
+                        F[4 * a] = F[4 * a] + 1.0
+                    shear = load(body.mu, b * LANES)
+                    psi = law.psi(F, shear, load(body.lam, b * LANES), converged)
+                    total += lane_sum(load(body.V0, b * LANES) * psi)
+                out[cell] = total
+
+    return SimpleNamespace(serial=serial, parallel=parallel, start=start, energy=energy)

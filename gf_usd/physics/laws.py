@@ -1,0 +1,117 @@
+"""Constitutive laws: one registry row each.
+
+A law is an energy density psi(F) [J/m^3 of rest volume] and its gradient, the first Piola-Kirchhoff
+stress P = d psi / d F [Pa].  Both are defined for every F, inverted ones included, and are written
+on lanes (see `lanes`): F and P are lists of nine lane vectors, mu and lam lane vectors [Pa].
+The tests run over the registry, so that a new row is held to gradient, objectivity and rest state
+the moment it stands here.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import taichi as ti
+
+from gf_usd.physics.lanes import cofactor, determinant, double_dot, log, rotation
+
+J_EXTENSION = 0.1  # below this J the logarithm is continued by its second-order Taylor polynomial
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """One constitutive law."""
+
+    token: str  # the value of gaussianFlesh:law
+    psi: Callable  # (F, mu, lam, converged) -> energy density
+    pk1: Callable  # (F, mu, lam, converged) -> P
+    source: str
+
+
+@ti.func
+def corotated_psi(F, mu, lam, converged):
+    """psi = mu |F - R|^2 + lam/2 (J - 1)^2."""
+    R = rotation(F, converged)
+    J = determinant(F, cofactor(F))
+    e = J * 0.0
+    for a in ti.static(range(9)):
+        e += (F[a] - R[a]) * (F[a] - R[a])
+    return mu * e + 0.5 * lam * (J - 1.0) * (J - 1.0)
+
+
+@ti.func
+def corotated_pk1(F, mu, lam, converged):
+    """P = 2 mu (F - R) + lam (J - 1) cof F."""
+    R = rotation(F, converged)
+    cof = cofactor(F)
+    p = lam * (determinant(F, cof) - 1.0)
+    m = 2.0 * mu
+    return [
+        m * (F[0] - R[0]) + p * cof[0],
+        m * (F[1] - R[1]) + p * cof[1],
+        m * (F[2] - R[2]) + p * cof[2],
+        m * (F[3] - R[3]) + p * cof[3],
+        m * (F[4] - R[4]) + p * cof[4],
+        m * (F[5] - R[5]) + p * cof[5],
+        m * (F[6] - R[6]) + p * cof[6],
+        m * (F[7] - R[7]) + p * cof[7],
+        m * (F[8] - R[8]) + p * cof[8],
+    ]
+
+
+@ti.func
+def log_extended(J):
+    """g(J) = ln J for J >= J0, its second-order Taylor polynomial about J0 below."""
+    t = (ti.min(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
+    return log(ti.max(J, J_EXTENSION)) + t - 0.5 * t * t
+
+
+@ti.func
+def log_extended_slope(J):
+    """dg/dJ of `log_extended`."""
+    t = (ti.min(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
+    return ti.select(J >= J_EXTENSION, 1.0 / ti.max(J, J_EXTENSION), (1.0 - t) / J_EXTENSION)
+
+
+@ti.func
+def neo_hookean_psi(F, mu, lam, converged):
+    """psi = mu/2 (|F|^2 - 3) - mu g(J) + lam/2 g(J)^2, g = ln J extended."""
+    g = log_extended(determinant(F, cofactor(F)))
+    return 0.5 * mu * (double_dot(F, F) - 3.0) - mu * g + 0.5 * lam * g * g
+
+
+@ti.func
+def neo_hookean_pk1(F, mu, lam, converged):
+    """P = mu F + (lam g - mu) g' cof F; for J >= J0 this is mu (F - F^-T) + lam ln J F^-T."""
+    cof = cofactor(F)
+    J = determinant(F, cof)
+    q = (lam * log_extended(J) - mu) * log_extended_slope(J)
+    return [
+        mu * F[0] + q * cof[0],
+        mu * F[1] + q * cof[1],
+        mu * F[2] + q * cof[2],
+        mu * F[3] + q * cof[3],
+        mu * F[4] + q * cof[4],
+        mu * F[5] + q * cof[5],
+        mu * F[6] + q * cof[6],
+        mu * F[7] + q * cof[7],
+        mu * F[8] + q * cof[8],
+    ]
+
+
+LAWS: dict[str, Law] = {
+    law.token: law
+    for law in (
+        Law(
+            token="corotated",
+            psi=corotated_psi,
+            pk1=corotated_pk1,
+            source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
+        ),
+        Law(
+            token="neoHookean",
+            psi=neo_hookean_psi,
+            pk1=neo_hookean_pk1,
+            source="Bonet and Wood 2008, eq. 6.28",
+        ),
+    )
+}

@@ -1,0 +1,84 @@
+"""What one node does in a substep: sum its cells' blocks in a fixed order, and move.
+
+No atomics, so the result does not depend on the number of threads.  Light nodes follow the free
+ones (see `stencil`): they pass their sums on, and take their motion back.
+"""
+
+import taichi as ti
+
+from gf_usd.physics.contact_kernel import contact_force
+
+
+@ti.func
+def block_sum(body: ti.template(), node):
+    """Sum of what the node's cells hold for it, in a fixed order."""
+    f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
+        o = body.node_slot[e] * 3
+        f += ti.Vector([body.block[o], body.block[o + 1], body.block[o + 2]])
+    return f
+
+
+@ti.func
+def follower_share(body: ti.template(), follower, free):
+    """Keep what the cells hold for a follower, for the nodes it follows."""
+    f = block_sum(body, free + follower)
+    for d in ti.static(range(3)):
+        body.share[3 * follower + d] = f[d]
+
+
+@ti.func
+def node_sum(body: ti.template(), node):
+    """What the cells hold for a free node and for those that follow it: (E^T f)_i."""
+    f = block_sum(body, node)
+    for e in range(body.leader_start[node], body.leader_start[node + 1]):
+        o = body.leader_follower[e] * 3
+        f += body.leader_weight[e] * ti.Vector(
+            [body.share[o], body.share[o + 1], body.share[o + 2]]
+        )
+    return f
+
+
+@ti.func
+def follow(body: ti.template(), follower, free):
+    """u_l = sum_j e_lj u_j, and v likewise."""
+    u = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    v = u
+    for e in range(body.follow_start[follower], body.follow_start[follower + 1]):
+        o = body.follow_node[e] * 3
+        w = body.follow_weight[e]
+        u += w * ti.Vector([body.u[o], body.u[o + 1], body.u[o + 2]])
+        v += w * ti.Vector([body.v[o], body.v[o + 1], body.v[o + 2]])
+    o = 3 * (free + follower)
+    for d in ti.static(range(3)):
+        body.u[o + d] = u[d]
+        body.v[o + d] = v[d]
+
+
+@ti.func
+def drift_node(body: ti.template(), node, drift):
+    """u += drift v."""
+    for a in range(3 * node, 3 * node + 3):
+        body.u[a] = body.u[a] + drift * body.v[a]
+
+
+@ti.func
+def move_node(body: ti.template(), node, contact, g, dt, drift, keep):
+    """v += dt (f/m + g), u += drift v, with the forces of the cells and of the floor."""
+    f = node_sum(body, node)
+    if contact > 0:
+        f += contact_force(body, node)
+    a = f * body.inverse_mass[node] + g
+    for d in ti.static(range(3)):
+        v = (body.v[3 * node + d] + dt * a[d]) * keep
+        body.v[3 * node + d] = v
+        body.u[3 * node + d] = body.u[3 * node + d] + drift * v
+
+
+@ti.func
+def filter_node(body: ti.template(), node, alpha):
+    """v += alpha (A v - v)."""
+    p = node_sum(body, node) * body.inverse_mass[node]
+    for d in ti.static(range(3)):
+        v = body.v[3 * node + d]
+        body.v[3 * node + d] = v + alpha * (p[d] - v)

@@ -1,0 +1,130 @@
+"""From particles and materials to the numbers and arrays of a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gf_usd.model import Floats, Material, Particles, Settings, SurfaceSamples
+from gf_usd.physics import body as layout
+from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
+from gf_usd.physics.stencil import Stencil
+from gf_usd.physics.timestep import StableStep, stable_step
+
+PER_PARTICLE = (
+    *("density", "mu", "lam", "youngs_modulus", "poissons_ratio", "wave_speed"),
+    *("damping_time", "friction", "restitution"),
+)
+
+
+def per_particle(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
+    """Material values spread over particles, (N,) each."""
+    table = {name: np.array([getattr(m, name) for m in materials]) for name in PER_PARTICLE}
+    return {name: values[particles.material] for name, values in table.items()}
+
+
+def floor_contact(
+    samples: SurfaceSamples | None,
+    particles: Particles,
+    stencil: Stencil,
+    settings: Settings,
+    per: dict[str, Floats],
+) -> FloorContact | None:
+    """Contact samples with the material of the nearest particle; None without a floor."""
+    if samples is None or settings.floor is None or len(samples.X) == 0:
+        return None
+    near = cKDTree(particles.X).query(samples.X)[1]
+    up = np.asarray(settings.up)
+    heights = samples.X @ up + np.dot(settings.lift, up) - settings.floor
+    g = max(0.0, -float(np.dot(settings.gravity, up)))
+    return build_contact(
+        samples,
+        stencil,
+        spacing=particles.spacing,
+        density=per["density"][near],
+        wave_speed=per["wave_speed"][near],
+        friction=per["friction"][near],
+        restitution=per["restitution"][near],
+        pressure=hertz_pressure(
+            weight=g * float(per["density"] @ particles.V0),
+            radius=particles.radius,
+            youngs=per["youngs_modulus"][near],
+            poisson=per["poissons_ratio"][near],
+        ),
+        impact_speed=float(np.sqrt(2.0 * g * max(0.0, float(heights.min())))),
+    )
+
+
+def largest_step(
+    particles: Particles,
+    h: float,
+    contact: FloorContact | None,
+    settings: Settings,
+    per: dict[str, Floats],
+) -> StableStep:
+    """The stable step of the stiffest material with this contact."""
+    share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
+    return stable_step(
+        wave_speed=float(per["wave_speed"].max()),
+        h=h,
+        per_cell=len(particles) * h**3 / particles.volume,
+        viscous_time=float((per["damping_time"] * share).max()),
+        contact_omega2=contact.omega2 if contact else 0.0,
+        contact_damping=contact.damping_rate if contact else 0.0,
+        safety=settings.safety,
+    )
+
+
+def arrays(
+    particles: Particles,
+    stencil: Stencil,
+    contact: FloorContact | None,
+    settings: Settings,
+    per: dict[str, Floats],
+    velocity: Floats,
+) -> dict[str, Floats]:
+    """Every array of the kernels' pack, flat; velocity (M, 3) [m/s] on the nodes."""
+    batches = layout.batch_particles(stencil)
+    fx = np.empty_like(stencil.fx)
+    fx[stencil.order] = stencil.fx
+    slot_start, slot = layout.node_slots(stencil)
+    height = np.zeros(1)
+    if contact:
+        height = contact.rows.X @ np.asarray(settings.up) - (settings.floor or 0.0)
+    followers = stencil.node_count - stencil.free_count
+    return {
+        "fx": layout.lanes(batches, fx, fill=True),
+        "V0": layout.lanes(batches, particles.V0),
+        "m": layout.lanes(batches, per["density"] * particles.V0),
+        "mu": layout.lanes(batches, per["mu"], fill=True),
+        "lam": layout.lanes(batches, per["lam"], fill=True),
+        "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
+        "block": np.zeros(81 * len(stencil.cell_nodes)),
+        "u": np.zeros(3 * stencil.node_count),
+        "v": velocity.ravel(),
+        "inverse_mass": 1.0 / stencil.mass,
+        "share": np.zeros(3 * max(1, followers)),
+        "cell_batch": batches.cell_batch,
+        "cell_nodes": stencil.cell_nodes.ravel(),
+        "node_slot_start": slot_start,
+        "node_slot": slot,
+        **layout.follower_arrays(stencil),
+        **layout.contact_arrays(contact, height, stencil.free_count),
+    }
+
+
+def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
+    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64)."""
+    import taichi as ti
+
+    kind = ti.f64 if real is np.float64 else ti.f32
+    out = {}
+    for name, value in values.items():
+        whole = np.issubdtype(value.dtype, np.integer)
+        value = np.ascontiguousarray(value, dtype=np.int32 if whole else real)
+        out[name] = ti.ndarray(ti.i32 if whole else kind, value.shape)
+        out[name].from_numpy(value)
+    return out

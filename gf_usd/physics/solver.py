@@ -1,0 +1,224 @@
+"""Total Lagrangian APIC: the production solver.
+
+The state is a displacement u and a velocity v on the nodes of a grid that never moves
+(physics.md section 1).  Everything that rides on the body, particles included, is read off them:
+x = X + offset + W u, F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
+that a long fall costs the strain no digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from gf_usd.errors import BakeError
+from gf_usd.model import (
+    Floats,
+    Frame,
+    Material,
+    Particles,
+    Pose,
+    Settings,
+    SurfaceSamples,
+)  # fmt: skip
+from gf_usd.physics import setup
+from gf_usd.physics.embedding import pose
+from gf_usd.physics.health import measure
+from gf_usd.physics.stencil import build_stencil
+
+CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
+SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
+FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
+
+
+class TotalLagrangian:
+    """One asset in motion.
+
+    Parameters
+    ----------
+    particles, materials, settings : see `model`; every material must have the same law.
+    samples : surface points that feel the floor; None or no floor: no contact.
+    riders : named points (n, 3) [m] that ride along; their poses come with every frame.
+    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start.
+    real : numpy dtype of the kernels.
+    """
+
+    def __init__(
+        self,
+        particles: Particles,
+        materials: Sequence[Material],
+        settings: Settings,
+        *,
+        samples: SurfaceSamples | None = None,
+        riders: Mapping[str, Floats] | None = None,
+        velocity: Any = (0.0, 0.0, 0.0),
+        h: float | None = None,
+        real: type = np.float32,
+    ) -> None:
+        from gf_usd.runtime import init_taichi
+
+        init_taichi(settings.device, settings.threads, f64=real is np.float64)
+        self.particles, self.settings, self.real = particles, settings, real
+        per = setup.per_particle(particles, materials)
+        self.m = per["density"] * particles.V0
+        self.h = h or CELL_PER_LATTICE * particles.lattice
+        self.stencil = build_stencil(particles.X, self.m, self.h, particles.corner)
+        self.rows = self.stencil.rows(particles.X)
+        self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
+        self.up = np.asarray(settings.up, float)
+        self.offset = np.asarray(settings.lift, float)
+        self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per)
+        self.step = setup.largest_step(particles, self.h, self.contact, settings, per)
+        self.substeps = max(1, int(np.ceil(self.frame_time / self.step.dt)))
+        self.dt = self.frame_time / self.substeps
+        self.time = 0.0
+        self.done = 0  # substeps since the start
+        v = velocity(self.stencil.node_X) if callable(velocity) else velocity
+        v = np.broadcast_to(np.asarray(v, float), (self.stencil.node_count, 3))
+        self.arrays = setup.to_device(
+            setup.arrays(particles, self.stencil, self.contact, settings, per, v), real
+        )
+        self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
+
+    def _start_kernels(self, law: str, damped: bool) -> None:
+        import taichi as ti
+
+        from gf_usd.physics.kernels import build, pack_type
+        from gf_usd.physics.laws import LAWS
+
+        kind = ti.f64 if self.real is np.float64 else ti.f32
+        self.pack = pack_type(kind)(**self.arrays)
+        self.kernels = build(LAWS[law], damped, kind)
+        self._vec = ti.types.vector(3, kind)
+        self._cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+
+    @property
+    def frame_time(self) -> float:
+        """[s] of simulated time between frames."""
+        return self.settings.time_scale / self.settings.fps
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield `settings.frames` frames, the first at rest where the body was put."""
+        yield self._frame(0, 0, 0.0)
+        for index in range(1, self.settings.frames):
+            capped, depth = self._advance(self.substeps)
+            yield self._frame(index, capped, depth)
+
+    def _advance(self, substeps: int) -> tuple[int, float]:
+        """Move by a frame; returns friction caps and the deepest penetration [m] on the way."""
+        s = self.settings
+        lift = float(self.offset @ self.up)
+        active = self._activate(lift)
+        every, alpha = self._filter()
+        keep = float(np.exp(-s.drag * self.dt))
+        g, up = self._vec(list(s.gravity)), self._vec(list(self.up))
+        free = self.stencil.free_count
+        counts = (len(self.stencil.cell_nodes), free, self.stencil.node_count - free, active)
+        tail = (g, up, lift, self.dt, keep, 1.0 / self.h, self._converged)
+        if len(self.particles) < SERIAL_BELOW:
+            phase = self.done % every if every else 0
+            self.kernels.serial(self.pack, *counts, substeps, every, phase, alpha, *tail)
+        else:
+            self.kernels.start(self.pack, *counts[1:3], 0.5 * self.dt)
+            for k in range(substeps):
+                drift = self.dt if k < substeps - 1 else 0.5 * self.dt
+                due = int(every > 0 and (self.done + k) % every == 0)
+                self.kernels.parallel(self.pack, *counts, due, alpha, *tail, drift)
+        self.done += substeps
+        self.time += substeps * self.dt
+        self._recentre()
+        if not active:
+            return 0, 0.0
+        return (
+            int(self.arrays["sample_capped"].to_numpy().sum()),
+            float(self.arrays["sample_depth"].to_numpy().max()),
+        )
+
+    @property
+    def _converged(self) -> float:
+        return 1e-7 if self.real is np.float32 else 1e-15
+
+    def _filter(self) -> tuple[int, float]:
+        """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
+        r = self.settings.filter_rate
+        if r <= 0.0:
+            return 0, 0.0
+        if np.isinf(r):
+            return 1, 1.0
+        every = max(1, int(FILTER_STEP / (r * self.dt)))
+        return every, float(1.0 - np.exp(-r * every * self.dt))
+
+    def _activate(self, lift: float) -> int:
+        """List the samples that may meet the floor before the next frame; returns how many."""
+        if self.contact is None:
+            return 0
+        rows = self.contact.rows
+        u, v = self.state()
+        speed = float(np.abs(v @ self.up).max())
+        g = abs(float(np.dot(self.settings.gravity, self.up)))
+        reach = 2.0 * self.frame_time * (speed + g * self.frame_time) + self.particles.spacing
+        height = self.arrays["sample_height"].to_numpy() + lift + rows.W @ (u @ self.up)
+        near = np.flatnonzero(height < reach)
+        active = np.zeros(len(height), np.int32)
+        active[: len(near)] = near
+        self.arrays["sample_active"].from_numpy(active)
+        for name in ("sample_force", "sample_depth", "sample_capped"):
+            self.arrays[name].fill(0)
+        return len(near)
+
+    def _recentre(self) -> None:
+        """Move the mean displacement from u to the offset."""
+        u = self.arrays["u"].to_numpy().astype(float).reshape(-1, 3)
+        mean = self.stencil.mass @ u[: self.stencil.free_count] / self.stencil.mass.sum()
+        self.offset = self.offset + mean
+        self.arrays["u"].from_numpy((u - mean).astype(self.real).ravel())
+
+    def state(self) -> tuple[Floats, Floats]:
+        """Displacement (without the offset) and velocity of the free nodes, (free, 3), float64."""
+        u, v = (self.arrays[name].to_numpy().astype(float).reshape(-1, 3) for name in "uv")
+        return u[: self.stencil.free_count], v[: self.stencil.free_count]
+
+    def _frame(self, index: int, capped: int, depth: float) -> Frame:
+        u, v = self.state()
+        if not (np.isfinite(u).all() and np.isfinite(v).all()):
+            raise self._diverged(index)
+        particles = pose(self.rows, u, v, self.offset)
+        health = measure(self, particles, u, v, capped, depth, self.substeps if index else 0)
+        riders: dict[str, Pose] = {
+            name: pose(rows, u, v, self.offset) for name, rows in self.riders.items()
+        }
+        return Frame(index=index, time=self.time, particles=particles, riders=riders, health=health)
+
+    def _diverged(self, index: int) -> BakeError:
+        u, v = self.state()
+        bad = ~(np.isfinite(u).all(1) & np.isfinite(v).all(1))
+        near = np.linalg.norm(self.particles.X - self.stencil.free_X[np.argmax(bad)], axis=1)
+        worst = int(near.argmin())
+        return BakeError(
+            f"frame {index}: {int(bad.sum())} of {len(u)} grid nodes are no longer finite, first"
+            f" near particle {worst} at rest position {self.particles.X[worst].round(4).tolist()} m"
+            f" ({self.substeps} substeps of {self.dt:.3g} s a frame)",
+            "lower the impact (--drop) or use a stiffer material, and please report the asset",
+        )
+
+    def elastic_energy(self) -> float:
+        """sum_p V0 psi(F_p) [J]."""
+        self.kernels.energy(
+            self.pack,
+            len(self.stencil.cell_nodes),
+            self._cell_energy,
+            1.0 / self.h,
+            self._converged,
+        )
+        return float(self._cell_energy.to_numpy().astype(float).sum())
+
+    def contact_energy(self, u: Floats) -> float:
+        """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""
+        if self.contact is None:
+            return 0.0
+        rows = self.contact.rows
+        height = (rows.X + self.offset + rows.W @ u) @ self.up - (self.settings.floor or 0.0)
+        depth = np.maximum(0.0, -height)
+        return float(0.5 * self.contact.stiffness @ depth**2)

@@ -1,0 +1,232 @@
+"""The reference grid: cells, nodes and the constant operators W and G.
+
+Quadratic B-splines on a grid of spacing h that never moves (GaussianFlesh section 3.2; physics.md
+section 1).  A point at X touches the 27 nodes of its cell with
+
+    w_ip = N(xi_x) N(xi_y) N(xi_z),     G_ip = dw_ip / dX,     sum_i w_ip = 1,  sum_i w_ip X_i = X_p
+
+and everything the solver and the skin do is built from those numbers.
+
+Nodes that hardly any particle reaches have next to no mass and stiffness: left free they wander by
+hundreds of cells (measured) and spoil F of the particles at the surface.  They are not unknowns: a
+light node follows the free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and
+sum e X_j = X_l, and hands its force and mass on by the same numbers, which keeps linear and
+angular momentum exact.  Nodes that no particle reaches at all are read the same way by whatever
+rides there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from gf_usd.model import Floats, Ints
+
+OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
+FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
+FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+
+
+def bspline(f: Floats) -> tuple[Floats, Floats]:
+    """Weights and slopes of the three quadratic B-splines around each coordinate.
+
+    f : (..., 3) distance from the base node in cells, in [0.5, 1.5).
+    Returns w, dw : (..., 3, 3), second to last axis the node 0..2, last the coordinate; dw is per
+    cell (divide by h for per metre).
+    """
+    w = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], -2)
+    dw = np.stack([f - 1.5, -2.0 * (f - 1.0), f - 0.5], -2)
+    return w, dw
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Rows of W and G for a set of points: x = X + W u, F = I + sum_b (G_b u) e_b."""
+
+    X: Floats  # (n, 3) [m]
+    W: sparse.csr_matrix  # (n, M)
+    G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stencil:
+    """Particles sorted by cell on the compact set of nodes they reach."""
+
+    origin: Floats  # (3,) [m] position of grid node (0, 0, 0)
+    h: float  # [m]
+    order: Ints  # (N,) particle indices, cell by cell
+    cell_start: Ints  # (K + 1,) ranges of `order`
+    cell_nodes: Ints  # (K, 27) nodes of each cell
+    fx: Floats  # (N, 3) distance from the base node in cells, in `order`
+    node_ijk: Ints  # (M, 3); the free nodes come first
+    mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
+    follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
+    sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
+    sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
+    dims: Ints = field(repr=False)  # (3,) of the key space
+    corner: Ints = field(repr=False)  # (3,) ijk of key 0
+
+    @property
+    def node_count(self) -> int:
+        return len(self.node_ijk)
+
+    @property
+    def free_count(self) -> int:
+        return len(self.mass)
+
+    @cached_property
+    def node_X(self) -> Floats:
+        """(M, 3) [m] node positions."""
+        return self.origin + self.h * self.node_ijk
+
+    @property
+    def free_X(self) -> Floats:
+        """(free, 3) [m] positions of the free nodes."""
+        return self.node_X[: self.free_count]
+
+    def locate(self, ijk: Ints) -> Ints:
+        """Compact index of grid nodes (..., 3); -1 where no particle reaches."""
+        shifted = ijk - self.corner
+        inside = np.all((shifted >= 0) & (shifted < self.dims), axis=-1)
+        keys = linear(np.where(inside[..., None], shifted, 0), self.dims)
+        at = np.minimum(np.searchsorted(self.sorted_keys, keys), len(self.sorted_keys) - 1)
+        return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
+
+    def rows(self, X: Floats) -> Rows:
+        """W and G of any points (n, 3) on the free nodes."""
+        base, fx = self.base(X)
+        ijk = base[:, None, :] + OFFSETS
+        at = self.locate(ijk)
+        missing = at < 0
+        keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
+        at[missing] = self.node_count + inverse.ravel()
+        extend = sparse.vstack(
+            [
+                sparse.identity(self.free_count, format="csr"),
+                self.follow,
+                affine_fit(keys, self.node_ijk[: self.free_count]),
+            ],
+            format="csr",
+        )
+        shape = (len(X), extend.shape[0])
+        index = (np.repeat(np.arange(len(X)), 27), at.ravel())
+        w, g = weights(fx, self.h)
+
+        def operator(values: Floats) -> sparse.csr_matrix:
+            out = sparse.csr_matrix((values.ravel(), index), shape=shape) @ extend
+            out.sort_indices()
+            return out
+
+        gx, gy, gz = (operator(g[..., axis]) for axis in range(3))
+        return Rows(X=X, W=operator(w), G=(gx, gy, gz))
+
+    def base(self, X: Floats) -> tuple[Ints, Floats]:
+        """Base node (n, 3) and distance from it in cells (n, 3), in [0.5, 1.5)."""
+        return base_node((X - self.origin) / self.h)
+
+
+def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
+    """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
+
+    Moving least squares with a linear basis p = (1, X_j - X_i) and Gaussian weights B:
+    e = B P (P^T B P)^-1 (1, 0, 0, 0), so that sum_j e_j = 1 and sum_j e_j X_j = X_i.
+    ijk : (n, 3), free : (m, 3) grid indices.
+    """
+    if len(ijk) == 0:
+        return sparse.csr_matrix((0, len(free)))
+    k = min(FIT_NEIGHBOURS, len(free))
+    distance, near = cKDTree(free).query(ijk, k=k)
+    distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
+    B = np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2))
+    P = np.concatenate([np.ones((len(ijk), k, 1)), free[near] - ijk[:, None, :]], -1)
+    normal = np.einsum("nka,nk,nkb->nab", P, B, P)
+    inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True)
+    e = np.einsum("nka,nk,na->nk", P, B, inverse[:, :, 0])
+    return sparse.csr_matrix(
+        (e.ravel(), (np.repeat(np.arange(len(ijk)), k), near.ravel())), shape=(len(ijk), len(free))
+    )
+
+
+def base_node(cells: Floats) -> tuple[Ints, Floats]:
+    """Base node and remainder of positions measured in cells."""
+    base = np.floor(cells - 0.5).astype(np.int64)
+    return base, cells - base
+
+
+def weights(fx: Floats, h: float) -> tuple[Floats, Floats]:
+    """w (n, 27) and its reference gradient (n, 27, 3) [1/m], in the order of OFFSETS."""
+    w, dw = bspline(fx)
+    a, b, c = OFFSETS.T
+    wx, wy, wz = w[:, a, 0], w[:, b, 1], w[:, c, 2]
+    dx, dy, dz = dw[:, a, 0], dw[:, b, 1], dw[:, c, 2]
+    return wx * wy * wz, np.stack([dx * wy * wz, wx * dy * wz, wx * wy * dz], -1) / h
+
+
+def linear(ijk: Ints, dims: Ints) -> Ints:
+    """Linear key of grid indices (..., 3)."""
+    return (ijk[..., 0] * dims[1] + ijk[..., 1]) * dims[2] + ijk[..., 2]
+
+
+def build_stencil(X: Floats, m: Floats, h: float, corner_at: Floats) -> Stencil:
+    """Sort particles by cell and number the nodes they reach.
+
+    X : (N, 3) [m]; m : (N,) [kg]; h : [m]; corner_at : (3,) [m] a corner where cells meet, so that
+    strata of the sampling lattice fall whole into cells.
+    """
+    # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
+    origin = np.asarray(corner_at, float) - 0.5 * h
+    base, fx = base_node((X - origin) / h)
+    corner = base.min(0)
+    dims = base.max(0) - corner + 3
+    keys = linear(base - corner, dims)
+    order = np.argsort(keys, kind="stable")
+    cell_keys, first = np.unique(keys[order], return_index=True)
+    cell_ijk = np.stack(np.unravel_index(cell_keys, tuple(dims)), -1)
+    reached = linear(cell_ijk[:, None, :] + OFFSETS, dims)
+    sorted_keys, at = np.unique(reached, return_inverse=True)
+    cell_nodes = at.reshape(reached.shape)
+    fx = fx[order]
+    cell_start = np.append(first, len(X))
+    w, _ = weights(fx, h)
+    nodes = np.repeat(cell_nodes, np.diff(cell_start), axis=0)
+    mass = np.bincount(nodes.ravel(), (w * m[order, None]).ravel(), minlength=len(sorted_keys))
+    node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
+    free, follow, lumped = split_nodes(node_ijk, mass)
+    renumber = np.empty(len(mass), np.int64)
+    renumber[np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])] = np.arange(len(mass))
+    return Stencil(
+        origin=origin,
+        h=h,
+        order=order,
+        cell_start=cell_start,
+        cell_nodes=renumber[cell_nodes],
+        fx=fx,
+        node_ijk=np.concatenate([node_ijk[free], node_ijk[~free]]),
+        mass=lumped,
+        follow=follow,
+        sorted_keys=sorted_keys,
+        sorted_node=renumber,
+        dims=dims,
+        corner=corner,
+    )
+
+
+def split_nodes(ijk: Ints, mass: Floats) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
+    """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
+
+    A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
+    """
+    least = FREE_MASS * np.median(mass)
+    free = mass >= least
+    while True:
+        follow = affine_fit(ijk[~free], ijk[free])
+        lumped = mass[free] + follow.T @ mass[~free]
+        sound = lumped >= 0.5 * least
+        if sound.all():
+            return free, follow, lumped
+        free[np.flatnonzero(free)[~sound]] = False

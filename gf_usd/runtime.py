@@ -1,0 +1,106 @@
+"""The one place where Taichi is imported and started."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import os
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from gf_usd.errors import GfUsdError, UsageError
+
+DEVICES = ("cpu", "cuda")
+
+_started: dict[str, Any] = {}
+
+
+@cache
+def import_taichi() -> ModuleType:
+    """The taichi module, imported without its banner.
+
+    Raises GfUsdError where a system library that Taichi links to is missing.
+    """
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
+    try:
+        return importlib.import_module("taichi")
+    except ImportError as error:
+        if "libX11" in str(error):
+            raise GfUsdError(
+                f"Taichi cannot be loaded: {error}",
+                "install the system library, on Debian and Ubuntu: apt-get install libx11-6",
+            ) from error
+        raise GfUsdError(
+            f"Taichi cannot be loaded: {error}", "install it: python -m pip install 'taichi>=1.7.4'"
+        ) from error
+
+
+def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
+    """Start Taichi, or leave it alone where it already runs with the same arguments.
+
+    Another set of arguments starts it anew, which invalidates every field and ndarray made
+    before.  ``real_matrix_scalarize`` is off because the solver's SIMD kernels need it off;
+    with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
+    ``fast_math`` is off so that a result does not depend on how a loop was vectorised.
+
+    Parameters
+    ----------
+    device : "cpu" or "cuda".
+    threads : CPU threads; None: every one this process may use.
+    f64 : floating-point literals and unnamed types are 64 bits wide.
+
+    Raises
+    ------
+    UsageError : unknown device, fewer than one thread, or CUDA where there is none.
+    GfUsdError : a system library is missing.
+    """
+    if device not in DEVICES:
+        raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
+    if threads is not None and threads < 1:
+        raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
+    wanted = {"device": device, "threads": threads or _cores(), "f64": f64}
+    if _started == wanted:
+        return
+    ti = import_taichi()
+    if device == "cuda" and not _has_cuda(ti):
+        raise UsageError(
+            "No CUDA device was found.",
+            "use --device cpu, or check with nvidia-smi that the driver sees the card",
+        )
+    _started.clear()
+    # ti.init prints the architecture on stdout, which belongs to the data of --json
+    with contextlib.redirect_stdout(io.StringIO()):
+        ti.init(
+            arch=ti.cuda if device == "cuda" else ti.cpu,
+            default_fp=ti.f64 if f64 else ti.f32,
+            cpu_max_num_threads=wanted["threads"],
+            offline_cache=True,
+            real_matrix_scalarize=False,
+            fast_math=False,
+            log_level=ti.ERROR,
+        )
+    _started.update(wanted)
+
+
+def ensure_taichi() -> None:
+    """Start Taichi on the CPU unless it already runs in 32 bits, on any device.
+
+    For code that draws between the frames of a solver and should not restart it.  Kernels with
+    32-bit vectors do not compile where literals are 64 bits wide, so that a runtime started with
+    ``f64`` is started anew.
+    """
+    if not _started or _started["f64"]:
+        init_taichi(_started.get("device", "cpu"), _started.get("threads"))
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _has_cuda(ti: ModuleType) -> bool:
+    return bool(ti.lang.misc.is_arch_supported(ti.cuda))

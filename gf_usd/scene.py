@@ -1,0 +1,146 @@
+"""What a picture is made of: plain arrays between the room that reads and the room that draws.
+
+Lengths are metres in the world frame of the stage, quaternions (w, x, y, z), colours linear
+Rec. 709 unless a field says otherwise.  Everything here is immutable and knows neither USD nor
+the renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.model import Floats, Ints, Texture
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderMesh:
+    """Triangles with a colour, or a texture, at each corner."""
+
+    name: str  # prim path
+    points: Floats  # (V, 3) [m]
+    triangles: Ints  # (T, 3) into points
+    normals: Floats | None = None  # (T, 3, 3) at corners; None: computed from the points
+    crease_angle: float = 50.0  # [deg] computed normals: faces that meet more sharply stay sharp
+    colours: Floats  # (T, 3, 3) linear diffuse at corners; (3,) where it is one for all
+    uvs: Floats | None = None  # (T, 3, 2); v = 0 is the bottom row of the texture
+    textures: tuple[Texture, ...] = ()
+    triangle_textures: Ints | None = None  # (T,) into textures; -1: the corner colours
+    roughness: Floats  # (T,) or (): 0 mirror .. 1 matt
+    metallic: Floats  # (T,) or (): 0 dielectric .. 1 metal
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderSplats:
+    """Anisotropic Gaussians exp(-d' Sigma^-1 d / 2), Sigma = A A'."""
+
+    name: str
+    positions: Floats  # (N, 3) [m]
+    axes: Floats  # (N, 3, 3) [m] A: columns are the axes, as long as the standard deviations
+    colours: Floats  # (N, 3) linear
+    opacities: Floats  # (N,) 0..1
+    lit: bool = False  # True: colours are albedo; False: radiance as captured, shown unchanged
+    harmonics: Harmonics | None = None  # where given, replaces the colours of unlit splats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonics:
+    """Radiance that depends on the direction of view, as real spherical harmonics."""
+
+    coefficients: Floats  # (N, K, 3), K = (degree + 1)^2, degree 0 first; 0.5 is added to the sum
+    frame: Floats  # (3, 3) turns world directions into the space of the coefficients
+    srgb: bool  # the sum is sRGB-encoded
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderEllipsoids:
+    """Solid ellipsoids centre + A s, |s| = 1; a sphere is A = radius times the identity."""
+
+    name: str
+    positions: Floats  # (N, 3) [m]
+    axes: Floats  # (N, 3, 3) [m]; columns are the semi-axes
+    colours: Floats  # (N, 3) linear diffuse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole that looks from eye to target."""
+
+    eye: tuple[float, float, float]  # [m]
+    target: tuple[float, float, float]  # [m]
+    up: tuple[float, float, float]
+    fov: float = 30.0  # [deg] vertical
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """A distant light of a given angular radius."""
+
+    direction: tuple[float, float, float]  # unit, from the scene towards the light
+    radiance: tuple[float, float, float]  # irradiance / pi it gives a surface that faces it
+    angle: float = 0.0  # [deg] angular radius: the softness of its shadow
+    shadows: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """An axis-aligned box."""
+
+    low: tuple[float, float, float]  # [m]
+    high: tuple[float, float, float]  # [m]
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(8, 3) [m]."""
+        box = np.array([self.low, self.high])
+        return np.array([[box[i, 0], box[j, 1], box[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+    @property
+    def diagonal(self) -> float:
+        """Length [m] of the box's diagonal."""
+        return float(np.linalg.norm(np.subtract(self.high, self.low)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One frame to draw."""
+
+    up: tuple[float, float, float]  # unit
+    meshes: tuple[RenderMesh, ...] = ()
+    splats: tuple[RenderSplats, ...] = ()
+    ellipsoids: tuple[RenderEllipsoids, ...] = ()
+    ground: float | None = None  # height of the floor along up [m]; None: no floor
+    lights: tuple[Light, ...] = ()  # two at most; none: a key and a rim that suit the camera
+    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """The extent of a stage over its whole time range."""
+
+    bounds: Bounds | None  # None: nothing visible
+    up: tuple[float, float, float]  # unit
+    ground: float | None  # height along up [m]
+    time_codes: tuple[float, ...]  # every time with a sample, in order; empty: a still
+    frames_per_second: float  # playback
+    time_codes_per_second: float
+
+
+def gaussian_axes(orientations: Floats, scales: Floats) -> NDArray[np.float64]:
+    """A = R diag(scale), (N, 3, 3), of quaternions (w, x, y, z) (N, 4) and scales (N, 3).
+
+    The quaternions need not be normalised; one of length 0 is no rotation.
+    """
+    q = np.asarray(orientations, dtype=np.float64)
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    q = np.where(length > 0.0, q / np.where(length > 0.0, length, 1.0), (1.0, 0.0, 0.0, 0.0))
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    rotation = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return rotation * np.asarray(scales, dtype=np.float64)[:, None, :]

@@ -1,0 +1,42 @@
+"""Stage units to SI and back: the only place where the two meet.
+
+A stage measures length in units of ``meters_per_unit`` [m] and mass in units of
+``kilograms_per_unit`` [kg]; inside the program everything is SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageUnits:
+    """Sizes of a stage's units.  Multiply a stage value by the property to get SI."""
+
+    meters_per_unit: float = 1.0
+    kilograms_per_unit: float = 1.0
+
+    @property
+    def length(self) -> float:
+        """[m] per stage length."""
+        return self.meters_per_unit
+
+    @property
+    def volume(self) -> float:
+        """[m^3] per stage volume."""
+        return self.meters_per_unit**3
+
+    @property
+    def mass(self) -> float:
+        """[kg] per stage mass."""
+        return self.kilograms_per_unit
+
+    @property
+    def density(self) -> float:
+        """[kg/m^3] per stage density."""
+        return self.kilograms_per_unit / self.meters_per_unit**3
+
+    @property
+    def pressure(self) -> float:
+        """[Pa] per stage pressure: E[Pa] = E[stage] * kilogramsPerUnit / metersPerUnit."""
+        return self.kilograms_per_unit / self.meters_per_unit

@@ -1,0 +1,194 @@
+"""The cache layer: one bake's frames, streamed into ``NAME.partial.usdc``.
+
+The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
+the source.  Memory does not grow with the number of frames, because the layer is saved as it goes;
+a save also leaves a readable file behind should the process be killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from pxr import Usd
+
+from gf_usd.errors import BakeError
+from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
+from gf_usd.publish import partial_path
+from gf_usd.usd.bounds import block_hints, skel_bounds
+from gf_usd.usd.meshes import MeshTrack
+from gf_usd.usd.particles import ParticleTrack
+from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheSummary:
+    """A finished cache, not yet published."""
+
+    path: Path  # final name; the file is still ``partial_path(path)``
+    partial: Path
+    bytes: int
+    frames: int
+    notes: tuple[str, ...] = ()  # what was left out, in words
+
+
+class CacheWriter:
+    """Write baked frames, one at a time, in order.
+
+    A context manager: after the block the file is complete under its partial name; after an
+    exception it holds the frames up to there.  Publish it with ``gf_usd.publish.publish(path)``.
+
+    Parameters
+    ----------
+    path : final name, for example ``duck.rubber.cache.usdc``.
+    asset : what was baked.
+    particles : its particles.
+    info : look, materials and settings of the bake.
+    source : the USD file to lie over; default the asset's own.
+    save_every : frames between two saves.
+
+    Raises
+    ------
+    InputError, UsageError, BakeError : see ``open_source``, ``new_layer``, ``Space``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        asset: Asset,
+        particles: Particles,
+        info: BakeInfo,
+        *,
+        source: Path | None = None,
+        save_every: int = 24,
+    ) -> None:
+        self.path = Path(path)
+        self._every = save_every
+        self._frames = 0
+        self._time_code = float("-inf")
+        self._summary: CacheSummary | None = None
+        self._lost: BakeError | None = None
+        source_path = source or asset.facts.path
+        stage = open_source(source_path)
+        time = clock(stage, info.settings)
+        home = find_home(stage, asset)
+        prims = [_require(stage, source_path, s.path) for s in asset.surfaces]
+        self._layer = new_layer(self.path, source_path)
+        author_facts(self._layer, asset.facts, info.settings, stage)
+        self._layer.startTimeCode = time.start
+        self._layer.endTimeCode = time.start
+        self._layer.defaultPrim = (home.root if home.inside else home.scope).name
+        self._stage = Usd.Stage.Open(self._layer)
+        unit = asset.facts.units.length
+        self._meshes = {
+            surface.path: MeshTrack(self._stage, prim, surface, time, unit)
+            for surface, prim in zip(asset.surfaces, prims)
+        }
+        tracks = list(self._meshes.values())
+        block_hints(self._stage, stage, tracks)
+        self._bounds = skel_bounds(self._stage, stage, tracks, time)
+        root = stage.GetPrimAtPath(home.root)
+        self._particles = ParticleTrack(self._stage, root, home, asset, particles, info, time)
+        self._source = stage  # the tracks read its transforms frame by frame
+        save(self._layer)
+
+    def write(self, frame: BakedFrame) -> None:
+        """Add one frame.
+
+        Raises
+        ------
+        BakeError : a mesh is missing or not of this asset, an array has the wrong length or holds
+            numbers that are not finite, time goes backwards, or the disk is full.
+        """
+        self._raise_if_lost()
+        time_code = float(frame.time_code)
+        if not time_code > self._time_code:
+            raise BakeError(
+                f"frame {frame.index} has time code {time_code:g}, after {self._time_code:g}.",
+                "this is a fault of the bake, not of the asset: please report it",
+            )
+        if set(frame.meshes) != set(self._meshes):
+            raise BakeError(
+                f"frame {frame.index} has meshes {_list(frame.meshes)}, "
+                f"the asset has {_list(self._meshes)}.",
+                "this is a fault of the bake, not of the asset: please report it",
+            )
+        for path, pose in frame.meshes.items():
+            self._meshes[path].write(pose, time_code)
+        for bound in self._bounds:
+            bound.write(time_code)
+        self._particles.write(frame.gaussians, time_code)
+        self._time_code = time_code
+        self._frames += 1
+        if self._frames % self._every == 0:
+            self._save()
+
+    def close(self) -> CacheSummary:
+        """Save what is left and let go of the file, which keeps its partial name.
+
+        Called again it returns the same summary.
+        """
+        if self._summary is None:
+            self._save()
+            partial = partial_path(self.path)
+            self._summary = CacheSummary(
+                path=self.path,
+                partial=partial,
+                bytes=partial.stat().st_size,
+                frames=self._frames,
+                notes=tuple(note for track in self._meshes.values() for note in track.notes),
+            )
+            self._release()
+        return self._summary
+
+    def __enter__(self) -> CacheWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        elif self._summary is None:
+            # what went wrong first is what the user has to hear
+            with contextlib.suppress(BakeError):
+                self._save()
+            self._release()
+
+    def _save(self) -> None:
+        self._raise_if_lost()
+        if self._frames:
+            self._layer.endTimeCode = self._time_code
+        try:
+            save(self._layer)
+        except BakeError as error:
+            self._lost = error
+            raise
+
+    def _raise_if_lost(self) -> None:
+        # USD crashes when a layer that met a full disk is touched again
+        if self._lost is not None:
+            raise self._lost
+
+    def _release(self) -> None:
+        del self._meshes, self._bounds, self._particles, self._stage, self._source, self._layer
+
+
+def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise BakeError(
+            f"{source}: there is no prim <{path}>.",
+            "the file changed since it was read: run the bake again",
+        )
+    return prim
+
+
+def _list(paths: Iterable[str]) -> str:
+    return ", ".join(f"<{path}>" for path in sorted(paths)) or "none"

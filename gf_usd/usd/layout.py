@@ -1,0 +1,178 @@
+"""The root layer: a drop-in replacement for the asset, with the bakes as variants.
+
+    def "duck" (references = the source's </duck>)
+        variantSet gaussianFlesh = {none, rubber, ...}
+            rubber (payload = the cache's </duck>)
+                variantSet display = {mesh, gaussians, points}
+
+Every root prim of the source is referenced under its own name; type, kind, assetInfo and all else
+come through that reference, so ``none`` is the source.  A variant is stronger than a reference, so
+the payload inside it wins over the source, and where payloads are not loaded the source shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Sdf, Usd
+
+from gf_usd.model import Asset, Material, Settings
+from gf_usd.publish import publish
+from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
+from gf_usd.usd.retarget import repeat_edits, restore_rest
+from gf_usd.usd.stage import (
+    VARIANT_SET,
+    Home,
+    asset_path,
+    author_facts,
+    clock,
+    find_home,
+    new_layer,
+    open_source,
+    refresh,
+    roots_of,
+    save,
+    to_metadata,
+)
+from gf_usd.usd.variants import (
+    DISPLAY_SET,
+    NONE,
+    BakedLook,
+    add_variants,
+    check_looks,
+    free_display_set,
+)
+
+# metadata of the root layer that is not the source's to say, or that only holds for its own layer
+OWN = {
+    *("subLayers", "subLayerOffsets", "layerRelocates", "expressionVariables", "primChildren"),
+    *("primOrder", "hasOwnedSubLayers", "owner", "customLayerData", "defaultPrim", "upAxis"),
+    *("metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"),
+    *("startFrame", "endFrame"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootSummary:
+    """A published root layer."""
+
+    path: Path
+    default_prim: str  # name
+    switches: tuple[str, ...]  # prims that carry the variant set
+    display_set: str  # name of the nested variant set
+    retargeted: int  # properties whose targets leave their root prim
+    notes: tuple[str, ...] = ()  # what was changed or could not be kept, in words
+
+
+def write_root(
+    path: Path,
+    asset: Asset,
+    bakes: Sequence[BakedLook],
+    *,
+    source: Path | None = None,
+    display: str = "mesh",
+) -> RootSummary:
+    """Write and publish the root layer; the first bake is selected.
+
+    Parameters
+    ----------
+    path : for example ``duck.rubber.usda``.
+    asset : what was baked.
+    bakes : one for each variant, with the names of their caches.
+    source : the USD file to reference; default the asset's own.
+    display : selected in every bake: mesh, gaussians or points.
+
+    Raises
+    ------
+    UsageError : no bakes, an unknown display, or variant names that do not do.
+    InputError, BakeError : see ``open_source``, ``new_layer`` and ``publish``.
+    """
+    path = Path(path)
+    check_looks(bakes, display)
+    source_path = source or asset.facts.path
+    stage = open_source(source_path)
+    home = find_home(stage, asset)
+    layer = new_layer(path, source_path)
+    _author_metadata(layer, stage, asset, home, bakes)
+    reference = asset_path(source_path, path.parent)
+    for prim in stage.GetPseudoRoot().GetAllChildren():
+        spec = Sdf.PrimSpec(layer.pseudoRoot, prim.GetName(), prim.GetSpecifier())
+        spec.referenceList.prependedItems = [Sdf.Reference(reference, prim.GetPath())]
+    display_set = free_display_set(stage, asset, home)
+    switches = roots_of(asset, home)
+    for root in switches:
+        add_variants(layer, root, asset, home, bakes, display_set, display)
+    unskinned = frozenset(Sdf.Path(s.path) for s in asset.surfaces if s.skinned)
+    retargeted = repeat_edits(stage, layer, unskinned)
+    notes = _restore(stage, layer, switches)
+    if display_set != DISPLAY_SET:
+        notes = (*notes, f"the asset has a variant set {DISPLAY_SET!r}: ours is {display_set!r}")
+    save(layer)
+    del layer
+    publish(path)
+    refresh(path)
+    return RootSummary(
+        path=path,
+        default_prim=home.root.name,
+        switches=tuple(str(root) for root in switches),
+        display_set=display_set,
+        retargeted=retargeted,
+        notes=notes,
+    )
+
+
+def _author_metadata(
+    layer: Sdf.Layer,
+    stage: Usd.Stage,
+    asset: Asset,
+    home: Home,
+    bakes: Sequence[BakedLook],
+) -> None:
+    theirs = stage.GetRootLayer()
+    for key in set(theirs.pseudoRoot.ListInfoKeys()) - OWN:
+        value = theirs.pseudoRoot.GetInfo(key)
+        if isinstance(value, Sdf.AssetPath) and value.path.startswith("."):
+            file = Path(theirs.ComputeAbsolutePath(value.path))
+            value = Sdf.AssetPath(asset_path(file, Path(layer.realPath).parent))
+        layer.pseudoRoot.SetInfo(key, value)
+    settings = bakes[0].info.settings
+    author_facts(layer, asset.facts, settings, stage)
+    layer.defaultPrim = home.root.name
+    times = [clock(stage, bake.info.settings) for bake in bakes]
+    scale = times[0].rate / times[0].source_rate
+    starts, ends = [t.start for t in times], [t.end for t in times]
+    if theirs.HasStartTimeCode():
+        starts.append(theirs.startTimeCode * scale)
+    if theirs.HasEndTimeCode():
+        ends.append(theirs.endTimeCode * scale)
+    layer.startTimeCode, layer.endTimeCode = min(starts), max(ends)
+    layer.customLayerData = {
+        **theirs.customLayerData,
+        VARIANT_SET: {
+            "command": bakes[0].info.command,
+            "version": bakes[0].info.version,
+            "inputHash": bakes[0].info.input_hash,
+            "looks": {bake.name: _about(bake) for bake in bakes},
+        },
+    }
+
+
+def _about(bake: BakedLook) -> dict[str, object]:
+    def plain(row: Material | Settings) -> dict[str, object]:
+        return to_metadata(vars(row))
+
+    materials = {f"{i}": plain(m) for i, m in enumerate(bake.info.materials)}
+    return {
+        "materials": materials,
+        "settings": plain(bake.info.settings),
+        "health": to_metadata(bake.health),
+    }
+
+
+def _restore(stage: Usd.Stage, layer: Sdf.Layer, switches: Sequence[Sdf.Path]) -> tuple[str, ...]:
+    session = Sdf.Layer.CreateAnonymous(".usda")
+    for root in switches:
+        Sdf.CreatePrimInLayer(session, root).variantSelections[VARIANT_SET] = NONE
+    return restore_rest(stage, Usd.Stage.Open(layer, session, load=Usd.Stage.LoadAll))

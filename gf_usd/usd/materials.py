@@ -1,0 +1,73 @@
+"""The materials of a bake as prims: UsdShade Materials with physics attributes in stage units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+from gf_usd.model import Material
+from gf_usd.units import StageUnits
+from gf_usd.usd import schema  # noqa: F401  (registers the schema before its APIs are applied)
+
+Types = Sdf.ValueTypeNames
+
+
+def write_materials(
+    stage: Usd.Stage,
+    parent: Sdf.Path,
+    materials: Sequence[Material],
+    look: str,
+    units: StageUnits,
+) -> list[Sdf.Path]:
+    """Define one Material prim for each material under the Scope ``parent``.
+
+    The prim is called after the material; a name that occurs again gets a number.
+
+    Returns
+    -------
+    Paths in the order of ``materials``, to which GaussianFleshParticlesAPI's indices refer.
+    """
+    UsdGeom.Scope.Define(stage, parent)
+    paths: list[Sdf.Path] = []
+    for material in materials:
+        stem = Tf.MakeValidIdentifier(material.name or look)
+        path, count = parent.AppendChild(stem), 1
+        while path in paths:
+            count += 1
+            path = parent.AppendChild(f"{stem}_{count}")
+        _write(stage, path, material, look, units)
+        paths.append(path)
+    return paths
+
+
+def bind(prim: Usd.Prim, material: Sdf.Path) -> None:
+    """Bind a material to a prim for the purpose ``physics``."""
+    target = UsdShade.Material(prim.GetStage().GetPrimAtPath(material))
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+        target, UsdShade.Tokens.weakerThanDescendants, "physics"
+    )
+
+
+def _write(
+    stage: Usd.Stage, path: Sdf.Path, material: Material, look: str, units: StageUnits
+) -> None:
+    prim = UsdShade.Material.Define(stage, path).GetPrim()
+    # applied by ours as well, but only where ours is known
+    physics = UsdPhysics.MaterialAPI.Apply(prim)
+    physics.CreateDensityAttr(material.density / units.density)
+    physics.CreateStaticFrictionAttr(material.friction)
+    physics.CreateDynamicFrictionAttr(material.friction)
+    physics.CreateRestitutionAttr(material.restitution)
+    prim.ApplyAPI("GaussianFleshMaterialAPI")
+    for name, kind, value in (
+        ("gaussianFlesh:law", Types.Token, material.law),
+        ("gaussianFlesh:dampingTime", Types.Float, material.damping_time),
+        ("gaussianFlesh:look", Types.Token, look),
+    ):
+        prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)
+    for name, value in (
+        ("physics:youngsModulus", material.youngs_modulus / units.pressure),
+        ("physics:poissonsRatio", material.poissons_ratio),
+    ):
+        prim.CreateAttribute(name, Types.Float, False).Set(value)

@@ -1,0 +1,172 @@
+"""One baked mesh in the cache layer: overs on its own prim, in its own local space."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.errors import BakeError
+from gf_usd.model import Floats, MeshPose, Surface
+from gf_usd.usd.shading import CornerNormals
+from gf_usd.usd.space import Space
+from gf_usd.usd.stage import Clock
+
+Types = Sdf.ValueTypeNames
+
+
+class MeshTrack:
+    """Streams one surface's poses.
+
+    Topology, primvars, subsets and bindings stay those of the source; an implicit shape becomes
+    a Mesh with the surface's own topology.
+
+    Parameters
+    ----------
+    cache : stage whose root layer is the cache.
+    prim : the surface's prim in the source.
+    surface : what the reader made of it.
+    clock, meters_per_unit : of the bake.
+    """
+
+    def __init__(
+        self,
+        cache: Usd.Stage,
+        prim: Usd.Prim,
+        surface: Surface,
+        clock: Clock,
+        meters_per_unit: float,
+    ) -> None:
+        self.path = Sdf.Path(surface.path)
+        self.notes: list[str] = []
+        self.space = Space(prim, clock, meters_per_unit)
+        self.low = self.high = np.zeros(3)
+        self._surface = surface
+        _free_instances(cache, prim)
+        over = cache.OverridePrim(self.path)
+        self._points = over.CreateAttribute("points", Types.Point3fArray, False)
+        self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
+        self._velocities = over.CreateAttribute("velocities", Types.Vector3fArray, False)
+        self._normals = None
+        self._shading = None
+        if surface.type_name == "Mesh":
+            self._take_normals(over, prim)
+            mesh = UsdGeom.Mesh(prim)
+            topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+            if any(attr.ValueMightBeTimeVarying() for attr in topology):
+                self._author_topology(over)
+        else:
+            self._become_mesh(over)
+        if prim.GetAttribute("accelerations").HasAuthoredValue():
+            over.CreateAttribute("accelerations", Types.Vector3fArray, False).Block()
+        if surface.skinned:
+            _unskin(over, prim)
+
+    def write(self, pose: MeshPose, time_code: float) -> None:
+        """Author the pose at a time code: points, extent, velocities, normals.
+
+        Raises BakeError where the pose has another number of points or is not finite.
+        """
+        expected = np.shape(self._surface.points)
+        check(pose.points, expected, f"points of <{self.path}>", time_code)
+        check(pose.velocities, expected, f"velocities of <{self.path}>", time_code)
+        points = self.space.points(pose.points, time_code).astype(np.float32)
+        velocities = self.space.velocities(pose.points, pose.velocities, time_code)
+        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        extent = np.stack([self.low, self.high])
+        self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
+        self._extent.Set(Vt.Vec3fArray.FromNumpy(extent), time_code)
+        self._velocities.Set(Vt.Vec3fArray.FromNumpy(velocities.astype(np.float32)), time_code)
+        normals = self._local_normals(pose, points, time_code)
+        if self._normals is not None and normals is not None:
+            self._normals.Set(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)), time_code)
+
+    def _local_normals(self, pose: MeshPose, points: Floats, time_code: float) -> Floats | None:
+        if self._shading is not None:
+            return self._shading.of(points)
+        rest = self._surface.normals
+        if self._normals is None or rest is None or pose.normals is None:
+            return None
+        check(pose.normals, np.shape(rest), f"normals of <{self.path}>", time_code)
+        return self.space.normals(pose.normals, time_code)
+
+    def _become_mesh(self, over: Usd.Prim) -> None:
+        surface = self._surface
+        over.SetTypeName("Mesh")
+        mesh = UsdGeom.Mesh(over)
+        self._author_topology(over)
+        # a tessellated shape is already as fine as it is meant to be
+        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+        # without normals such a mesh is drawn faceted
+        self._shading = CornerNormals(surface.points, surface.face_counts, surface.face_indices)
+        self._normals = over.CreateAttribute("normals", Types.Normal3fArray, False)
+        mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+
+    def _author_topology(self, over: Usd.Prim) -> None:
+        mesh = UsdGeom.Mesh(over)
+        counts = np.ascontiguousarray(self._surface.face_counts, np.int32)
+        indices = np.ascontiguousarray(self._surface.face_indices, np.int32)
+        mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts))
+        mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices))
+
+    def _take_normals(self, over: Usd.Prim, prim: Usd.Prim) -> None:
+        mesh = UsdGeom.Mesh(prim)
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+        named = primvar.GetAttr() if primvar.HasAuthoredValue() else mesh.GetNormalsAttr()
+        if not named.HasAuthoredValue():
+            return
+        mine = over.CreateAttribute(named.GetName(), named.GetTypeName(), named.IsCustom())
+        normals = self._surface.normals
+        if normals is None:
+            mine.Block()
+            self.notes.append(
+                f"<{self.path}>: its authored normals could not be carried along and are blocked"
+            )
+            return
+        self._normals = mine
+        if primvar.HasAuthoredValue() and primvar.IsIndexed():
+            # the surface's normals are looked up already
+            name = f"{named.GetName()}:indices"
+            over.CreateAttribute(name, Types.IntArray, False).Block()
+
+
+def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -> None:
+    """Raise BakeError unless ``values`` has this shape and is finite."""
+    if np.shape(values) != shape:
+        raise BakeError(
+            f"{what} at time code {time_code:g} have shape {np.shape(values)}, not {shape}.",
+            "this is a fault of the bake, not of the asset: please report it",
+        )
+    bad = np.size(values) - int(np.isfinite(values).sum())
+    if bad:
+        raise BakeError(
+            f"{what} at time code {time_code:g} hold {bad} numbers that are not finite.",
+            "the simulation went astray: try a smaller --spacing or a softer --material",
+        )
+
+
+def _free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
+    # opinions on instance proxies are ignored
+    if not prim.IsInstanceProxy():
+        return
+    parent = prim.GetParent()
+    while not parent.IsPseudoRoot():
+        if parent.IsInstance():
+            cache.OverridePrim(parent.GetPath()).SetInstanceable(False)
+        parent = parent.GetParent()
+
+
+def _unskin(over: Usd.Prim, prim: Usd.Prim) -> None:
+    # the baked points are posed already; SkelBindingAPI itself stays, since the source's skel:
+    # properties do and UsdValidation calls those without it an error
+    binding = UsdSkel.BindingAPI(prim)
+    for rel in (binding.GetSkeletonRel(), binding.GetAnimationSourceRel()):
+        over.CreateRelationship(rel.GetName(), False).SetTargets([])
+    targets = binding.GetBlendShapeTargetsRel()
+    if targets.HasAuthoredTargets():
+        over.CreateRelationship(targets.GetName(), False).SetTargets([])
+    # some readers look for weights without asking for the API
+    for name in ("primvars:skel:jointIndices", "primvars:skel:jointWeights", "skel:blendShapes"):
+        attr = prim.GetAttribute(name)
+        if attr.HasAuthoredValue():
+            over.CreateAttribute(name, attr.GetTypeName(), attr.IsCustom()).Block()

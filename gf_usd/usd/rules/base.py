@@ -1,0 +1,124 @@
+"""What a rule is, and what it may say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from pxr import Sdf, Tf, Usd
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something wrong in a file."""
+
+    rule: str
+    severity: Severity
+    prim_path: str  # "/" where the stage itself is meant
+    message: str  # what is wrong, with its numbers
+    fix: str  # what to do about it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skip:
+    """Something that a rule could not decide, and why."""
+
+    rule: str
+    prim_path: str
+    reason: str
+
+
+Verdict = Finding | Skip
+Judge = Callable[[Usd.Stage], Iterable[Verdict]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """One row of the registry."""
+
+    name: str
+    holds: str  # what is true of a good file, in words
+    judge: Judge
+    reads_samples: bool  # False: safe even where the time codes of a layer stand still
+
+    def __call__(self, stage: Usd.Stage) -> Iterable[Verdict]:
+        return self.judge(stage)
+
+
+RULES: dict[str, Rule] = {}
+
+
+def rule(name: str, holds: str, *, reads_samples: bool = True) -> Callable[[Judge], Judge]:
+    """Register the decorated function as the rule ``name``."""
+
+    def register(judge: Judge) -> Judge:
+        if name in RULES:
+            raise ValueError(f"two rules are named {name}")
+        RULES[name] = Rule(name=name, holds=holds, judge=judge, reads_samples=reads_samples)
+        return judge
+
+    return register
+
+
+@dataclass(frozen=True)
+class Speaker:
+    """Findings of one rule about one prim."""
+
+    rule: str
+    prim_path: str
+
+    def error(self, message: str, fix: str) -> Finding:
+        return self._finding("error", message, fix)
+
+    def warning(self, message: str, fix: str) -> Finding:
+        return self._finding("warning", message, fix)
+
+    def skip(self, reason: str) -> Skip:
+        return Skip(rule=self.rule, prim_path=self.prim_path, reason=reason)
+
+    def _finding(self, severity: Severity, message: str, fix: str) -> Finding:
+        return Finding(
+            rule=self.rule,
+            severity=severity,
+            prim_path=self.prim_path,
+            message=message,
+            fix=fix,
+        )
+
+
+def about(rule_name: str, prim: Usd.Prim | Sdf.Path | str) -> Speaker:
+    """Speak as ``rule_name`` about a prim."""
+    path = prim.GetPath() if isinstance(prim, Usd.Prim) else prim
+    return Speaker(rule_name, str(path))
+
+
+def once(problems: Iterable[tuple[Usd.TimeCode, str]]) -> str:
+    """The first problem with its time, and how many samples more have one; empty where none.
+
+    One broken array usually breaks in every sample: that is one finding, not hundreds.
+    """
+    rest = iter(problems)
+    first = next(rest, None)
+    if first is None:
+        return ""
+    time, text = first
+    more = sum(1 for _ in rest)
+    when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
+    return f"{text}{when}" + (f", and so in {more} more samples" if more else "")
+
+
+def reason(error: Tf.ErrorException) -> str:
+    """The first thing that USD complained of, without its place in USD's sources."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0].partition(" : ")[2].strip("'") if lines else "no reason given"
+
+
+def unreadable(rule_name: str, error: Tf.ErrorException) -> Finding:
+    """The finding that USD failed while a rule looked at the stage."""
+    return about(rule_name, "/").error(
+        f"USD cannot read the stage: {reason(error)}",
+        "repair or write again the file it names: it is damaged, or made for another USD version",
+    )

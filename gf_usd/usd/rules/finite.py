@@ -1,0 +1,75 @@
+"""The rule that numbers are numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from pxr import Usd
+
+from gf_usd.usd.rules.base import Finding, about, once, rule
+from gf_usd.usd.rules.read import prims, samples
+
+NAMES = frozenset(
+    (
+        "points",
+        "positions",
+        "positionsh",
+        "velocities",
+        "accelerations",
+        "angularVelocities",
+        "normals",
+        "primvars:normals",
+        "widths",
+        "primvars:widths",
+        "scales",
+        "scalesh",
+        "orientations",
+        "orientationsh",
+        "opacities",
+        "opacitiesh",
+        "radiance:sphericalHarmonicsCoefficients",
+        "radiance:sphericalHarmonicsCoefficientsh",
+        "primvars:displayColor",
+        "primvars:displayOpacity",
+        "extent",
+        "extentsHint",
+        "physics:youngsModulus",
+        "physics:poissonsRatio",
+    )
+)
+PREFIXES = ("gaussianFlesh:", "xformOp:")
+
+
+@rule("finite", "no sample of a geometric attribute holds NaN or infinity")
+def finite(stage: Usd.Stage) -> Iterator[Finding]:
+    """Only attributes that mean geometry: elsewhere infinity may be a value, as in UsdPhysics."""
+    for prim in prims(stage):
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name not in NAMES and not name.startswith(PREFIXES):
+                continue
+            if problem := once(_problems(attribute)):
+                yield about("finite", prim).error(
+                    f"{name} holds {problem}",
+                    "write the file again from finite numbers; after a bake this means that the "
+                    "simulation went wrong: try a smaller step or a softer material",
+                )
+
+
+def _problems(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time, array in samples(attribute):
+        if array.dtype.kind != "f":
+            return
+        # the sum is finite unless an element is not, or it overflows: cheap enough for every sample
+        with np.errstate(over="ignore", invalid="ignore"):
+            if np.isfinite(array.sum()):
+                continue
+        elements = array.reshape(len(array), -1) if array.ndim > 1 else array.reshape(-1, 1)
+        bad = np.flatnonzero(~np.isfinite(elements).all(axis=1))
+        if len(bad):
+            yield (
+                time,
+                f"{len(bad)} of {len(elements)} elements that are not finite, "
+                f"the first is [{bad[0]}]",
+            )

@@ -1,0 +1,102 @@
+"""Rules about what belongs together: relationships, indices into them, schemas and prim types."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pxr import Usd, UsdGeom, UsdShade
+
+from gf_usd.usd.rules.base import Finding, about, once, rule
+from gf_usd.usd.rules.read import applied_names, authored, prims, samples
+
+MATERIALS = "gaussianFlesh:materials"
+INDICES = "gaussianFlesh:materialIndices"
+TARGET_TYPES = {
+    MATERIALS: ("a Material", UsdShade.Material),
+    "gaussianFlesh:sourceMeshes": ("a geometric prim", UsdGeom.Gprim),
+}
+PREFIX = "GaussianFlesh"
+
+
+@rule(
+    "dangling-relationship",
+    "relationships of ours lead to prims of the right type",
+    reads_samples=False,
+)
+def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        for relationship in prim.GetAuthoredPropertiesInNamespace("gaussianFlesh"):
+            if not isinstance(relationship, Usd.Relationship):
+                continue
+            name = relationship.GetName()
+            speak = about("dangling-relationship", prim)
+            for path in relationship.GetTargets():
+                target = stage.GetPrimAtPath(path)
+                if not target:
+                    yield speak.error(
+                        f"{name} leads to <{path}>, where there is no prim",
+                        "author the path of a prim on this stage, or remove the target",
+                    )
+                elif name in TARGET_TYPES and not _may_be(target, TARGET_TYPES[name][1]):
+                    wanted = TARGET_TYPES[name][0]
+                    yield speak.error(
+                        f"{name} leads to <{path}>, a {target.GetTypeName()}, not {wanted}",
+                        f"author the path of {wanted}",
+                    )
+
+
+def _may_be(prim: Usd.Prim, schema: type[Usd.SchemaBase]) -> bool:
+    """Whether the prim has this type, or a type that is not known here (an over, a plugin's)."""
+    return prim.GetPrimTypeInfo().GetSchemaType().isUnknown or prim.IsA(schema)
+
+
+@rule("material-indices", "material indices count the targets of gaussianFlesh:materials")
+def material_indices(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        indices = authored(prim, INDICES)
+        if indices is None:
+            continue
+        relationship = prim.GetRelationship(MATERIALS)
+        targets = len(relationship.GetTargets()) if relationship else 0
+        if problem := once(_beyond(indices, targets)):
+            yield about("material-indices", prim).error(
+                f"{INDICES} has {problem}, {MATERIALS} has {targets} targets",
+                "author the missing materials as targets, or indices of those that are there",
+            )
+
+
+def _beyond(attribute: Usd.Attribute, targets: int) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time, array in samples(attribute):
+        if array.size and (array.min() < 0 or array.max() >= targets):
+            yield time, f"values from {array.min()} to {array.max()}"
+
+
+@rule("applied-schema", "API schemas are applied to prims they are made for", reads_samples=False)
+def applied_schema(stage: Usd.Stage) -> Iterator[Finding]:
+    """USD keeps the limits of every API but never enforces them on a file.
+
+    A prim without a type here (an over, or a plugin's type) may have the right one elsewhere.
+    """
+    for prim in prims(stage):
+        for name in applied_names(prim):
+            speak = about("applied-schema", prim)
+            family, instance = Usd.SchemaRegistry.GetTypeNameAndInstance(name)
+            api = Usd.SchemaRegistry.GetAPITypeFromSchemaTypeName(family)
+            if api.isUnknown:
+                if family.startswith(PREFIX):
+                    yield speak.error(
+                        f"apiSchemas names {name}, which the schema library does not have",
+                        "apply GaussianFleshParticlesAPI, GaussianFleshMaterialAPI or "
+                        "GaussianFleshBakeAPI",
+                    )
+                continue
+            if prim.GetPrimTypeInfo().GetSchemaType().isUnknown:
+                continue
+            able = prim.CanApplyAPI(api, instance) if instance else prim.CanApplyAPI(api)
+            if not able:
+                types = Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(family, instance)
+                made_for = f"made for {', '.join(types)}" if types else "not made for it"
+                yield speak.error(
+                    f"{name} is applied to a {prim.GetTypeName()}; it is {made_for}",
+                    "remove the API from this prim and apply it to a prim of such a type",
+                )

@@ -1,0 +1,133 @@
+"""The variant sets of the root layer: which bake, and nested in each, which of its shapes show.
+
+A variant set acts on its own prim only.  A source with one root prim that holds the meshes has
+one; where several root prims hold meshes each has its own, to be switched one by one, and so has
+the particles' scope where it stands beside a root prim that is itself a mesh.  The display sets
+are nested because two independent ones could be set to show nothing (none + gaussians).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pxr import Sdf, Usd
+
+from gf_usd.errors import UsageError
+from gf_usd.model import Asset, BakeInfo
+from gf_usd.usd.stage import VARIANT_SET, Home, asset_path, roots_of
+
+NONE = "none"
+DISPLAYS = ("mesh", "gaussians", "points")
+DISPLAY_SET = "display"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakedLook:
+    """One variant of the root layer."""
+
+    name: str  # of the variant, e.g. "rubber"
+    cache: Path  # final name of its cache layer, which need not be there yet
+    info: BakeInfo
+    health: Mapping[str, object] = field(default_factory=dict)  # summary for customLayerData
+
+
+def check_looks(bakes: Sequence[BakedLook], display: str) -> None:
+    """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
+    if not bakes:
+        raise UsageError("There is no bake to write a root layer for.", "give a --material")
+    if display not in DISPLAYS:
+        raise UsageError(f"Unknown display {display!r}.", f"choose one of: {', '.join(DISPLAYS)}")
+    names = [bake.name for bake in bakes]
+    for name in names:
+        if not name or not Sdf.Path.IsValidPathString(f"/x{{v={name}}}")[0]:
+            raise UsageError(
+                f"{name!r} cannot be the name of a variant.", "use letters, digits, _ and -"
+            )
+        if name == NONE or names.count(name) > 1:
+            raise UsageError(
+                f"The variant name {name!r} is taken.", "give each look a name of its own"
+            )
+
+
+def free_display_set(stage: Usd.Stage, asset: Asset, home: Home) -> str:
+    """``display``, or a longer name where a root prim of the source has a set of that name."""
+    # variant sets of one name on one prim share their selection
+    prims = [p for p in (stage.GetPrimAtPath(r) for r in roots_of(asset, home)) if p]
+    name = DISPLAY_SET
+    while any(prim.GetVariantSets().HasVariantSet(name) for prim in prims):
+        name = f"{VARIANT_SET}{name[0].upper()}{name[1:]}"
+    return name
+
+
+def add_variants(
+    layer: Sdf.Layer,
+    root: Sdf.Path,
+    asset: Asset,
+    home: Home,
+    bakes: Sequence[BakedLook],
+    display_set: str,
+    display: str,
+) -> None:
+    """Give one root prim of the layer the variants none and one for each bake.
+
+    Parameters
+    ----------
+    layer : the root layer, in its final folder.
+    root : one of ``roots_of(asset, home)``.
+    display_set, display : name of the nested set and what is selected in it.
+    """
+    spec = layer.GetPrimAtPath(root)
+    if spec is None:
+        # beside a root prim that is a mesh; defined by the payload alone, so absent under none
+        spec = Sdf.PrimSpec(layer.pseudoRoot, root.name, Sdf.SpecifierOver)
+    spec.variantSetNameList.prependedItems = [VARIANT_SET]
+    spec.variantSelections[VARIANT_SET] = bakes[0].name
+    switch = Sdf.VariantSetSpec(spec, VARIANT_SET)
+    Sdf.VariantSpec(switch, NONE)
+    folder = Path(layer.realPath).parent
+    for bake in bakes:
+        variant = Sdf.VariantSpec(switch, bake.name).primSpec
+        payload = Sdf.Payload(asset_path(bake.cache, folder), root)
+        variant.payloadList.prependedItems = [payload]
+        variant.variantSetNameList.prependedItems = [display_set]
+        variant.variantSelections[display_set] = display
+        modes = Sdf.VariantSetSpec(variant, display_set)
+        for mode in DISPLAYS:
+            inner = Sdf.VariantSpec(modes, mode).primSpec
+            for path in _hidden(mode, root, asset, home):
+                _hide(layer, inner.path.AppendPath(path.MakeRelativePath(root)))
+        if home.scope.HasPrefix(root):
+            _name_meshes(layer, variant.path, root, asset, home)
+
+
+def _hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home) -> list[Sdf.Path]:
+    """Prims under a root prim that a display mode hides."""
+    meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
+    scope = home.scope
+    hidden = {
+        "mesh": [scope],
+        "gaussians": [*meshes, scope.AppendChild("Points")],
+        "points": [*meshes, scope.AppendChild("Gaussians")],
+    }[mode]
+    return [path for path in hidden if path.HasPrefix(root)]
+
+
+def _hide(layer: Sdf.Layer, path: Sdf.Path) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    Sdf.AttributeSpec(prim, "visibility", Sdf.ValueTypeNames.Token).default = "invisible"
+
+
+def _name_meshes(
+    layer: Sdf.Layer, variant: Sdf.Path, root: Sdf.Path, asset: Asset, home: Home
+) -> None:
+    # a payload cannot name what is outside its root prim, the root layer can
+    meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
+    if all(mesh.HasPrefix(root) for mesh in meshes):
+        return
+    for name in ("Gaussians", "Points"):
+        path = home.scope.AppendChild(name).MakeRelativePath(root)
+        prim = Sdf.CreatePrimInLayer(layer, variant.AppendPath(path))
+        rel = Sdf.RelationshipSpec(prim, "gaussianFlesh:sourceMeshes", False)
+        rel.targetPathList.explicitItems = meshes

@@ -1,0 +1,1 @@
+"""Pictures of a `gf_usd.scene.Scene`, drawn on a CPU without GL."""

@@ -1,0 +1,105 @@
+"""One picture of one scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.errors import UsageError
+from gf_usd.runtime import ensure_taichi
+from gf_usd.scene import Camera, RenderSplats, Scene
+from gf_usd.view.camera import Lens, fit_camera, lens
+from gf_usd.view.harmonics import seen_from
+from gf_usd.view.image import encode, untone
+from gf_usd.view.light import make_rig
+from gf_usd.view.mesh import OVERSAMPLING, Lit, draw_surfaces, irradiance, light_up
+from gf_usd.view.pack import content, pack
+from gf_usd.view.splats import draw_splats
+
+LARGEST = 8192  # pixels a side
+
+
+def render(
+    scene: Scene, camera: Camera | None = None, size: tuple[int, int] = (640, 480)
+) -> NDArray[np.uint8]:
+    """Draw a scene: pixels (H, W, 3), sRGB; the same scene gives the same bytes every time.
+
+    Parameters
+    ----------
+    camera : None: fitted to the scene.   size : (width, height) [pixels], each 1 to 8192.
+
+    Raises
+    ------
+    UsageError : an impossible size, or a camera without a direction.
+    """
+    return encode(render_linear(scene, camera, size))
+
+
+def render_linear(
+    scene: Scene, camera: Camera | None = None, size: tuple[int, int] = (640, 480)
+) -> NDArray[np.float32]:
+    """As `render`, but linear light (H, W, 3) before the tone curve."""
+    width, height = size
+    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
+        raise UsageError(
+            f"A picture of {width}x{height} pixels cannot be drawn.",
+            f"ask for 1 to {LARGEST} pixels each way, e.g. --size 640x480",
+        )
+    ensure_taichi()
+    if camera is None:
+        points = content(scene)
+        corners = np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else None
+        camera = fit_camera(_box(corners), scene.up, width / height)
+    packed = pack(scene)
+    view = np.subtract(camera.eye, camera.target)
+    rig = make_rig(scene.lights, view / np.linalg.norm(view), np.array(scene.up, dtype=float))
+    fine = lens(camera, width, height, packed.origin, OVERSAMPLING)
+    lit = light_up(scene, packed, rig)
+    picture, seen = draw_surfaces(packed, lit, fine)
+    if scene.splats:
+        joined, radiance = _join_splats(scene.splats, lit, fine)
+        draw_splats(joined, radiance, lens(camera, width, height, packed.origin), picture, seen)
+    return picture
+
+
+def _box(corners: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """(8, 3) corners of a box; of a unit cube where there is nothing."""
+    low, high = ((-1.0,) * 3, (1.0,) * 3) if corners is None else corners
+    return np.array([np.where(bits, high, low) for bits in np.ndindex(2, 2, 2)], dtype=float)
+
+
+def _join_splats(
+    clouds: tuple[RenderSplats, ...], lit: Lit, view: Lens
+) -> tuple[RenderSplats, NDArray[np.float32]]:
+    """All splats as one cloud, so that they sort among each other, and what each shows."""
+    radiance = np.concatenate([_radiance(cloud, lit, view) for cloud in clouds])
+    joined = RenderSplats(
+        name=" ".join(cloud.name for cloud in clouds),
+        positions=np.concatenate([cloud.positions for cloud in clouds]),
+        axes=np.concatenate([cloud.axes for cloud in clouds]),
+        colours=np.concatenate([cloud.colours for cloud in clouds]),
+        opacities=np.concatenate([cloud.opacities for cloud in clouds]),
+    )
+    return joined, radiance
+
+
+def _radiance(cloud: RenderSplats, lit: Lit, view: Lens) -> NDArray[np.float32]:
+    """(N, 3) albedo times light where the splats are lit; else their own radiance.
+
+    The normal of a splat is its shortest axis, on the camera's side.  Light is gathered half a
+    splat above it, for its neighbours overlap it.
+    """
+    local = cloud.positions - view.origin
+    towards = local - view.eye
+    if not cloud.lit:
+        colours = cloud.colours
+        if cloud.harmonics is not None:
+            colours = seen_from(cloud.harmonics, towards)
+        return untone(colours).astype(np.float32)
+    length = np.linalg.norm(cloud.axes, axis=1)
+    shortest = np.argmin(length, axis=1)[:, None, None]
+    normals = np.take_along_axis(np.asarray(cloud.axes), shortest, axis=2)[..., 0]
+    normals = normals / np.maximum(length.min(axis=1, keepdims=True), 1e-30)
+    normals[np.einsum("ni,ni->n", normals, towards) > 0.0] *= -1.0
+    above = local + 0.5 * length.max(axis=1, keepdims=True) * normals
+    return cloud.colours.astype(np.float32) * irradiance(lit, above, normals)

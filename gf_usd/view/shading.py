@@ -1,0 +1,181 @@
+# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
+"""The colour of each pixel: the mean over its samples of what they see.
+
+The floor is the background itself, darkened by the light it lacks: there is no horizon.
+"""
+
+from gf_usd.runtime import import_taichi
+from gf_usd.view.lighting import (
+    CENTRE,
+    EDGE,
+    FLOOR,
+    RADIUS,
+    UP,
+    floor_factor,
+    light_seen,
+    lit,
+    smooth,
+)
+from gf_usd.view.raster import (
+    EMPTY_BITS,
+    F32_1,
+    F32_2,
+    F32_3,
+    F64_1,
+    F64_2,
+    I32_1,
+    I32_2,
+    I64_2,
+    double,
+    dvec3,
+    edge_functions,
+    hit_ellipsoid,
+    part,
+    row,
+    sample_at,
+    single,
+    vec2,
+    vec3,
+    view_ray,
+)
+from gf_usd.view.sampling import textured
+
+ti = import_taichi()
+
+BRIGHTEST = 4.0  # of one sample: an edge against a highlight stays smooth
+
+
+@ti.func
+def triple(a: ti.template(), t, b):
+    """Mean of a triangle's three corner vectors, a (T, 9), by weights b."""
+    out = vec3(0.0)
+    for c in ti.static(range(3)):
+        for k in ti.static(range(3)):
+            out[k] += b[c] * a[t, 3 * c + k]
+    return out
+
+
+@ti.func
+def weights(clip: ti.template(), tri: ti.template(), t, x, y):
+    """Perspective-correct barycentric coordinates of triangle t at sample position (x, y)."""
+    e0, e1, e2, _ = edge_functions(clip, tri, t)
+    r = dvec3(x, y, 1.0)
+    b = dvec3(r.dot(e0), r.dot(e1), r.dot(e2))
+    return single(b / (b[0] + b[1] + b[2]))
+
+
+@ti.func
+def pair(uvs: ti.template(), t, b):
+    """Texture coordinates, uvs (T, 6), by weights b."""
+    return vec2(
+        b[0] * uvs[t, 0] + b[1] * uvs[t, 2] + b[2] * uvs[t, 4],
+        b[0] * uvs[t, 1] + b[1] * uvs[t, 3] + b[2] * uvs[t, 5],
+    )
+
+
+@ti.func
+def backdrop(look: ti.template(), x, y):
+    """The studio wall: light in the middle, darker at the corners; x, y in -1..1."""
+    t = smooth(0.15, 1.55, ti.sqrt(x * x + (y - 0.12) * (y - 0.12)))
+    return part(look, CENTRE) * (1.0 - t) + part(look, EDGE) * t
+
+
+@ti.func
+def facing(normal, flat, v):
+    """A shading normal on the side of the surface that v sees, and no further than grazing."""
+    n = normal
+    if normal.dot(flat) * flat.dot(v) < 0.0:
+        n = -1.0 * normal
+    away = n.dot(v)
+    if away < 0.02:
+        n += (0.02 - away) * v
+    return n.normalized()
+
+
+@ti.kernel
+def shade(
+    key: I64_2,
+    oversampling: ti.i32,
+    camera: F64_1,
+    clip: F64_2,
+    tri: I32_2,
+    points: F32_2,
+    normals: F32_2,
+    colours: F32_2,
+    uvs: F32_2,
+    finish: F32_2,
+    skin: I32_1,
+    texels: F32_2,
+    levels: I32_2,
+    kinds: I32_2,
+    centre: F32_2,
+    inverse: F32_2,
+    tint: F32_2,
+    look: F32_1,
+    frames: F32_2,
+    keys: ti.i32,
+    depth: F32_3,
+    floor: F32_3,
+    out: F32_3,
+    seen: F32_2,
+):
+    """Resolve keys (H s, W s) into linear colour out (H, W, 3) and nearest depth seen (H, W).
+
+    Triangles have normals and colours (T, 9), uvs (T, 6), finish (T, 2) roughness and metallic,
+    skin (T,) texture or -1; ids from T on are ellipsoids with tint (N, 3).
+    """
+    for py, px in ti.ndrange(out.shape[0], out.shape[1]):
+        total = vec3(0.0)
+        nearest = 3e38
+        for s in range(oversampling * oversampling):
+            y = py * oversampling + s // oversampling
+            x = px * oversampling + s % oversampling
+            sx, sy = sample_at(x, y, camera[16])
+            d = view_ray(camera, sx, sy)
+            v = -1.0 * single(d).normalized()
+            colour = vec3(0.0)
+            nearness = ti.cast(key[y, x] >> 32, ti.i32)
+            if nearness == EMPTY_BITS:
+                a = ti.cast(2.0 * sx / key.shape[1] - 1.0, ti.f32)
+                b = ti.cast(1.0 - 2.0 * sy / key.shape[0], ti.f32)
+                colour = backdrop(look, a, b)
+                up = double(part(look, UP))
+                height = part(camera, 0).dot(up) - look[FLOOR]
+                fall = -d.dot(up)
+                if height > 0.0 and fall > 1e-6 * d.norm():
+                    p = single(part(camera, 0) + height / fall * d)
+                    colour *= floor_factor(look, floor, p)
+            else:
+                item = ti.cast(key[y, x], ti.i32)
+                nearest = ti.min(nearest, ti.bit_cast(nearness, ti.f32))
+                p, n, albedo = vec3(0.0), vec3(0.0), vec3(0.0)
+                rough, metal = 0.5, 0.0
+                if item < tri.shape[0]:
+                    w = weights(clip, tri, item, sx, sy)
+                    p0, p1 = row(points, tri[item, 0]), row(points, tri[item, 1])
+                    p2 = row(points, tri[item, 2])
+                    p = w[0] * p0 + w[1] * p1 + w[2] * p2
+                    n = facing(triple(normals, item, w), (p1 - p0).cross(p2 - p0), v)
+                    albedo = triple(colours, item, w)
+                    rough, metal = finish[item, 0], finish[item, 1]
+                    if skin[item] >= 0:
+                        uv = pair(uvs, item, w)
+                        du = pair(uvs, item, weights(clip, tri, item, sx + 1.0, sy)) - uv
+                        dv = pair(uvs, item, weights(clip, tri, item, sx, sy + 1.0)) - uv
+                        albedo = textured(texels, levels, kinds, skin[item], uv, du, dv)
+                else:
+                    i = item - tri.shape[0]
+                    t, q = hit_ellipsoid(camera, centre, inverse, i, d)
+                    p = single(part(camera, 0) + t * d)
+                    # the gradient of |M (x - c)|^2 is M' q
+                    for k in ti.static(range(3)):
+                        for j in ti.static(range(3)):
+                            n[k] += inverse[i, 3 * j + k] * ti.cast(q[j], ti.f32)
+                    n = n.normalized()
+                    albedo = row(tint, i)
+                sun, sky = light_seen(p, n, frames, keys, depth, look[RADIUS])
+                colour = lit(look, floor, p, n, v, albedo, rough, metal, sun, sky)
+            total += ti.min(colour, BRIGHTEST)
+        for k in ti.static(range(3)):
+            out[py, px, k] = total[k] / (oversampling * oversampling)
+        seen[py, px] = nearest

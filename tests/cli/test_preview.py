@@ -1,0 +1,97 @@
+"""gf-usd preview, from the command line to the pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from gf_usd.cli.preview import parse_size, preview
+from gf_usd.errors import UsageError
+
+STAGE = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Z"
+    startTimeCode = 1
+    endTimeCode = 3
+)
+def Cube "box" {
+    double size = 2
+    color3f[] primvars:displayColor = [(0.8, 0.05, 0.05)]
+    double3 xformOp:translate.timeSamples = { 1: (0, 0, 4), 3: (0, 0, 1) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+
+
+@pytest.fixture
+def stage(tmp_path):
+    path = tmp_path / "box.usda"
+    path.write_text(STAGE, encoding="utf-8")
+    return path
+
+
+def run(*arguments):
+    app = typer.Typer()
+    app.command()(preview)
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def red_rows(path) -> np.ndarray:
+    pixels = np.asarray(Image.open(path)).astype(int)
+    return np.flatnonzero((pixels[..., 0] > 2 * pixels[..., 1]).any(axis=1))
+
+
+def test_a_picture_of_each_frame_with_one_camera(stage, tmp_path):
+    rows = {}
+    for frame in (1, 3):
+        out = tmp_path / f"{frame}.png"
+        done = run(stage, "-o", out, "--frame", frame, "--size", "120x160")
+        assert done.exit_code == 0, done.output
+        assert Image.open(out).size == (120, 160)
+        rows[frame] = red_rows(out)
+    # the camera holds the whole fall: the box moves down the picture and never leaves it
+    assert rows[1].min() > 0
+    assert rows[3].max() < 159
+    assert rows[3].mean() > rows[1].mean() + 30
+
+
+def test_the_same_command_gives_the_same_bytes(stage, tmp_path):
+    for name in ("a.png", "b.png"):
+        assert run(stage, "-o", tmp_path / name, "--size", "80x60").exit_code == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_the_default_name_is_in_this_folder(stage, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert run(stage, "--size", "40x30").exit_code == 0
+    assert [path.name for path in (tmp_path / "here").iterdir()] == ["box.png"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--frame", "7"), "outside the motion"),
+        (("--size", "big"), "--size big is not a size"),
+        (("--size", "0x10"), "--size 0x10 is not a size"),
+        (("--size", "10x9000"), "10x9000 pixels cannot be drawn"),
+        (("--show", "fog"), "Unknown --show fog"),
+        (("-o", "out.jpg"), "does not end in .png"),
+    ],
+)
+def test_wrong_options_are_refused_in_words(stage, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    error = run(stage, *arguments).exception
+    assert isinstance(error, UsageError)
+    assert message in error.message
+    assert error.hint
+    assert [path.name for path in tmp_path.iterdir()] == ["box.usda"]
+
+
+def test_sizes_are_read():
+    assert parse_size("640x480") == (640, 480)
+    assert parse_size(" 64 X 48 ") == (64, 48)

@@ -1,0 +1,78 @@
+"""Starting Taichi, and the words where it cannot be started."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from gf_usd import runtime
+from gf_usd.errors import GfUsdError, UsageError
+
+
+def test_an_unknown_device_is_refused():
+    with pytest.raises(UsageError, match="Unknown device 'tpu'") as caught:
+        runtime.init_taichi("tpu")
+    assert "cpu, cuda" in caught.value.hint
+
+
+def test_no_threads_are_refused():
+    with pytest.raises(UsageError, match="0 CPU threads"):
+        runtime.init_taichi(threads=0)
+
+
+def test_cuda_where_there_is_none_is_refused(monkeypatch):
+    monkeypatch.setattr(runtime, "_has_cuda", lambda ti: False)
+    with pytest.raises(UsageError, match="No CUDA device") as caught:
+        runtime.init_taichi("cuda")
+    assert "--device cpu" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("cause", "hint"),
+    [
+        ("libX11.so.6: cannot open shared object file", "apt-get install libx11-6"),
+        ("No module named 'taichi'", "pip install"),
+    ],
+)
+def test_a_missing_library_is_named(monkeypatch, cause, hint):
+    def fail(name):
+        raise ImportError(cause)
+
+    monkeypatch.setattr(importlib, "import_module", fail)
+    runtime.import_taichi.cache_clear()
+    try:
+        with pytest.raises(GfUsdError, match="Taichi cannot be loaded") as caught:
+            runtime.import_taichi()
+    finally:
+        runtime.import_taichi.cache_clear()
+    assert cause in caught.value.message
+    assert hint in caught.value.hint
+
+
+def test_the_same_arguments_start_it_once_and_others_anew(monkeypatch):
+    ti = runtime.import_taichi()
+    runtime.init_taichi(threads=1)
+    starts = []
+    monkeypatch.setattr(ti, "init", lambda **arguments: starts.append(arguments))
+    monkeypatch.setattr(runtime, "_started", dict(runtime._started))
+    runtime.init_taichi(threads=1)
+    runtime.ensure_taichi()
+    assert starts == []
+    runtime.init_taichi(threads=2)
+    assert [start["cpu_max_num_threads"] for start in starts] == [2]
+    runtime.init_taichi(threads=2, f64=True)
+    assert starts[-1]["default_fp"] == ti.f64
+    # kernels of pictures do not compile with 64-bit literals
+    runtime.ensure_taichi()
+    assert starts[-1]["default_fp"] == ti.f32
+    assert starts[-1]["cpu_max_num_threads"] == 2
+
+
+def test_starting_says_nothing_on_the_way():
+    code = "from gf_usd.runtime import init_taichi; init_taichi()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    assert done.stderr == ""

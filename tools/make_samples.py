@@ -1,0 +1,83 @@
+"""Write the sample assets: a rubber duck, a unit sphere and a deformed sphere.
+
+    python tools/make_samples.py [--out FOLDER]
+
+The shapes are this project's own work, computed from the formulas in samples_duck.py and
+samples_sphere.py; running it again gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from samples_duck import MATERIAL_OF, duck, duck_atlas, duck_quads
+from samples_implicit import unit_normals
+from samples_quads import Quads
+from samples_sphere import deformed, level, sphere_atlas, sphere_quads
+from samples_usd import Look, Sample, file_name, write_sample
+
+SAMPLES = Path(__file__).resolve().parent.parent / "samples"
+
+
+def duck_sample() -> Sample:
+    """A bath duck, 10 cm long, in centimetres, sitting on y = 0 and facing +Z."""
+    mesh = duck_quads()
+    parts = np.array([MATERIAL_OF[part] for part in mesh.parts])
+    return Sample(
+        name="Duck",
+        doc="A rubber duck, 10 cm long: one watertight quad mesh. Y up, facing +Z.",
+        meters_per_unit=0.01,
+        mesh=Quads(points=mesh.points, faces=mesh.faces, parts=parts),
+        normals=unit_normals(duck, mesh.points),
+        atlas=duck_atlas(mesh),
+        looks={
+            "body": Look(colour=(0.93, 0.60, 0.015), roughness=0.38, clearcoat=0.25),
+            "beak": Look(colour=(0.88, 0.17, 0.012), roughness=0.38, clearcoat=0.25),
+            "eyes": Look(colour=(0.006, 0.006, 0.008), roughness=0.08, clearcoat=1.0),
+        },
+    )
+
+
+def sphere_samples() -> tuple[Sample, Sample]:
+    """The unit sphere and the deformed sphere of the same volume, in metres, about the origin."""
+    sphere = sphere_quads()
+    lumpy, scale = deformed(sphere)
+    atlas = sphere_atlas(sphere)
+    return (
+        Sample(
+            name="Sphere",
+            doc="A sphere of radius 1 m about the origin: a cube-sphere of 1536 quads. Y up.",
+            meters_per_unit=1.0,
+            mesh=sphere,
+            normals=sphere.points,
+            atlas=atlas,
+            looks={"body": Look(colour=(0.05, 0.30, 0.55), roughness=0.35, clearcoat=0.25)},
+        ),
+        Sample(
+            name="DeformedSphere",
+            doc="A lopsided peanut with the topology and volume of sphere.usda. Metres, Y up.",
+            meters_per_unit=1.0,
+            mesh=lumpy,
+            normals=unit_normals(level, lumpy.points / scale),
+            atlas=atlas,
+            looks={"body": Look(colour=(0.58, 0.11, 0.09), roughness=0.35, clearcoat=0.25)},
+        ),
+    )
+
+
+def main() -> None:
+    """Write every sample into the folder of --out."""
+    parser = argparse.ArgumentParser(description="Write the sample assets.")
+    parser.add_argument("--out", type=Path, default=SAMPLES, help="folder (default: samples)")
+    folder: Path = parser.parse_args().out
+    folder.mkdir(parents=True, exist_ok=True)
+    for sample in (duck_sample(), *sphere_samples()):
+        path = folder / file_name(sample)
+        write_sample(path, sample)
+        print(f"{path}: {len(sample.mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
