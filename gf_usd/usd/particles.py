@@ -84,7 +84,8 @@ class ParticleTrack:
         check(pose.scales, (self._count, 3), self._named("scales"), time_code)
         positions = np.asarray(pose.positions, np.float64) / self._unit
         scales = np.asarray(pose.scales, np.float64) / self._unit
-        vectors = Vt.Vec3fArray.FromNumpy(_f32(positions))
+        single = _f32(positions)
+        vectors = Vt.Vec3fArray.FromNumpy(single)
         velocities = Vt.Vec3fArray.FromNumpy(_f32(np.asarray(pose.velocities) / self._unit))
         self._positions.Set(vectors, time_code)
         self._orientations.Set(_quaternions(pose.orientations), time_code)
@@ -94,8 +95,9 @@ class ParticleTrack:
         self._splat_extent.Set(_box(positions - reach, positions + reach), time_code)
         self._twin_points.Set(vectors, time_code)
         self._twin_velocities.Set(velocities, time_code)
-        radius = self._radius[:, None]
-        self._twin_extent.Set(_box(positions - radius, positions + radius), time_code)
+        # in single precision, so that it is bit for bit what USD computes from points and widths
+        half = self._widths[:, None] * np.float32(0.5)
+        self._twin_extent.Set(_box(single - half, single + half), time_code)
         if self._space is not None and self._space.animated:
             matrix = Gf.Matrix4d(self._space.from_world(time_code))
             for transform in self._transforms:
@@ -128,8 +130,9 @@ class ParticleTrack:
         self._twin_velocities = points.CreateVelocitiesAttr()
         self._twin_extent = points.CreateExtentAttr()
         # balls of the particles' volumes
-        self._radius = np.cbrt(3.0 * np.asarray(p.V0, np.float64) / (4.0 * np.pi)) / self._unit
-        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(_f32(2.0 * self._radius)))
+        widths = np.cbrt(6.0 * np.asarray(p.V0, np.float64) / np.pi) / self._unit
+        self._widths = _f32(widths)
+        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(self._widths))
         points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         points.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(self._count, dtype=np.int64)))
         colour = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)

@@ -36,6 +36,9 @@ CUBE = f"""
     int[] faceVertexIndices = {CUBE_INDICES}
     float3[] extent = [(0, 0, 0), (1, 1, 1)]
 """
+# Float32 keeps 6e-8 of the largest number that a point passes through; local coordinates under
+# scales of 50 and offsets of metres are within a hundred units here.
+EPS = 2e-6
 RUBBER = Material(
     name="rubber",
     law="neoHookean",
@@ -256,3 +259,21 @@ def bake(
         baked.append(BakedLook(name=look, cache=cache, info=info, health={"minJ": 0.5}))
     root = write_root(folder / f"{stem}.{'_'.join(looks)}.usda", asset, baked)
     return root, particles, info
+
+
+def world(stage: Usd.Stage, path: str, name: str, time_code: float) -> np.ndarray:
+    """Values of a point attribute in the world, stage units."""
+    prim = stage.GetPrimAtPath(path)
+    matrix = np.array(UsdGeom.XformCache(time_code).GetLocalToWorldTransform(prim))
+    values = np.array(prim.GetAttribute(name).Get(time_code), np.float64)
+    return values @ matrix[:3, :3] + matrix[3, :3]
+
+
+def open_with(path: Path, variant: str, load: object = Usd.Stage.LoadAll) -> Usd.Stage:
+    """The stage with one variant selected on every root prim that has the set."""
+    stage = Usd.Stage.Open(str(path), load)
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for prim in stage.GetPseudoRoot().GetAllChildren():
+        if prim.GetVariantSets().HasVariantSet("gaussianFlesh"):
+            assert prim.GetVariantSet("gaussianFlesh").SetVariantSelection(variant)
+    return stage

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from check_damage import GAUSSIANS, MESH, OURS, POINTS
-from check_stages import CODES, CUBE, GRID, RATE, box, good_stage, vec3
+from check_stages import CODES, CUBE, GRID, RATE, box, good_stage, motion, vec3
+from pxr import Usd
 
 from gf_usd.usd.check import check_stage
 
@@ -64,3 +65,45 @@ def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
             attribute.ClearAtTime(code)
     (skip,) = check_stage(stage).skipped
     assert skip.reason == "velocities: 4 samples of motion, 5 are wanted to judge"
+
+
+def shaken(stage: Usd.Stage, scale: float) -> None:
+    """Give the Gaussians a vibration of 13 periods in 10 samples, as fast as they fall.
+
+    Its velocity is as large as the fall's, its amplitude is too small to show in the positions.
+    """
+    random = np.random.default_rng(2)
+    omega = 2.0 * np.pi * 1.3 * RATE
+    phase = random.uniform(0.0, 2.0 * np.pi, (len(GRID), 1))
+    way = random.normal(size=(len(GRID), 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    prim = stage.GetPrimAtPath(GAUSSIANS)
+    for code in CODES:
+        angle = omega * (code - CODES[0]) / RATE + phase
+        x, v = motion(GRID, code)
+        x, v = x + 2.0 / omega * np.sin(angle) * way * 0.1, v + 2.0 * np.cos(angle) * way
+        prim.GetAttribute("positions").Set(vec3(x), code)
+        prim.GetAttribute(OURS + "velocities").Set(vec3(scale * v), code)
+
+
+def test_a_vibration_in_the_velocities_drops_out(tmp_path: Path) -> None:
+    """Both the right velocities and those per time code are told apart in spite of it."""
+    stage = good_stage(tmp_path / "shaken.usda")
+    shaken(stage, 1.0)
+    assert check_stage(stage).findings == ()
+    shaken(stage, 1.0 / RATE)
+    (finding,) = check_stage(stage).findings
+    assert (finding.rule, finding.prim_path) == ("velocities", GAUSSIANS)
+
+
+def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
+    stage = good_stage(tmp_path / "still.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    for code in CODES:
+        prim.GetAttribute("points").Set(vec3(CUBE), code)
+        prim.GetAttribute("extent").Set(box(CUBE), code)
+    (finding,) = check_stage(stage).findings
+    assert finding.message == (
+        # 8 points in 8 windows of 5 among 12 samples
+        "velocities is not zero where points stands still, in 64 of 64 places"
+    )
