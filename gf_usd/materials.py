@@ -80,15 +80,84 @@ LOOKS: dict[str, Look] = {
 }  # fmt: skip
 
 
-def find_look(name: str) -> Look:
-    """The look of that name; UsageError with the nearest names where there is none."""
-    if name in LOOKS:
-        return LOOKS[name]
-    close = difflib.get_close_matches(name, LOOKS, n=1, cutoff=0.5)
+@dataclass(frozen=True, kw_only=True)
+class Physical:
+    """An absolute preset: the numbers of a real material."""
+
+    name: str
+    density: float  # [kg/m^3]
+    youngs_modulus: float  # [Pa]
+    poissons_ratio: float
+    source: str
+    damping_time: float = 1e-4  # Kelvin-Voigt tau [s]
+    friction: float = 0.8
+    restitution: float = 0.85
+    law: str = "neoHookean"
+
+    def material(self, radius: float, law: str | None = None) -> Material:
+        """The material, the same on a body of any radius [m]."""
+        del radius
+        return Material(
+            name=self.name,
+            law=law or self.law,
+            density=self.density,
+            youngs_modulus=self.youngs_modulus,
+            poissons_ratio=self.poissons_ratio,
+            damping_time=self.damping_time,
+            friction=self.friction,
+            restitution=self.restitution,
+        )
+
+
+ASHBY = "Ashby, Materials Selection in Mechanical Design, appendix A: geometric mean of the range"
+
+# Incompressible elastomers are given nu = 0.47: what a displacement method carries without locking.
+PHYSICAL: dict[str, Physical] = {
+    p.name: p
+    for p in (
+        Physical(
+            name="soft-silicone", density=1070.0, youngs_modulus=69e3, poissons_ratio=0.47,
+            source="Smooth-On technical bulletin, Ecoflex 00-30: 100 % modulus 10 psi, 1.07 g/cc",
+        ),
+        Physical(
+            name="silicone", density=1030.0, youngs_modulus=2.0e6, poissons_ratio=0.47,
+            source="PDMS 10:1, E = 20 MPa / ratio: J. Appl. Polym. Sci. 2014, 131, 41050",
+        ),
+        Physical(
+            name="neoprene", density=1240.0, youngs_modulus=1.2e6, poissons_ratio=0.47,
+            source=f"{ASHBY} 0.7-2 MPa",
+        ),
+        Physical(
+            name="natural-rubber", density=925.0, youngs_modulus=1.9e6, poissons_ratio=0.47,
+            source=f"{ASHBY} 1.5-2.5 MPa",
+        ),
+        Physical(
+            name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
+            damping_time=2e-3, restitution=0.5,
+            source=f"{ASHBY} 1-3 MPa (flexible polymer foam, low density)",
+        ),
+    )
+}  # fmt: skip
+
+Preset = Look | Physical
+
+
+def presets() -> dict[str, Preset]:
+    """Every preset by name, looks first."""
+    return {**LOOKS, **PHYSICAL}
+
+
+def find_preset(name: str) -> Preset:
+    """The preset of that name; UsageError with the nearest names where there is none."""
+    known = presets()
+    if name in known:
+        return known[name]
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     guess = f"did you mean {close[0]}? " if close else ""
     raise UsageError(
         f"there is no material {name!r}",
-        f"{guess}choose one of {', '.join(LOOKS)} (gf-usd materials shows them)",
+        f"{guess}choose one of {', '.join(known)} (gf-usd materials shows them),"
+        " or a USD file with a material",
     )
 
 

@@ -208,6 +208,7 @@ class Health:
     inverted: int = 0  # particles with J <= 0
     penetration: float = 0.0  # [m] deepest of a contact sample during the frame
     friction_capped: int = 0  # contact samples whose friction met its stability limit
+    rollbacks: int = 0  # times the frame was redone with half the step
 
 
 @dataclass(frozen=True, kw_only=True)

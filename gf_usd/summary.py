@@ -38,6 +38,7 @@ class HealthLog:
             "min_stretch": min(f.min_stretch for f in h),
             "max_stretch": max(f.max_stretch for f in h),
             "inverted_particle_frames": sum(f.inverted for f in h),
+            "rollbacks": sum(f.rollbacks for f in h),
             "friction_capped": sum(f.friction_capped for f in h),
             "energy_start_J": energy[0],
             "energy_end_J": energy[-1],

@@ -165,6 +165,8 @@ def _summarise(result: BakeResult) -> None:
             f"warning: particles were turned inside out in {h['inverted_particle_frames']}"
             " particle-frames (they recover; see the report)"
         )
+    if h["rollbacks"]:
+        lines.append(f"note: {h['rollbacks']} times a frame was redone with half the step")
     typer.echo("\n".join(lines))
 
 

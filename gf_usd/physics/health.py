@@ -12,15 +12,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 
-def measure(
-    solver: TotalLagrangian,
-    particles: Pose,
-    u: Floats,
-    v: Floats,
-    capped: int,
-    depth: float,
-    substeps: int,
-) -> Health:
+def measure(solver: TotalLagrangian, particles: Pose, u: Floats, v: Floats) -> Health:
     """Energies, momenta and stretches of one frame, in float64.
 
     Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
@@ -34,7 +26,6 @@ def measure(
     datum = s.floor if s.floor is not None else 0.0
     height = x - datum * np.asarray(s.up)
     return Health(
-        substeps=substeps,
         kinetic=float(0.5 * m @ (v * v).sum(1)),
         elastic=solver.elastic_energy(),
         potential=float(-(m @ (height @ g))),
@@ -48,8 +39,6 @@ def measure(
         min_stretch=float(stretch.min()),
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
-        penetration=depth,
-        friction_capped=capped,
     )
 
 

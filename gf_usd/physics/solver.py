@@ -9,14 +9,17 @@ that a long fall costs the strain no digits.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gf_usd.errors import BakeError
+from gf_usd.materials import G0
 from gf_usd.model import (
     Floats,
     Frame,
+    Health,
     Material,
     Particles,
     Pose,
@@ -25,6 +28,7 @@ from gf_usd.model import (
 )  # fmt: skip
 from gf_usd.physics import setup
 from gf_usd.physics.embedding import pose
+from gf_usd.physics.guard import RETRIES, Guard
 from gf_usd.physics.health import measure
 from gf_usd.physics.stencil import build_stencil
 
@@ -71,8 +75,8 @@ class TotalLagrangian:
         self.offset = np.asarray(settings.lift, float)
         self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per)
         self.step = setup.largest_step(particles, self.h, self.contact, settings, per)
-        self.substeps = max(1, int(np.ceil(self.frame_time / self.step.dt)))
-        self.dt = self.frame_time / self.substeps
+        self.coarse = max(1, int(np.ceil(self.frame_time / self.step.dt)))
+        self.guard = Guard(float(self.m.sum()) * G0 * particles.radius)
         self.time = 0.0
         self.done = 0  # substeps since the start
         v = velocity(self.stencil.node_X) if callable(velocity) else velocity
@@ -101,10 +105,59 @@ class TotalLagrangian:
 
     def frames(self) -> Iterator[Frame]:
         """Yield `settings.frames` frames, the first at rest where the body was put."""
-        yield self._frame(0, 0, 0.0)
+        frame = self._frame(0, 0, 0.0, 0)
+        yield frame
         for index in range(1, self.settings.frames):
+            frame = self._next(index, frame.health)
+            yield frame
+
+    @property
+    def substeps(self) -> int:
+        """Substeps of the next frame."""
+        return self.coarse << self.guard.halvings
+
+    @property
+    def dt(self) -> float:
+        """[s] length of the next frame's substeps."""
+        return self.frame_time / self.substeps
+
+    def _next(self, index: int, last: Health) -> Frame:
+        """Move by a frame; where it fails, roll back and redo it with half the step."""
+        saved = [self.arrays[name].to_numpy() for name in "uv"], self.offset, self.time, self.done
+        for attempt in range(RETRIES + 1):
             capped, depth = self._advance(self.substeps)
-            yield self._frame(index, capped, depth)
+            fault = self._not_finite()
+            if not fault:
+                frame = self._frame(index, capped, depth, attempt)
+                fault = self.guard.judge(last, frame.health)
+                if not fault:
+                    self.guard.passed()
+                    return frame
+            if attempt == RETRIES:
+                break
+            (u, v), self.offset, self.time, self.done = saved
+            self.arrays["u"].from_numpy(u)
+            self.arrays["v"].from_numpy(v)
+            self.guard.refine()
+        raise BakeError(
+            f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
+            f" halvings of the step to {self.dt:.3g} s",
+            "lower the impact (--drop), use a stiffer material or --law neoHookean;"
+            f" frames up to {index - 1} are in the partial cache",
+        )
+
+    def _not_finite(self) -> str:
+        """Where the state is not a number, in words; "" where all is well."""
+        u, v = self.state()
+        bad = ~(np.isfinite(u).all(1) & np.isfinite(v).all(1))
+        if not bad.any():
+            return ""
+        gap = np.linalg.norm(self.particles.X - self.stencil.free_X[np.argmax(bad)], axis=1)
+        worst = int(gap.argmin())
+        return (
+            f"{int(bad.sum())} of {len(u)} grid nodes are no longer finite, first near particle"
+            f" {worst} at rest position {self.particles.X[worst].round(4).tolist()} m"
+        )
 
     def _advance(self, substeps: int) -> tuple[int, float]:
         """Move by a frame; returns friction caps and the deepest penetration [m] on the way."""
@@ -180,28 +233,20 @@ class TotalLagrangian:
         u, v = (self.arrays[name].to_numpy().astype(float).reshape(-1, 3) for name in "uv")
         return u[: self.stencil.free_count], v[: self.stencil.free_count]
 
-    def _frame(self, index: int, capped: int, depth: float) -> Frame:
+    def _frame(self, index: int, capped: int, depth: float, rollbacks: int) -> Frame:
         u, v = self.state()
-        if not (np.isfinite(u).all() and np.isfinite(v).all()):
-            raise self._diverged(index)
         particles = pose(self.rows, u, v, self.offset)
-        health = measure(self, particles, u, v, capped, depth, self.substeps if index else 0)
+        health = replace(
+            measure(self, particles, u, v),
+            substeps=self.substeps if index else 0,
+            penetration=depth,
+            friction_capped=capped,
+            rollbacks=rollbacks,
+        )
         riders: dict[str, Pose] = {
             name: pose(rows, u, v, self.offset) for name, rows in self.riders.items()
         }
         return Frame(index=index, time=self.time, particles=particles, riders=riders, health=health)
-
-    def _diverged(self, index: int) -> BakeError:
-        u, v = self.state()
-        bad = ~(np.isfinite(u).all(1) & np.isfinite(v).all(1))
-        near = np.linalg.norm(self.particles.X - self.stencil.free_X[np.argmax(bad)], axis=1)
-        worst = int(near.argmin())
-        return BakeError(
-            f"frame {index}: {int(bad.sum())} of {len(u)} grid nodes are no longer finite, first"
-            f" near particle {worst} at rest position {self.particles.X[worst].round(4).tolist()} m"
-            f" ({self.substeps} substeps of {self.dt:.3g} s a frame)",
-            "lower the impact (--drop) or use a stiffer material, and please report the asset",
-        )
 
     def elastic_energy(self) -> float:
         """sum_p V0 psi(F_p) [J]."""

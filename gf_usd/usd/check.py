@@ -17,7 +17,7 @@ from gf_usd.usd.rules import RULES, Finding, Rule, Skip
 from gf_usd.usd.rules.base import reason, unreadable
 from gf_usd.usd.rules.layers import TIME_CODES
 from gf_usd.usd.rules.read import prims
-from gf_usd.usd.validators import run_validators
+from gf_usd.usd.rules.validators import run_validators
 
 UNSAFE = "not run: the time codes of a layer stand still, reading its samples would never end"
 VALIDATORS = "usd"

@@ -29,7 +29,7 @@ from gf_usd.usd.rules.read import authored, position_attribute, prims, vectors
 SMOOTH = 0.05
 # 24 taken for 30 samples a second gives a factor of 0.8 or 1.25.  Lattices of springs dropped and
 # bouncing at 24 and 60 samples a second, radius 0.025 to 5, soft to stiff, undamped (so that every
-# vibration lasts), gave 0.97 to 1.08 for their own velocities: 0.12 lies between.
+# vibration lasts), gave 0.98 to 1.01 for their own velocities: 0.12 lies between.
 WRONG = 0.12
 # Slower than a thousandth of the body per sample, blur cannot be seen and jitter rules.
 STILL = 1e-3

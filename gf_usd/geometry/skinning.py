@@ -1,0 +1,213 @@
+"""Skins that follow the particles by inverse-distance weights.
+
+Vertex v at rest X_v hangs on the particles k with weights w_vk >= 0, sum_k w_vk = 1, that fall
+with distance, w ~ |X_v - X_k|^-p, and keeps the rest offset from their mean
+(GaussianFlesh section 3.4, eq. 6):
+
+    delta_v = X_v - sum_k w_vk X_k          x_v = sum_k w_vk x_k + T_v delta_v
+
+An offset is a material vector, and T_v = sum_k w_vk F_k turns and stretches it as one: exact for
+every affine map.  The paper's T_v = sum_k w_vk U_k, F = R U, stretches it and leaves it where it
+pointed at rest: exact for a pure stretch, wrong by |(R - I) delta| where the body turns.
+
+Velocities take dT/dt from dF/dt at the particles, the gradient of their velocities; see
+`rest_gradient`.  Nothing is kept from frame to frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from gf_usd.errors import UsageError
+from gf_usd.model import Floats, Pose
+
+NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
+IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
+PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
+GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to stay local
+CHUNK_BYTES = 32_000_000  # of dense weights held at once
+
+
+class Skin(Protocol):
+    """Points that follow a cloud of particles."""
+
+    def pose(self, particles: Pose) -> Pose:
+        """x (n, 3) [m], v (n, 3) [m/s] and blended F (n, 3, 3) of the points."""
+        ...
+
+
+class InverseDistance:
+    """Weights on the nearest particles, offsets transformed by the blended F.
+
+    X : (n, 3) [m] rest positions of the points; particles : (N, 3) [m] of the particles.
+    """
+
+    def __init__(
+        self, X: Floats, particles: Floats, *, k: int = NEIGHBOURS, power: float = IDW_POWER
+    ) -> None:
+        self.W = nearest_weights(X, particles, k, power)
+        self.offset = X - self.W @ particles
+        self.gradient = rest_gradient(particles)
+
+    def pose(self, particles: Pose) -> Pose:
+        """x = sum w x_k + F delta,  v = sum w v_k + dF/dt delta,  F = sum w F_k."""
+        rate = deformation_rate(self.gradient, particles.v)
+        x, v, F, dF = blend(self.W.__matmul__, particles.x, particles.v, particles.F, rate)
+        return Pose(x=x + turn(F, self.offset), v=v + turn(dF, self.offset), F=F)
+
+
+class PaperSkin:
+    """The paper's eq. 6: weights on the full cloud, offsets transformed by the blended stretch U.
+
+    The weights (n x N) are computed afresh, a chunk of rows at a time, whenever they are used.
+    X : (n, 3) [m] rest positions of the points; particles : (N, 3) [m] of the particles.
+    """
+
+    def __init__(
+        self,
+        X: Floats,
+        particles: Floats,
+        *,
+        power: float = PAPER_POWER,
+        chunk_bytes: int = CHUNK_BYTES,
+    ) -> None:
+        self.weights = CloudWeights(X, particles, power, chunk_bytes)
+        self.offset = X - self.weights @ particles
+        self.gradient = rest_gradient(particles)
+
+    def pose(self, particles: Pose) -> Pose:
+        """x = sum w x_k + U delta,  v = sum w v_k + dU/dt delta,  F = sum w F_k."""
+        U, dU = stretch(particles.F, deformation_rate(self.gradient, particles.v))
+        x, v, F, U, dU = blend(
+            self.weights.__matmul__, particles.x, particles.v, particles.F, U, dU
+        )
+        return Pose(x=x + turn(U, self.offset), v=v + turn(dU, self.offset), F=F)
+
+
+SKINS: dict[str, Callable[[Floats, Floats], Skin]] = {"idw": InverseDistance, "paper": PaperSkin}
+
+
+def make_skin(name: str, X: Floats, particles: Floats) -> Skin:
+    """A row of SKINS for points X (n, 3) [m] on particles (N, 3) [m], both at rest.
+
+    Raises UsageError for a name that is none of them.
+    """
+    if name not in SKINS:
+        raise UsageError(
+            f"there is no skin {name!r} on particles", f"choose one of {', '.join(SKINS)}"
+        )
+    return SKINS[name](X, particles)
+
+
+def inverse_distance(squared: Floats, power: float) -> Floats:
+    """w = d^-p / sum d^-p along the last axis, from squared distances (..., k).
+
+    A point on a particle follows that one alone; on several, their mean.
+    """
+    least = squared.min(-1, keepdims=True)
+    on = least == 0.0
+    # Relative to the nearest: no power of a distance over- or underflows, whatever the units.
+    ratio = np.where(on, 0.0, least) / np.where(squared > 0.0, squared, 1.0)
+    w = np.where(on, squared == 0.0, ratio if power == 2.0 else ratio ** (0.5 * power))
+    return w / w.sum(-1, keepdims=True)
+
+
+def nearest_weights(X: Floats, particles: Floats, k: int, power: float) -> sparse.csr_matrix:
+    """(n, N) inverse-distance weights on the k nearest particles, or on all of them if fewer."""
+    k = min(k, len(particles))
+    distance, near = cKDTree(particles).query(X, k=list(range(1, k + 1)))
+    w = inverse_distance(distance**2, power)
+    start = np.arange(0, w.size + 1, k)
+    return sparse.csr_matrix((w.ravel(), near.ravel(), start), shape=(len(X), len(particles)))
+
+
+class CloudWeights:
+    """Inverse-distance weights (n, N) on every particle, never held as a whole.
+
+    chunk_bytes bounds the weights in memory; one row (8 N bytes) is the least.
+    """
+
+    def __init__(self, X: Floats, particles: Floats, power: float, chunk_bytes: int) -> None:
+        self.X = np.asarray(X, float)
+        self.particles = np.asarray(particles, float)
+        self.power = power
+        self.rows = max(1, chunk_bytes // (8 * len(particles)))
+
+    def __matmul__(self, values: Floats) -> Floats:
+        """(n, c) of values (N, c)."""
+        out = np.empty((len(self.X), values.shape[1]))
+        for start in range(0, len(self.X), self.rows):
+            rows = slice(start, start + self.rows)
+            squared = cdist(self.X[rows], self.particles, "sqeuclidean")
+            out[rows] = inverse_distance(squared, self.power) @ values
+        return out
+
+
+def blend(apply: Callable[[Floats], Floats], *fields: Floats) -> tuple[Floats, ...]:
+    """Weighted sums of fields (N, ...) in one pass over the weights."""
+    flat = [field.reshape(len(field), -1) for field in fields]
+    mixed = apply(np.concatenate(flat, 1))
+    parts = np.split(mixed, np.cumsum([f.shape[1] for f in flat])[:-1], axis=1)
+    return tuple(part.reshape(-1, *field.shape[1:]) for part, field in zip(parts, fields))
+
+
+def turn(T: Floats, offset: Floats) -> Floats:
+    """T_v delta_v, (n, 3)."""
+    return np.einsum("vab,vb->va", T, offset)
+
+
+def rest_gradient(
+    particles: Floats, k: int = GRADIENT_NEIGHBOURS
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]:
+    """Operators D_b (N, N) [1/m] with (D_b a)_k ~ da/dX_b at particle k, exact for affine a.
+
+    Least squares over the nearest neighbours j, dX = X_j - X_k, weights 1 / |dX|^2:
+
+        da/dX = [sum_j (a_j - a_k) dX / |dX|^2] M^-1,    M = sum_j dX dX^T / |dX|^2
+
+    Across a layer too thin to have neighbours on either side M is singular, and the derivative of
+    least norm, 0 across, is taken.
+    """
+    n, k = len(particles), min(k + 1, len(particles))
+    distance, near = cKDTree(particles).query(particles, k=list(range(1, k + 1)))
+    dX = particles[near] - particles[:, None, :]
+    apart = distance > 0.0  # the particle itself, and any that lies on it, tells nothing
+    w = np.where(apart, 1.0 / np.where(apart, distance, 1.0) ** 2, 0.0)
+    M = np.einsum("nk,nka,nkb->nab", w, dX, dX)
+    D = np.einsum("nk,nka,nab->nkb", w, dX, np.linalg.pinv(M, rcond=1e-9, hermitian=True))
+    start = np.arange(0, n * k + 1, k)
+
+    def operator(b: int) -> sparse.csr_matrix:
+        sums = sparse.csr_matrix((D[:, :, b].ravel(), near.ravel(), start), shape=(n, n))
+        return (sums - sparse.diags_array(D[:, :, b].sum(1))).tocsr()
+
+    return operator(0), operator(1), operator(2)
+
+
+def deformation_rate(gradient: tuple[sparse.csr_matrix, ...], v: Floats) -> Floats:
+    """dF/dt = dv/dX at the particles, (N, 3, 3) [1/s]."""
+    return np.stack([D @ v for D in gradient], -1)
+
+
+def stretch(F: Floats, rate: Floats) -> tuple[Floats, Floats]:
+    """U of the polar decomposition F = R U and dU/dt, (n, 3, 3) each, from F and dF/dt.
+
+    U^2 = C = F^T F; dU solves U dU + dU U = dC, entry by entry in the frame of U:
+    dU_ij = dC_ij / (U_i + U_j).  Symmetric and not negative at J < 0 too.  Where F squashes a
+    plane to a line, the part of dU in that plane has no value and is taken as 0.
+    """
+    cross = np.swapaxes(F, -1, -2) @ rate
+    C, dC = np.swapaxes(F, -1, -2) @ F, cross + np.swapaxes(cross, -1, -2)
+    squares, Q = np.linalg.eigh(C)
+    s = np.sqrt(np.maximum(squares, 0.0))
+    QT = np.swapaxes(Q, -1, -2)
+    both = s[..., :, None] + s[..., None, :]
+    lost = both <= 1e-7 * s[..., -1:, None]  # the square root halves the digits of eigh
+    local = np.where(lost, 0.0, (QT @ dC @ Q) / np.where(lost, 1.0, both))
+    return (Q * s[..., None, :]) @ QT, Q @ local @ QT
