@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from gf_usd.bake import BakeResult, bake
+    from gf_usd.bake import bake
     from gf_usd.errors import BakeError, GfUsdError, InputError, UsageError
     from gf_usd.model import Material, Settings
+    from gf_usd.plan import BakeResult
 
 _HOMES = {
     "bake": "gf_usd.bake",
-    "BakeResult": "gf_usd.bake",
+    "BakeResult": "gf_usd.plan",
     "Material": "gf_usd.model",
     "Settings": "gf_usd.model",
     "GfUsdError": "gf_usd.errors",

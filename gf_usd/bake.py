@@ -2,149 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import gf_usd
 from gf_usd import materials as presets
 from gf_usd.errors import UsageError
-from gf_usd.model import (
-    Asset,
-    BakedFrame,
-    BakeInfo,
-    Frame,
-    Material,
-    MeshPose,
-    Particles,
-    Settings,
-)  # fmt: skip
-from gf_usd.output_files import Outputs, claim, outputs, require_free
-from gf_usd.planning import DEFAULT_PARTICLES, Request, resolve
+from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose
+from gf_usd.output_files import claim, outputs, require_free
+from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash
+from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
 from gf_usd.publish import publish, publish_text
 from gf_usd.summary import HealthLog
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """A bake made ready: everything known, nothing simulated or written yet."""
-
-    asset: Asset
-    particles: Particles
-    material: Material
-    settings: Settings
-    outputs: Outputs
-    solver: Any  # physics.solver.TotalLagrangian
-    riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
-    drop: float  # [m] free fall before the floor
-    notes: tuple[str, ...]
-
-    def describe(self) -> dict[str, Any]:
-        """What ``--dry-run`` shows, estimates included."""
-        from gf_usd.estimate import estimate
-
-        return {
-            "source": str(self.asset.facts.path),
-            "bodies": [s.path for s in self.asset.surfaces],
-            "riders": [list(r) for r in self.riders],
-            "particles": len(self.particles),
-            "spacing_m": self.particles.spacing,
-            "volume_m3": self.particles.volume,
-            "radius_m": self.particles.radius,
-            "material": asdict(self.material),
-            "frames": self.settings.frames,
-            "fps": self.settings.fps,
-            "start": self.settings.start,
-            "drop_m": self.drop,
-            "substeps_per_frame": self.solver.substeps,
-            **estimate(self),
-            "outputs": [str(p) for p in self.outputs.all],
-            "notes": list(self.notes),
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class BakeResult:
-    """A finished bake."""
-
-    root: Path
-    cache: Path
-    report: Path
-    frames: int
-    particles: int
-    seconds: float
-    settings: Settings
-    material: Material
-    health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
-    notes: tuple[str, ...] = ()
-
-
-def prepare(
-    path: str | Path,
-    *,
-    material: str = "rubber",
-    output: str | Path | None = None,
-    law: str | None = None,
-    prims: Sequence[str] = (),
-    overwrite: bool = False,
-    **options: Any,
-) -> Plan:
-    """Read, check and fill an asset; see `bake` for the parameters."""
-    request = _request(options)
-    look = presets.find_look(material)
-    if law is not None:
-        presets.check_law(law)
-    source = Path(path)
-    files = outputs(source, look.name, None if output is None else str(output))
-    require_free(files, overwrite)
-
-    from gf_usd.usd import schema  # noqa: F401, I001  (registers itself before any stage opens)
-    from gf_usd.assets import read_asset
-    from gf_usd.geometry.sampling import sample_solid, sample_surface
-    from gf_usd.geometry.solid import build_solid
-    from gf_usd.physics.solver import TotalLagrangian
-
-    asset = read_asset(source, prims=tuple(prims), time_code=request.start)
-    solid = build_solid(asset)
-    unit = asset.facts.units.length
-    particles = sample_solid(
-        solid,
-        particles=None if request.spacing else (request.particles or DEFAULT_PARTICLES),
-        spacing=request.spacing * unit if request.spacing else None,
-        seed=request.seed,
-    )
-    radius = particles.radius
-    lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
-    settings = resolve(request, asset.facts, radius, lowest)
-    made = look.material(radius, law)
-    solver = TotalLagrangian(
-        particles,
-        [made],
-        settings,
-        samples=sample_surface(solid, particles.spacing, settings.seed),
-        riders={s.path: s.points for s in asset.surfaces},
-    )
-    lift = sum(a * b for a, b in zip(settings.lift, settings.up))
-    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
-    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
-    return Plan(
-        asset=asset,
-        particles=particles,
-        material=made,
-        settings=settings,
-        outputs=files,
-        solver=solver,
-        riders=solid.riders,
-        drop=lift + lowest,
-        notes=(*asset.facts.notes, *ridden, *left),
-    )
 
 
 def bake(
@@ -163,14 +37,16 @@ def bake(
     Parameters
     ----------
     path : the asset; it is never written to.
-    material : a look, see ``gf-usd materials``.
-    output : root layer, or a folder; default ``NAME.LOOK.usda`` in the current folder.
-    law : constitutive law in place of the look's own: corotated or neoHookean.
+    material : a preset (see ``gf-usd materials``), a USD file with a material, or several with
+        commas between them, which become variants of one root layer.
+    output : root layer, or a folder; default ``NAME.MATERIAL.usda`` in the current folder.
+    law : constitutive law in place of the material's own: corotated or neoHookean.
     prims : prim paths to bake; default all under the default prim.
     overwrite : replace results of an earlier bake.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
-        start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads.
+        start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
+        filter_rate [1/T], damping_time [s], friction, restitution, time_scale and so on.
 
     Raises
     ------
@@ -184,61 +60,150 @@ def bake(
     return run(plan, progress)
 
 
+def prepare(
+    path: str | Path,
+    *,
+    material: str = "rubber",
+    output: str | Path | None = None,
+    law: str | None = None,
+    prims: Sequence[str] = (),
+    overwrite: bool = False,
+    **options: Any,
+) -> Plan:
+    """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
+    request = _request(options)
+    if law is not None:
+        presets.check_law(law)
+    from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
+
+    looks = [_find(name, request) for name in material.split(",")]
+    source = Path(path)
+    names = [look.name for look in looks]
+    files = outputs(source, names, None if output is None else str(output))
+    require_free(files, overwrite)
+
+    from gf_usd.assets import read_asset
+    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.solid import build_solid
+
+    asset = read_asset(source, prims=tuple(prims), time_code=request.start)
+    solid = build_solid(asset)
+    unit = asset.facts.units.length
+    default = PAPER_PARTICLES if request.preset == "paper" else DEFAULT_PARTICLES
+    particles = sample_solid(
+        solid,
+        particles=None if request.spacing else (request.particles or default),
+        spacing=request.spacing * unit if request.spacing else None,
+        seed=request.seed,
+        uniform=request.preset == "paper",
+    )
+    lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
+    settings = resolve(request, asset.facts, particles.radius, lowest)
+    lift = sum(a * b for a, b in zip(settings.lift, settings.up))
+    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
+    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    return Plan(
+        asset=asset,
+        particles=particles,
+        samples=sample_surface(solid, particles.spacing, settings.seed),
+        materials=tuple(_made(look, particles.radius, law, request) for look in looks),
+        settings=settings,
+        outputs=files,
+        riders=solid.riders,
+        drop=lift + lowest,
+        notes=(*asset.facts.notes, *ridden, *left),
+    )
+
+
 def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
     """Simulate and write a prepared bake."""
-    from gf_usd.usd.cache import CacheWriter
     from gf_usd.usd.layout import write_root
+    from gf_usd.usd.review import review
     from gf_usd.usd.variants import BakedLook
 
     claim(plan.outputs)
     began = time.perf_counter()
-    info = BakeInfo(
-        look=plan.material.name,
-        materials=(plan.material,),
+    results, looks, notes = [], [], list(plan.notes)
+    for number, material in enumerate(plan.materials):
+        result, info, more = _run_look(plan, number, material, progress)
+        results.append(result)
+        notes += more
+        looks.append(
+            BakedLook(
+                name=material.name, cache=result.cache, info=info, health=_plain(result.health)
+            )
+        )
+    root = write_root(plan.outputs.root, plan.asset, looks)
+    notes += root.notes
+    findings = review(plan.outputs.root, plan.asset.facts.path)
+    seconds = time.perf_counter() - began
+    report = {
+        **describe(plan),
+        "notes": notes,
+        "seconds": seconds,
+        "settings": asdict(plan.settings),
+        "bakes": [r.as_json(frames=True) for r in results],
+        "check": findings,
+    }
+    publish_text(plan.outputs.report, json.dumps(report, indent=1) + "\n")
+    return BakeResult(
+        root=plan.outputs.root,
+        report=plan.outputs.report,
+        bakes=tuple(results),
+        particles=len(plan.particles),
+        seconds=seconds,
         settings=plan.settings,
-        command=_command(plan),
-        version=gf_usd.__version__,
-        input_hash=hashlib.sha256(plan.asset.facts.path.read_bytes()).hexdigest(),
+        notes=tuple(notes),
+        findings=tuple(findings),
+    )
+
+
+def _run_look(
+    plan: Plan, number: int, material: Material, progress: Progress | None
+) -> tuple[LookResult, BakeInfo, tuple[str, ...]]:
+    """Simulate one material into its cache."""
+    from gf_usd.usd.cache import CacheWriter
+
+    total = plan.settings.frames
+    info = BakeInfo(
+        look=material.name,
+        materials=(material,),
+        settings=plan.settings,
+        command=plan.command,
+        version=plan.version,
+        input_hash=input_hash(plan),
     )
     log = HealthLog(plan.settings, plan.particles.spacing, plan.drop)
-    with CacheWriter(plan.outputs.cache, plan.asset, plan.particles, info) as cache:
-        for baked in _frames(plan):
+    target = plan.outputs.caches[number]
+    with CacheWriter(target, plan.asset, plan.particles, info) as cache:
+        for baked in _frames(plan, material):
             cache.write(baked)
             log.add(baked.health)
             if progress:
-                progress(baked.index + 1, plan.settings.frames)
+                progress(number * total + baked.index + 1, total * len(plan.materials))
         summary = cache.close()
-    health = log.summary()
-    publish(plan.outputs.cache)
-    look = BakedLook(name=info.look, cache=plan.outputs.cache, info=info, health=_plain(health))
-    root = write_root(plan.outputs.root, plan.asset, [look])
-    notes = (*plan.notes, *summary.notes, *root.notes)
-    seconds = time.perf_counter() - began
-    report = {
-        "command": info.command, "version": info.version, "input_sha256": info.input_hash,
-        **plan.describe(), "notes": list(notes), "seconds": seconds,
-        "settings": asdict(plan.settings), "health": health, "per_frame": log.per_frame(),
-    }  # fmt: skip
-    publish_text(plan.outputs.report, json.dumps(report, indent=1) + "\n")
-    return BakeResult(
-        root=plan.outputs.root, cache=plan.outputs.cache, report=plan.outputs.report,
-        frames=summary.frames, particles=len(plan.particles), seconds=seconds,
-        settings=plan.settings, material=plan.material, health=health, notes=notes,
-    )  # fmt: skip
+    publish(target)
+    result = LookResult(
+        look=material.name,
+        cache=target,
+        material=material,
+        frames=summary.frames,
+        health=log.summary(),
+        per_frame=log.per_frame(),
+    )
+    return result, info, summary.notes
 
 
-def _frames(plan: Plan) -> Iterator[BakedFrame]:
+def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
     """Poses of meshes and Gaussians, frame by frame, in playback time."""
     from gf_usd.physics.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
-    for frame in plan.solver.frames():
+    for frame in plan.solver(material).frames():
         yield _baked(plan, frame, track)
 
 
 def _baked(plan: Plan, frame: Frame, track: Any) -> BakedFrame:
-    from dataclasses import replace
-
     from gf_usd.physics.embedding import deform_normals
 
     s = plan.settings
@@ -256,9 +221,35 @@ def _baked(plan: Plan, frame: Frame, track: Any) -> BakedFrame:
         index=frame.index,
         time_code=s.start + frame.index * s.time_codes_per_second / s.fps,
         meshes=meshes,
-        gaussians=replace(gaussians, velocities=gaussians.velocities * s.time_scale),
+        gaussians=replace(
+            gaussians,
+            velocities=gaussians.velocities * s.time_scale,
+            F=frame.particles.F if s.deformation_gradients else None,
+            stress=frame.stress,
+        ),
         health=frame.health,
     )
+
+
+def _find(name: str, request: Request) -> Any:
+    """A preset, or the material of a file in the clothes of one."""
+    from gf_usd.usd.material_file import is_material_file, read_material
+
+    if is_material_file(name):
+        return presets.Fixed(read_material(Path(name)))
+    look = presets.find_preset(name.strip())
+    # The paper has every solid corotated.
+    return replace(look, law="corotated") if request.preset == "paper" else look
+
+
+def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
+    """A material on a body of radius [m], with what the request says in place of its own."""
+    own = {
+        name: value
+        for name in ("damping_time", "friction", "restitution")
+        if (value := getattr(request, name)) is not None
+    }
+    return replace(look.material(radius, law), **own)
 
 
 def _request(options: dict[str, Any]) -> Request:
@@ -271,13 +262,6 @@ def _request(options: dict[str, Any]) -> Request:
     request = Request(**options)
     request.check()
     return request
-
-
-def _command(plan: Plan) -> str:
-    words = ["gf-usd", "bake", plan.asset.facts.path.name, "--material", plan.material.name]
-    words += ["--particles", str(len(plan.particles)), "--frames", str(plan.settings.frames)]
-    words += ["--fps", f"{plan.settings.fps:g}", "--seed", str(plan.settings.seed)]
-    return shlex.join(words)
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -5,15 +5,16 @@ r = (3 V / 4 pi)^(1/3) and g0 = 9.81 m/s^2 whatever the scene's gravity, so that
 duck squash alike.
 
 Jelly is Neo-Hookean where the paper has it corotated: that law resists collapse to J = 0 with no
-more than lam = 3.3 rho g0 r, and a fall of three radii hits with rho v^2 = 6 rho g0 r, so a corotated
-jelly turns inside out and falls through its own skin (measured: J = -4, particles 7 spacings under
-the floor; Neo-Hookean: J >= 0.05, a third of a spacing, height ratio .33-.35 at 1000-6000 particles).
+more than lam = 3.3 rho g0 r, and a fall of three radii hits with rho v^2 = 6 rho g0 r, so a
+corotated jelly turns inside out and falls through its own skin (measured: J = -4, particles 7
+spacings under the floor; Neo-Hookean: J >= 0.05, a third of a spacing, height ratio .33-.35 at
+1000-6000 particles).
 """
 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -140,6 +141,22 @@ PHYSICAL: dict[str, Physical] = {
 }  # fmt: skip
 
 Preset = Look | Physical
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A material that is given whole, for example by a file."""
+
+    given: Material
+
+    @property
+    def name(self) -> str:
+        return self.given.name
+
+    def material(self, radius: float, law: str | None = None) -> Material:
+        """The material as given; radius [m] changes nothing."""
+        del radius
+        return replace(self.given, law=law or self.given.law)
 
 
 def presets() -> dict[str, Preset]:

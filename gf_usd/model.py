@@ -177,6 +177,12 @@ class Settings:
     device: str = "cpu"  # cpu | cuda
     threads: int | None = None  # CPU threads; None: all
     time_scale: float = 1.0  # simulated seconds per second of playback
+    substeps: int | None = None  # a frame; None: from the stable step
+    cell: float | None = None  # [m] grid spacing h; None: two strata
+    contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
+    sampling: str = "strata"  # strata | rejection
+    deformation_gradients: bool = False  # write F of every particle
+    stress: bool = False  # write the von Mises stress of every particle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,6 +225,7 @@ class Frame:
     time: float  # [s] simulated
     particles: Pose
     riders: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
+    stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
     health: Health = field(default_factory=Health)
 
 
@@ -239,6 +246,8 @@ class GaussianPose:
     velocities: Floats  # (N, 3) [m/s of playback]
     orientations: Floats  # (N, 4) unit, continuous in time
     scales: Floats  # (N, 3) [m] standard deviations
+    F: Floats | None = None  # (N, 3, 3) deformation gradient, where asked for
+    stress: Floats | None = None  # (N,) [Pa] von Mises, where asked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,17 +15,22 @@ class Outputs:
     """Where a bake writes."""
 
     root: Path
-    cache: Path
+    caches: tuple[Path, ...]  # one for each look
     report: Path
 
     @property
-    def all(self) -> tuple[Path, Path, Path]:
-        return (self.root, self.cache, self.report)
+    def all(self) -> tuple[Path, ...]:
+        return (self.root, *self.caches, self.report)
 
 
-def outputs(source: Path, look: str, output: str | None) -> Outputs:
-    """`-o` names the root layer, or a folder if it ends in / or is one; default: here."""
-    name = f"{source.stem}.{look}.usda"
+def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
+    """Names of the results; looks are the names of the variants.
+
+    `-o` names the root layer, or a folder if it ends in / or is one; default: the current folder.
+    One look: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
+    duck.rubber-jelly.rubber.cache.usdc and so on.
+    """
+    name = f"{source.stem}.{'-'.join(looks)}.usda"
     if output is None:
         root = Path(name)
     elif output.endswith("/") or Path(output).is_dir():
@@ -37,9 +43,10 @@ def outputs(source: Path, look: str, output: str | None) -> Outputs:
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
     stem = root.name[: -len(root.suffix)]
+    parts = ("",) if len(looks) == 1 else tuple(f".{look}" for look in looks)
     return Outputs(
         root=root,
-        cache=root.with_name(f"{stem}.cache.usdc"),
+        caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
         report=root.with_name(f"{stem}.report.json"),
     )
 

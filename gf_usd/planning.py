@@ -14,6 +14,15 @@ DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in s
 DEFAULT_FPS = 24.0
 DEFAULT_DROP = "3r"
 
+# GaussianFlesh section 4, with what it leaves out as fitted in physics.md section 4: a unit sphere,
+# so that rates are given in units of 1/T with its T.
+PAPER_T = time_scale(1.0)
+PAPER_PARTICLES = 120
+PAPER_FRAMES = 260
+PAPER_SUBSTEPS = 10
+PAPER_DRAG = 0.5 * PAPER_T
+PAPER_CONTACT = 2000.0 * PAPER_T**2
+
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
@@ -29,6 +38,15 @@ class Request:
     seed: int = 0
     device: str = "cpu"
     threads: int | None = None
+    filter_rate: float | None = None  # [1/T]; inf: APIC every substep, 0: none
+    drag: float | None = None  # [1/s]
+    damping_time: float | None = None  # [s]
+    friction: float | None = None
+    restitution: float | None = None
+    time_scale: str | None = None  # simulated seconds per second of playback, or "auto"
+    preset: str | None = None  # "paper"
+    deformation_gradients: bool = False
+    stress: bool = False
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -37,6 +55,18 @@ class Request:
         _positive("--frames", self.frames)
         _positive("--fps", self.fps)
         _positive("--threads", self.threads)
+        for option, value, high in (
+            ("--filter-rate", self.filter_rate, np.inf),
+            ("--drag", self.drag, 1e6),
+            ("--damping-time", self.damping_time, 1e6),
+            ("--friction", self.friction, 100.0),
+            ("--restitution", self.restitution, 1.0),
+        ):
+            if value is not None and not 0.0 <= value <= high:
+                raise UsageError(f"{option} is {value:g}", f"give a number from 0 to {high:g}")
+        if self.preset not in (None, "paper"):
+            raise UsageError(f"there is no preset {self.preset!r}", "the only preset is paper")
+        parse_time_scale(self.time_scale, 1.0)
         if self.particles and self.spacing:
             raise UsageError(
                 f"--particles {self.particles} and --spacing {self.spacing:g} were both given",
@@ -57,15 +87,24 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : height of the asset's lowest point [m].
     """
-    fps = request.fps or facts.time_codes_per_second or DEFAULT_FPS
+    paper = request.preset == "paper"
     authored = facts.time_codes_per_second
-    drop = request.drop or ("0" if facts.says_physics else DEFAULT_DROP)
-    height = parse_length("--drop", drop, radius, facts.units.length)
     T = time_scale(radius)
-    frames = request.frames or int(np.ceil(SHOT_LENGTH * T * fps)) + 1
+    # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
+    fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
+    drop = request.drop or ("0" if facts.says_physics and not paper else DEFAULT_DROP)
+    height = parse_length("--drop", drop, radius, facts.units.length)
+    slow = parse_time_scale(request.time_scale, T)
+    shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start = request.start if request.start is not None else facts.start_time_code
+    rate = request.filter_rate
+    if rate is None:
+        rate = np.inf if paper else FILTER_RATE
+    drag = request.drag
+    if drag is None:
+        drag = PAPER_DRAG / T if paper else 0.0
     return Settings(
-        frames=frames,
+        frames=request.frames or (PAPER_FRAMES if paper else shot),
         fps=fps,
         time_codes_per_second=authored or fps,
         start=1.0 if start is None else start,
@@ -74,10 +113,30 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         floor=0.0,
         lift=tuple(float(x) for x in (height - lowest) * facts.up),  # type: ignore[arg-type]
         seed=request.seed,
-        filter_rate=FILTER_RATE / T,
+        filter_rate=float(rate) / T,
+        drag=drag,
         device=request.device,
         threads=request.threads,
+        time_scale=slow,
+        substeps=PAPER_SUBSTEPS if paper else None,
+        cell=radius / 4.0 if paper else None,
+        contact_rate=PAPER_CONTACT / T**2 if paper else None,
+        sampling="rejection" if paper else "strata",
+        deformation_gradients=request.deformation_gradients,
+        stress=request.stress,
     )
+
+
+def parse_time_scale(text: str | None, T: float) -> float:
+    """Simulated seconds per second of playback; "auto" plays T [s] as that of a 1 m body."""
+    if text is None:
+        return 1.0
+    if text == "auto":
+        return T / PAPER_T
+    value = _number("--time-scale", text, "a number such as 0.2 (five times slower), or auto")
+    if value <= 0.0:
+        raise UsageError(f"--time-scale is {text}", "give a number above 0, or auto")
+    return value
 
 
 def parse_length(option: str, text: str, radius: float, unit: float) -> float:

@@ -17,11 +17,13 @@ def materials(
     Looks are scale-free: moduli are in units of rho g0 r and times in T = sqrt(r / g0), with r the
     radius of a ball of the body's volume and g0 = 9.81 m/s^2, so that every size squashes alike.
     """
-    from gf_usd.materials import LAW_TOKENS, LOOKS
+    from gf_usd.materials import LAW_TOKENS, LOOKS, PHYSICAL
 
     if as_json:
         looks = [asdict(look) for look in LOOKS.values()]
-        typer.echo(json.dumps({"looks": looks, "laws": list(LAW_TOKENS)}, indent=1))
+        physical = [asdict(p) for p in PHYSICAL.values()]
+        out = {"looks": looks, "physical": physical, "laws": list(LAW_TOKENS)}
+        typer.echo(json.dumps(out, indent=1))
         return
     from rich.console import Console
     from rich.table import Table
@@ -33,6 +35,13 @@ def materials(
             look.name, f"{look.mu:g}", f"{look.lam:g}", f"{look.density:g}",
             f"{look.damping:g}", f"{look.friction:g}", f"{look.restitution:g}", look.note,
         )  # fmt: skip
+    absolute = Table("physical", "E [Pa]", "nu", "density [kg/m^3]", "damping [s]", "source")
+    for p in PHYSICAL.values():
+        absolute.add_row(
+            p.name, f"{p.youngs_modulus:.3g}", f"{p.poissons_ratio:g}", f"{p.density:g}",
+            f"{p.damping_time:g}", p.source,
+        )  # fmt: skip
     console = Console()
     console.print(table)
+    console.print(absolute)
     console.print(f"laws: {', '.join(LAW_TOKENS)} (--law)")

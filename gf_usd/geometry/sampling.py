@@ -25,9 +25,16 @@ CHUNK = 2_000_000  # lattice cubes looked at together: bounds memory
 
 
 def sample_solid(
-    solid: Solid, *, particles: int | None, spacing: float | None, seed: int
+    solid: Solid,
+    *,
+    particles: int | None,
+    spacing: float | None,
+    seed: int,
+    uniform: bool = False,
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
+
+    uniform : drawn one by one anywhere in the solid, as the paper does, in place of strata.
 
     Raises InputError where the solid holds too few or too many at that spacing.
     """
@@ -39,7 +46,8 @@ def sample_solid(
             f" (at most {MOST_PARTICLES})",
             "raise --spacing or lower --particles",
         )
-    corner, X = _strata(solid, a, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    corner, X = _uniform(solid, round(expected), rng) if uniform else _strata(solid, a, rng)
     if len(X) < LEAST_PARTICLES:
         raise InputError(
             f"only {len(X)} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
@@ -81,6 +89,15 @@ def _strata(solid: Solid, a: float, rng: np.random.Generator) -> tuple[Floats, F
         X = corner + a * (cube + place)
         kept.append(X[solid.inside(X)])
     return corner, np.concatenate(kept)
+
+
+def _uniform(solid: Solid, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Corner of the bounding box and exactly n points by rejection."""
+    kept: list[Floats] = []
+    while (have := sum(len(k) for k in kept)) < n:
+        X = solid.low + rng.random((4 * (n - have) + 64, 3)) * (solid.high - solid.low)
+        kept.append(X[solid.inside(X)])
+    return solid.low, np.concatenate(kept)[:n]
 
 
 def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:

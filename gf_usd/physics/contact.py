@@ -75,17 +75,25 @@ def build_contact(
     restitution: Floats,
     impact_speed: float,
     pressure: Floats,
+    rate: float | None = None,
 ) -> FloorContact:
-    """Contact samples with their rows; material values are per sample (n,)."""
+    """Contact samples with their rows; material values are per sample (n,).
+
+    rate : [1/s^2] stiffness per mass in place of the formula.
+    """
     rows = stencil.rows(samples.X)
     m = density * samples.area * spacing
-    k = m * stiffness_per_mass(
-        wave_speed=wave_speed,
-        spacing=spacing,
-        impact_speed=impact_speed,
-        pressure=pressure,
-        density=density,
-    )
+    if rate is None:
+        per_mass = stiffness_per_mass(
+            wave_speed=wave_speed,
+            spacing=spacing,
+            impact_speed=impact_speed,
+            pressure=pressure,
+            density=density,
+        )
+    else:
+        per_mass = np.full(len(m), rate)
+    k = m * per_mass
     c = damping_coefficient(k, m, restitution)
     return FloorContact(
         rows=rows,

@@ -18,9 +18,9 @@ import taichi as ti
 
 from gf_usd.physics.cell_kernel import filter_cell, stress_cell
 from gf_usd.physics.contact_kernel import sample_contact
-from gf_usd.physics.lanes import LANES
+from gf_usd.physics.lanes import LANES, von_mises
 from gf_usd.physics.node_kernel import drift_node, filter_node, follow, follower_share, move_node
-from gf_usd.physics.stencil_kernel import gradient, lane_sum, load, spline
+from gf_usd.physics.stencil_kernel import deformation, lane_sum, load
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -125,27 +125,39 @@ def build(law, damped: bool, real) -> SimpleNamespace:
             follow(body, n, free)
 
     @ti.kernel
-    def energy(body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
-               converged: real):  # fmt: skip
+    def energy(
+        body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
+        converged: real,
+    ):  # fmt: skip
         """out[cell] = sum_p V0 psi(F_p)."""
         for z in range(cells * STRIDE):
             if z % STRIDE == 0:
                 cell = z // STRIDE
                 total = ih * 0.0
                 for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-                    w0, d0 = spline(load(body.fx, b * 24))
-                    w1, d1 = spline(load(body.fx, b * 24 + 8))
-                    w2, d2 = spline(load(body.fx, b * 24 + 16))
-                    w = [w0, w1, w2]
-                    dw = [d0, d1, d2]
-                    F = gradient(body, body.u, cell, w, dw)
-                    for a in ti.static(range(9)):
-                        F[a] = F[a] * ih
-                    for a in ti.static(range(3)):
-                        F[4 * a] = F[4 * a] + 1.0
+                    F = deformation(body, cell, b, ih)
                     shear = load(body.mu, b * LANES)
                     psi = law.psi(F, shear, load(body.lam, b * LANES), converged)
                     total += lane_sum(load(body.V0, b * LANES) * psi)
                 out[cell] = total
 
-    return SimpleNamespace(serial=serial, parallel=parallel, start=start, energy=energy)
+    @ti.kernel
+    def stress(
+        body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
+        converged: real,
+    ):  # fmt: skip
+        """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        for z in range(cells * STRIDE):
+            if z % STRIDE == 0:
+                cell = z // STRIDE
+                for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
+                    F = deformation(body, cell, b, ih)
+                    shear = load(body.mu, b * LANES)
+                    P = law.pk1(F, shear, load(body.lam, b * LANES), converged)
+                    value = von_mises(P, F)
+                    for lane in ti.static(range(LANES)):
+                        out[b * LANES + lane] = value[lane]
+
+    return SimpleNamespace(
+        serial=serial, parallel=parallel, start=start, energy=energy, stress=stress
+    )

@@ -145,3 +145,19 @@ def unflip(Q: ti.template(), F, J):
         t = k * (Q[3 * a] * n[0] + Q[3 * a + 1] * n[1] + Q[3 * a + 2] * n[2])
         for b in ti.static(range(3)):
             Q[3 * a + b] = Q[3 * a + b] - t * n[b]
+
+
+@ti.func
+def von_mises(P, F):
+    """sqrt(3/2 s:s) of the deviator s of the Cauchy stress sigma = P F^T / J."""
+    r = inverse_guarded(determinant(F, cofactor(F)))
+    s00 = r * (P[0] * F[0] + P[1] * F[1] + P[2] * F[2])
+    s11 = r * (P[3] * F[3] + P[4] * F[4] + P[5] * F[5])
+    s22 = r * (P[6] * F[6] + P[7] * F[7] + P[8] * F[8])
+    s01 = r * (P[0] * F[3] + P[1] * F[4] + P[2] * F[5])
+    s02 = r * (P[0] * F[6] + P[1] * F[7] + P[2] * F[8])
+    s12 = r * (P[3] * F[6] + P[4] * F[7] + P[5] * F[8])
+    d0 = s00 - s11
+    d1 = s11 - s22
+    d2 = s22 - s00
+    return ti.sqrt(0.5 * (d0 * d0 + d1 * d1 + d2 * d2) + 3.0 * (s01 * s01 + s02 * s02 + s12 * s12))

@@ -55,6 +55,7 @@ def floor_contact(
             poisson=per["poissons_ratio"][near],
         ),
         impact_speed=float(np.sqrt(2.0 * g * max(0.0, float(heights.min())))),
+        rate=settings.contact_rate,
     )
 
 

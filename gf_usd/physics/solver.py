@@ -27,6 +27,7 @@ from gf_usd.model import (
     SurfaceSamples,
 )  # fmt: skip
 from gf_usd.physics import setup
+from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.guard import RETRIES, Guard
 from gf_usd.physics.health import measure
@@ -67,7 +68,7 @@ class TotalLagrangian:
         self.particles, self.settings, self.real = particles, settings, real
         per = setup.per_particle(particles, materials)
         self.m = per["density"] * particles.V0
-        self.h = h or CELL_PER_LATTICE * particles.lattice
+        self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
         self.stencil = build_stencil(particles.X, self.m, self.h, particles.corner)
         self.rows = self.stencil.rows(particles.X)
         self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
@@ -75,7 +76,7 @@ class TotalLagrangian:
         self.offset = np.asarray(settings.lift, float)
         self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per)
         self.step = setup.largest_step(particles, self.h, self.contact, settings, per)
-        self.coarse = max(1, int(np.ceil(self.frame_time / self.step.dt)))
+        self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / self.step.dt)))
         self.guard = Guard(float(self.m.sum()) * G0 * particles.radius)
         self.time = 0.0
         self.done = 0  # substeps since the start
@@ -97,6 +98,8 @@ class TotalLagrangian:
         self.kernels = build(LAWS[law], damped, kind)
         self._vec = ti.types.vector(3, kind)
         self._cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+        self._batches = batch_particles(self.stencil)
+        self._lane_stress = ti.ndarray(kind, self._batches.source.size)
 
     @property
     def frame_time(self) -> float:
@@ -246,7 +249,14 @@ class TotalLagrangian:
         riders: dict[str, Pose] = {
             name: pose(rows, u, v, self.offset) for name, rows in self.riders.items()
         }
-        return Frame(index=index, time=self.time, particles=particles, riders=riders, health=health)
+        return Frame(
+            index=index,
+            time=self.time,
+            particles=particles,
+            riders=riders,
+            stress=self.von_mises() if self.settings.stress else None,
+            health=health,
+        )
 
     def elastic_energy(self) -> float:
         """sum_p V0 psi(F_p) [J]."""
@@ -258,6 +268,16 @@ class TotalLagrangian:
             self._converged,
         )
         return float(self._cell_energy.to_numpy().astype(float).sum())
+
+    def von_mises(self) -> Floats:
+        """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
+        cells = len(self.stencil.cell_nodes)
+        self.kernels.stress(self.pack, cells, self._lane_stress, 1.0 / self.h, self._converged)
+        out = np.empty(len(self.particles))
+        lanes = self._lane_stress.to_numpy().astype(float)
+        filled = self._batches.filled.ravel() > 0.0
+        out[self._batches.source.ravel()[filled]] = lanes[filled]
+        return out
 
     def contact_energy(self, u: Floats) -> float:
         """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""

@@ -65,3 +65,17 @@ def deposit(body: ti.template(), o, x, first):
     if first == 0:
         s += body.block[o]
     body.block[o] = s
+
+
+@ti.func
+def deformation(body: ti.template(), cell, b, ih):
+    """F = I + sum_i u_i (x) G_ip of one batch; ih = 1/h."""
+    w0, d0 = spline(load(body.fx, b * 24))
+    w1, d1 = spline(load(body.fx, b * 24 + 8))
+    w2, d2 = spline(load(body.fx, b * 24 + 16))
+    F = gradient(body, body.u, cell, [w0, w1, w2], [d0, d1, d2])
+    for a in ti.static(range(9)):
+        F[a] = F[a] * ih
+    for a in ti.static(range(3)):
+        F[4 * a] = F[4 * a] + 1.0
+    return F

@@ -1,8 +1,8 @@
 """Materials out of a USD file: ``--material file.usda``.
 
 Moduli, density and friction are read by the names that the field uses, in this order: UsdPhysics
-and the AOUSD proposal (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).  All are
-in the file's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.
+and the AOUSD proposal (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).
+All are in the file's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.
 """
 
 from __future__ import annotations
@@ -62,9 +62,11 @@ def _open(path: Path) -> Usd.Stage:
 
 
 def _units(stage: Usd.Stage) -> StageUnits:
-    kilograms = stage.GetMetadata("kilogramsPerUnit") if stage.HasAuthoredMetadata(
-        "kilogramsPerUnit"
-    ) else 1.0
+    kilograms = (
+        stage.GetMetadata("kilogramsPerUnit")
+        if stage.HasAuthoredMetadata("kilogramsPerUnit")
+        else 1.0
+    )
     return StageUnits(
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
         kilograms_per_unit=float(kilograms),

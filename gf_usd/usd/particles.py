@@ -46,6 +46,7 @@ class ParticleTrack:
     ) -> None:
         self._count = len(particles)
         self._unit = asset.facts.units.length
+        self._pressure = asset.facts.units.pressure
         self._path = home.scope
         UsdGeom.Scope.Define(cache, home.scope)
         splats = UsdVol.ParticleField3DGaussianSplat.Define(
@@ -61,6 +62,14 @@ class ParticleTrack:
             asset.facts.units,
         )
         self._define_splats(splats, particles)
+        if info.settings.deformation_gradients:
+            self._gradients = splats.GetPrim().CreateAttribute(
+                "gaussianFlesh:deformationGradients", Types.Matrix3dArray, False
+            )
+        if info.settings.stress:
+            self._stress = splats.GetPrim().CreateAttribute(
+                "gaussianFlesh:vonMisesStress", Types.FloatArray, False
+            )
         self._define_points(points, particles)
         meshes = [Sdf.Path(s.path) for s in asset.surfaces]
         for prim in prims:
@@ -91,6 +100,14 @@ class ParticleTrack:
         self._orientations.Set(_quaternions(pose.orientations), time_code)
         self._scales.Set(Vt.Vec3fArray.FromNumpy(_f32(scales)), time_code)
         self._velocities.Set(velocities, time_code)
+        if pose.F is not None:
+            check(pose.F, (self._count, 3, 3), self._named("deformation gradients"), time_code)
+            gradients = np.ascontiguousarray(pose.F, dtype=np.float64)
+            self._gradients.Set(Vt.Matrix3dArray.FromNumpy(gradients), time_code)
+        if pose.stress is not None:
+            check(pose.stress, (self._count,), self._named("stress"), time_code)
+            stress = np.asarray(pose.stress) / self._pressure
+            self._stress.Set(Vt.FloatArray.FromNumpy(_f32(stress)), time_code)
         reach = SUPPORT * np.sqrt(_variances(pose.orientations, scales))
         self._splat_extent.Set(_box(positions - reach, positions + reach), time_code)
         self._twin_points.Set(vectors, time_code)

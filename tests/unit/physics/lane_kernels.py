@@ -1,20 +1,14 @@
 """Laws called on arrays of deformation gradients, through kernels as the solver's own."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
+import taichi as ti
 
-from gf_usd.runtime import import_taichi, init_taichi
-
-import_taichi()
-
-import taichi as ti  # noqa: E402
-
-from gf_usd.physics.lanes import LANES, rotation  # noqa: E402
-from gf_usd.physics.laws import LAWS  # noqa: E402
-from gf_usd.physics.stencil_kernel import load  # noqa: E402
+from gf_usd.physics.lanes import LANES, rotation
+from gf_usd.physics.laws import LAWS
+from gf_usd.physics.stencil_kernel import load
+from gf_usd.runtime import init_taichi
 
 CONVERGED = {np.float64: 1e-15, np.float32: 1e-7}  # as TotalLagrangian sets it
 

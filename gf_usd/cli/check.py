@@ -1,0 +1,46 @@
+"""gf-usd check: is this file sound?"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def check(
+    file: Annotated[Path, typer.Argument(help="Any USD file, a bake or not.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+) -> None:
+    """Run UsdValidation and our own rules over a file; each finding says what to do.
+
+    Exit status 1 if there is an error, 0 otherwise: warnings do not count.
+    """
+    from gf_usd.usd.check import check_file
+
+    result = check_file(file)
+    if as_json:
+        out = {
+            "file": str(file),
+            "ok": result.ok,
+            "rules": result.rules,
+            "prims": result.prims,
+            "layers": result.layers,
+            "findings": [asdict(f) for f in result.findings],
+            "skipped": [asdict(s) for s in result.skipped],
+        }
+        typer.echo(json.dumps(out, indent=1))
+    else:
+        for finding in result.findings:
+            typer.echo(f"{finding.severity}: {finding.rule} <{finding.prim_path}>")
+            typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
+        for skip in result.skipped:
+            typer.echo(f"not judged: {skip.rule} <{skip.prim_path}>: {skip.reason}")
+        typer.echo(
+            f"{file}: {result.errors} errors, {result.warnings} warnings"
+            f" ({result.rules} rules, {result.prims} prims, {result.layers} layers)"
+        )
+    if not result.ok:
+        raise typer.Exit(1)

@@ -1,0 +1,111 @@
+"""What ``bake`` says: the plan, the progress, the summary."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from gf_usd.plan import BakeResult, LookResult, Plan
+
+
+def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
+    """What would be done and what it would cost."""
+    from gf_usd.estimate import estimate
+    from gf_usd.plan import describe
+
+    d = {**describe(plan), **estimate(plan)}
+    if as_json:
+        typer.echo(json.dumps(d, indent=1))
+        return
+    contact = d["first_contact_frame"]
+    lines = [
+        f"{d['source']}: {len(d['bodies'])} mesh(es), {d['volume_m3']:.4g} m^3,"
+        f" radius {d['radius_m']:.4g} m",
+        *(f"  {path}" for path in d["bodies"]),
+        f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
+        f"frames      {d['frames']} at {d['fps']:g} fps from time code {d['start']:g}",
+        "substeps    "
+        + ", ".join(f"{n} a frame ({look})" for look, n in d["substeps_per_frame"].items()),
+        f"drop        {d['drop_m']:.3g} m, "
+        + (f"first contact at frame {contact}" if contact is not None else "no contact"),
+        f"time        about {d['estimated_seconds']:.0f} s",
+        f"disk        about {_bytes(d['estimated_bytes'])}",
+        *(f"would write {path}" for path in d["outputs"]),
+        *(f"note: {note}" for note in d["notes"]),
+    ]
+    typer.echo("\n".join(lines), err=err)
+
+
+@contextmanager
+def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
+    total = plan.settings.frames * len(plan.materials)
+    for note in plan.notes:
+        typer.echo(f"note: {note}", err=True)
+    if not sys.stderr.isatty():
+        step = max(1, total // 10)
+
+        def plain(done: int, total: int) -> None:
+            if done % step == 0 or done == total:
+                typer.echo(f"frame {done}/{total}, {len(plan.particles)} particles", err=True)
+
+        yield plain
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Left())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(f"{len(plan.particles)} particles", total=total)
+        yield lambda done, total: bar.update(task, completed=done)
+
+
+def summarise(result: BakeResult) -> None:
+    """Files, sizes and what was measured."""
+    files = (result.root, *(b.cache for b in result.bakes), result.report)
+    lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
+    lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
+    for bake in result.bakes:
+        lines += _measured(bake)
+    lines += [
+        f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"
+        for f in result.findings
+    ]
+    typer.echo("\n".join(lines))
+
+
+def _measured(bake: LookResult) -> list[str]:
+    h = bake.health
+    rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
+    lines = [
+        f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps, {rebound}, deepest"
+        f" penetration {h['deepest_penetration_spacings']:.2f} spacings"
+        f" ({h['deepest_penetration_m']:.3g} m), volume ratio J {h['min_J']:.2f} to"
+        f" {h['max_J']:.2f}"
+    ]
+    if h["inverted_particle_frames"]:
+        lines.append(
+            f"warning: {bake.look}: particles were turned inside out in"
+            f" {h['inverted_particle_frames']} particle-frames (they recover; see the report)"
+        )
+    if h["rollbacks"]:
+        lines.append(
+            f"note: {bake.look}: {h['rollbacks']} times a frame was redone with half the step"
+        )
+    return lines
+
+
+def _bytes(n: int) -> str:
+    for unit in ("B", "kB", "MB"):
+        if n < 1000:
+            return f"{n:.0f} {unit}"
+        n = n / 1000  # type: ignore[assignment]
+    return f"{n:.1f} GB"

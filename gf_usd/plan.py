@@ -1,0 +1,150 @@
+"""A bake made ready, and a bake done: what `bake` hands in and out."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gf_usd
+from gf_usd.model import Asset, Material, Particles, Settings, SurfaceSamples
+from gf_usd.output_files import Outputs
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Everything known, nothing simulated or written yet."""
+
+    asset: Asset
+    particles: Particles
+    samples: SurfaceSamples
+    materials: tuple[Material, ...]  # one bake and one variant each
+    settings: Settings
+    outputs: Outputs
+    riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
+    drop: float  # [m] free fall before the floor
+    notes: tuple[str, ...]
+
+    @property
+    def version(self) -> str:
+        return gf_usd.__version__
+
+    @property
+    def command(self) -> str:
+        """A command that bakes the same again."""
+        s = self.settings
+        words = ["gf-usd", "bake", self.asset.facts.path.name]
+        words += ["--material", ",".join(m.name for m in self.materials)]
+        words += ["--particles", str(len(self.particles)), "--frames", str(s.frames)]
+        words += ["--fps", f"{s.fps:g}", "--seed", str(s.seed)]
+        return shlex.join(words)
+
+    def solver(self, material: Material) -> TotalLagrangian:
+        """The solver of one material."""
+        from gf_usd.physics.solver import TotalLagrangian
+
+        return TotalLagrangian(
+            self.particles,
+            [material],
+            self.settings,
+            samples=self.samples,
+            riders={s.path: s.points for s in self.asset.surfaces},
+        )
+
+
+def input_hash(plan: Plan) -> str:
+    """sha256 of the source file."""
+    return hashlib.sha256(plan.asset.facts.path.read_bytes()).hexdigest()
+
+
+def describe(plan: Plan) -> dict[str, Any]:
+    """What ``--dry-run`` shows, estimates aside, and every report repeats."""
+    return {
+        "command": plan.command,
+        "version": plan.version,
+        "input_sha256": input_hash(plan),
+        "source": str(plan.asset.facts.path),
+        "bodies": [s.path for s in plan.asset.surfaces],
+        "riders": [list(r) for r in plan.riders],
+        "particles": len(plan.particles),
+        "spacing_m": plan.particles.spacing,
+        "volume_m3": plan.particles.volume,
+        "radius_m": plan.particles.radius,
+        "materials": [asdict(m) for m in plan.materials],
+        "frames": plan.settings.frames,
+        "fps": plan.settings.fps,
+        "start": plan.settings.start,
+        "drop_m": plan.drop,
+        "outputs": [str(p) for p in plan.outputs.all],
+        "notes": list(plan.notes),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookResult:
+    """One material's bake."""
+
+    look: str  # name of the variant
+    cache: Path
+    material: Material
+    frames: int
+    health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
+    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
+
+    def as_json(self, *, frames: bool = False) -> dict[str, Any]:
+        """Plain values; with every frame's health on request."""
+        out = {
+            "look": self.look,
+            "cache": str(self.cache),
+            "material": asdict(self.material),
+            "frames": self.frames,
+            "health": self.health,
+        }
+        return {**out, "per_frame": self.per_frame} if frames else out
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeResult:
+    """A finished bake."""
+
+    root: Path
+    report: Path
+    bakes: tuple[LookResult, ...]
+    particles: int
+    seconds: float
+    settings: Settings
+    notes: tuple[str, ...] = ()
+    findings: tuple[dict[str, str], ...] = ()  # faults that `check` found and the source has not
+
+    @property
+    def cache(self) -> Path:
+        """The cache of the first material."""
+        return self.bakes[0].cache
+
+    @property
+    def health(self) -> dict[str, Any]:
+        """The health summary of the first material."""
+        return self.bakes[0].health
+
+    @property
+    def frames(self) -> int:
+        return self.bakes[0].frames
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values, as ``bake --json`` prints them."""
+        return {
+            "root": str(self.root),
+            "report": str(self.report),
+            "particles": self.particles,
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "settings": asdict(self.settings),
+            "bakes": [b.as_json() for b in self.bakes],
+            "notes": list(self.notes),
+            "check": list(self.findings),
+        }
