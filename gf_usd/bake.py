@@ -11,7 +11,7 @@ from typing import Any
 
 from gf_usd import materials as presets
 from gf_usd.errors import UsageError
-from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose
+from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, SurfaceSamples
 from gf_usd.output_files import claim, outputs, require_free
 from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
@@ -97,6 +97,11 @@ def prepare(
         seed=request.seed,
         uniform=request.preset == "paper",
     )
+    if request.preset == "paper":
+        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
+    else:
+        samples = sample_surface(solid, particles.spacing, request.seed)
     lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
     settings = resolve(request, asset.facts, particles.radius, lowest)
     lift = sum(a * b for a, b in zip(settings.lift, settings.up))
@@ -105,7 +110,7 @@ def prepare(
     return Plan(
         asset=asset,
         particles=particles,
-        samples=sample_surface(solid, particles.spacing, settings.seed),
+        samples=samples,
         materials=tuple(_made(look, particles.radius, law, request) for look in looks),
         settings=settings,
         outputs=files,

@@ -181,6 +181,7 @@ class Settings:
     cell: float | None = None  # [m] grid spacing h; None: two strata
     contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
     sampling: str = "strata"  # strata | rejection
+    followers: bool = True  # light nodes follow the others; False: every node is free
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
 

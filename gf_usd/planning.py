@@ -122,6 +122,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         cell=radius / 4.0 if paper else None,
         contact_rate=PAPER_CONTACT / T**2 if paper else None,
         sampling="rejection" if paper else "strata",
+        followers=not paper,
         deformation_gradients=request.deformation_gradients,
         stress=request.stress,
     )

@@ -32,7 +32,8 @@ class Guard:
         """What is wrong with a frame, in words; "" where nothing is."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
-        if after - before > GAIN * self._scale:
+        # Written so that an energy that is no number fails too.
+        if not after - before <= GAIN * self._scale:
             return (
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
                 f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"

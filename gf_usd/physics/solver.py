@@ -31,7 +31,7 @@ from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.guard import RETRIES, Guard
 from gf_usd.physics.health import measure
-from gf_usd.physics.stencil import build_stencil
+from gf_usd.physics.stencil import FREE_MASS, build_stencil
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
 SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
@@ -69,7 +69,13 @@ class TotalLagrangian:
         per = setup.per_particle(particles, materials)
         self.m = per["density"] * particles.V0
         self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
-        self.stencil = build_stencil(particles.X, self.m, self.h, particles.corner)
+        self.stencil = build_stencil(
+            particles.X,
+            self.m,
+            self.h,
+            particles.corner,
+            free_mass=FREE_MASS if settings.followers else 0.0,
+        )
         self.rows = self.stencil.rows(particles.X)
         self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
         self.up = np.asarray(settings.up, float)

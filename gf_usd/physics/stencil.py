@@ -172,11 +172,14 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
     return (ijk[..., 0] * dims[1] + ijk[..., 1]) * dims[2] + ijk[..., 2]
 
 
-def build_stencil(X: Floats, m: Floats, h: float, corner_at: Floats) -> Stencil:
+def build_stencil(
+    X: Floats, m: Floats, h: float, corner_at: Floats, *, free_mass: float = FREE_MASS
+) -> Stencil:
     """Sort particles by cell and number the nodes they reach.
 
     X : (N, 3) [m]; m : (N,) [kg]; h : [m]; corner_at : (3,) [m] a corner where cells meet, so that
     strata of the sampling lattice fall whole into cells.
+    free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
     """
     # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
     origin = np.asarray(corner_at, float) - 0.5 * h
@@ -196,7 +199,7 @@ def build_stencil(X: Floats, m: Floats, h: float, corner_at: Floats) -> Stencil:
     nodes = np.repeat(cell_nodes, np.diff(cell_start), axis=0)
     mass = np.bincount(nodes.ravel(), (w * m[order, None]).ravel(), minlength=len(sorted_keys))
     node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
-    free, follow, lumped = split_nodes(node_ijk, mass)
+    free, follow, lumped = split_nodes(node_ijk, mass, free_mass)
     renumber = np.empty(len(mass), np.int64)
     renumber[np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])] = np.arange(len(mass))
     return Stencil(
@@ -216,12 +219,14 @@ def build_stencil(X: Floats, m: Floats, h: float, corner_at: Floats) -> Stencil:
     )
 
 
-def split_nodes(ijk: Ints, mass: Floats) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
+def split_nodes(
+    ijk: Ints, mass: Floats, free_mass: float = FREE_MASS
+) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
     """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
 
     A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
     """
-    least = FREE_MASS * np.median(mass)
+    least = free_mass * np.median(mass)
     free = mass >= least
     while True:
         follow = affine_fit(ijk[~free], ijk[free])

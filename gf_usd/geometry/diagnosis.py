@@ -1,0 +1,183 @@
+"""What is right and wrong with a mesh as a boundary of something solid.
+
+Faces are counted as authored; everything else is measured on the welded triangles that the fill
+uses.  Lengths are in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.geometry import winding
+from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
+from gf_usd.geometry.faces import doubled, slivers
+from gf_usd.model import Floats, Ints, Surface
+from gf_usd.topology import proper, shells, weld
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hole:
+    """A loop of boundary edges."""
+
+    edges: int
+    size: float  # [m] diagonal of its box
+    centre: Floats  # (3,) [m]
+    share: float  # of the area of its shell with all holes closed by flat fans
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shell:
+    """An edge-connected part of a mesh."""
+
+    index: int  # as in topology.shells
+    triangles: int
+    low: Floats  # (3,) [m]
+    high: Floats  # (3,) [m]
+    area: float  # [m^2]
+    volume: float  # [m^3] enclosed, were all its triangles to agree; holes closed by the winding
+    winding: str  # outward | inside out | cavity | mixed | one-sided | flat
+    against: int  # triangles that face against their neighbours
+    holes: tuple[Hole, ...]
+
+    @property
+    def size(self) -> Floats:
+        """(3,) [m] of its box."""
+        return self.high - self.low
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """One surface, looked at."""
+
+    path: str
+    type_name: str
+    points: int
+    faces: int
+    face_sizes: dict[str, int]  # triangles, quads, n-gons (five corners or more)
+    largest_face: int  # corners
+    area: float  # [m^2]
+    shells: tuple[Shell, ...]
+    boundary_edges: int
+    loose_edges: int  # boundary edges that lie in no closed loop
+    collapsed: int  # triangles with two corners in one place
+    slivers: int  # triangles without area
+    duplicates: int  # triangles that are there twice, or cancel back to back
+    crowded_edges: int  # edges that more than two triangles share
+
+    @property
+    def holes(self) -> tuple[Hole, ...]:
+        """Of all shells."""
+        return tuple(hole for shell in self.shells for hole in shell.holes)
+
+    @property
+    def hole_share(self) -> float:
+        """Flat area of all holes over the area of the closed surface."""
+        closed = sum(s.area / (1.0 - sum(h.share for h in s.holes)) for s in self.shells)
+        return 1.0 - self.area / closed if closed > 0.0 else 0.0
+
+    @property
+    def watertight(self) -> bool:
+        return self.boundary_edges == 0 and bool(self.shells)
+
+    @property
+    def volume(self) -> float:
+        """[m^3] of the shells, cavities taken off; overlaps count twice."""
+        return sum(-s.volume if s.winding == "cavity" else s.volume for s in self.shells)
+
+    def with_winding(self, *kinds: str) -> int:
+        """How many shells are wound in any of these ways."""
+        return sum(s.winding in kinds for s in self.shells)
+
+
+def diagnose(surface: Surface) -> Diagnosis:
+    """Look at one surface."""
+    counts = surface.face_counts
+    welded = weld(surface.points)[0][surface.triangles]
+    sound = proper(welded)
+    triangles = np.ascontiguousarray(welded[sound], np.int64)
+    edges = Edges.of(triangles)
+    parts, loose = _shells(surface.points, triangles, edges) if len(triangles) else ((), 0)
+    return Diagnosis(
+        path=surface.path,
+        type_name=surface.type_name,
+        points=len(surface.points),
+        faces=len(counts),
+        face_sizes={
+            "triangles": int((counts == 3).sum()),
+            "quads": int((counts == 4).sum()),
+            "ngons": int((counts > 4).sum()),
+        },
+        largest_face=int(counts.max(initial=0)),
+        area=sum(shell.area for shell in parts),
+        shells=parts,
+        boundary_edges=len(edges.boundary),
+        loose_edges=loose,
+        collapsed=int((~sound).sum()),
+        slivers=int(slivers(surface.points, triangles).sum()),
+        duplicates=int(doubled(triangles).sum()) if len(triangles) else 0,
+        crowded_edges=edges.crowded,
+    )
+
+
+def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell, ...], int]:
+    """Shells, and the boundary edges that lie in no closed loop."""
+    label = shells(triangles)
+    patch = winding.patches(points, triangles, edges)
+    agreed = winding.turned(triangles, patch.against)
+    area = np.bincount(label, winding.areas(points, triangles))
+    low, high = winding.boxes(points, triangles, label)
+    volume = np.abs(winding.volumes(points, agreed, label))
+    parent = winding.containers(points, agreed, label)
+    now, goal = winding.facing(points, agreed, label, parent)
+    against = np.bincount(label, patch.against)
+    one_sided = np.bincount(label, patch.one_sided) > 0
+    # Boundary edges chain only where their triangles agree.
+    loops, loose = boundary_loops(Edges.of(agreed))
+    holes: dict[int, list[Ints]] = {}
+    for loop in loops:
+        holes.setdefault(int(label[loop[0] // 3]), []).append(agreed.reshape(-1)[loop])
+
+    def kind(k: int) -> str:
+        if one_sided[k]:
+            return "one-sided"
+        if against[k]:
+            return "mixed"
+        if now[k] == 0:
+            return "flat"
+        if goal[k] == -1:
+            return "cavity"
+        return "outward" if now[k] > 0 else "inside out"
+
+    made = tuple(
+        Shell(
+            index=k,
+            triangles=count,
+            low=low[k],
+            high=high[k],
+            area=float(area[k]),
+            volume=float(volume[k]),
+            winding=kind(k),
+            against=int(against[k]),
+            holes=_holes([points[ring] for ring in holes.get(k, ())], float(area[k])),
+        )
+        for k, count in enumerate(np.bincount(label).tolist())
+    )
+    return made, loose
+
+
+def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
+    """Holes of one shell of an area [m^2], the largest first."""
+    fans = [fan_area(ring) for ring in rings]
+    closed = area + sum(fans)
+    made = [
+        Hole(
+            edges=len(ring),
+            size=float(np.linalg.norm(np.ptp(ring, axis=0))),
+            centre=ring.mean(0),
+            share=fan / closed if closed > 0.0 else 0.0,
+        )
+        for ring, fan in zip(rings, fans)
+    ]
+    return tuple(sorted(made, key=lambda hole: -hole.share))

@@ -1,0 +1,81 @@
+"""The edges of a triangle mesh, and the loops that its boundary makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gf_usd.model import Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edges:
+    """Half-edges of welded triangles (T, 3): number 3 t + k leaves corner k of triangle t."""
+
+    directed: Ints  # (3T, 2) the vertices a half-edge leaves and reaches
+    id: Ints  # (3T,) of the edge, whatever its direction
+    uses: Ints  # (E,) half-edges of each edge: 1 at a boundary, 2 inside, more where not manifold
+
+    @staticmethod
+    def of(triangles: Ints) -> Edges:
+        """Edges of triangles with three different vertices."""
+        directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        low, high = directed.min(1), directed.max(1)
+        span = int(high.max(initial=0)) + 1
+        _, ids, uses = np.unique(low * span + high, return_inverse=True, return_counts=True)
+        return Edges(directed=directed, id=ids.reshape(-1), uses=uses)
+
+    @cached_property
+    def boundary(self) -> Ints:
+        """(B,) half-edges without a partner."""
+        return np.flatnonzero(self.uses[self.id] == 1)
+
+    @cached_property
+    def pairs(self) -> Ints:
+        """(K, 2) half-edges of each edge that exactly two triangles share."""
+        shared = np.flatnonzero(self.uses[self.id] == 2)
+        return shared[np.argsort(self.id[shared], kind="stable")].reshape(-1, 2)
+
+    @property
+    def crowded(self) -> int:
+        """Number of edges that more than two triangles share (not manifold)."""
+        return int((self.uses > 2).sum())
+
+
+def boundary_loops(edges: Edges) -> tuple[list[Ints], int]:
+    """Closed walks along the boundary, and how many boundary edges lie in none.
+
+    Each loop holds half-edges in the order of their triangles.  It passes no vertex twice: a
+    boundary that touches itself is several loops.
+    """
+    leaving: dict[int, list[int]] = {}
+    for half in edges.boundary.tolist():
+        leaving.setdefault(int(edges.directed[half, 0]), []).append(half)
+    loops: list[Ints] = []
+    loose = 0
+    for first in list(leaving):
+        while leaving[first]:
+            walk: list[int] = []
+            place = {first: 0}
+            vertex = first
+            while leaving.get(vertex):
+                half = leaving[vertex].pop()
+                walk.append(half)
+                vertex = int(edges.directed[half, 1])
+                if vertex in place:
+                    start = place[vertex]
+                    loops.append(np.array(walk[start:], np.int64))
+                    for passed in walk[start + 1 :]:
+                        del place[int(edges.directed[passed, 0])]
+                    walk = walk[:start]
+                place[vertex] = len(walk)
+            loose += len(walk)
+    return loops, loose
+
+
+def fan_area(ring: Floats) -> float:
+    """[m^2] of the triangles between a closed ring (n, 3) and its centroid."""
+    spokes = ring - ring.mean(0)
+    return float(0.5 * np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, 0)), axis=1).sum())

@@ -1,0 +1,205 @@
+"""Mend the triangles that bound a solid; the authored mesh stays as it is.
+
+Only the triangles that the fill uses change: they lose faces that enclose nothing, gain caps over
+small holes, without a new point, and agree on which side is out.  Points, faces, UVs and normals of
+the asset are not touched, and everything done is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from gf_usd.geometry import winding
+from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
+from gf_usd.geometry.faces import doubled, idle, slivers
+from gf_usd.model import Asset, Floats, Ints, Surface
+from gf_usd.topology import proper, triangulate, weld
+
+HOLE_LIMIT = 0.05  # a hole is small up to this share of its closed patch's area
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repairs:
+    """What was done to one surface, in triangles unless said otherwise."""
+
+    path: str
+    collapsed: int = 0  # dropped: two corners in one place
+    slivers: int = 0  # dropped: without area
+    duplicates: int = 0  # dropped: there twice, or back to back
+    turned: int = 0  # faced against their neighbours
+    turned_parts: int = 0  # whole parts that faced the wrong way
+    cavities: int = 0  # parts inside others that face inward, kept so
+    holes_closed: int = 0  # holes
+    caps: int = 0  # added to close them
+    largest_closed: float = 0.0  # share of the closed area
+    holes_left: int = 0  # holes above the limit
+    largest_left: float = 0.0  # share of the closed area
+    loose_edges: int = 0  # boundary edges in no closed loop, left open
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was altered."""
+        return bool(
+            self.collapsed + self.slivers + self.duplicates
+            + self.turned + self.turned_parts + self.holes_closed
+        )  # fmt: skip
+
+    def words(self) -> tuple[str, ...]:
+        """A sentence each; empty where nothing was wrong."""
+        dropped = [
+            f"{n} {what}"
+            for n, what in (
+                (self.collapsed, "collapsed"),
+                (self.slivers, "without area"),
+                (self.duplicates, "duplicate"),
+            )
+            if n
+        ]
+        said = []
+        if dropped:
+            said.append(f"dropped triangles: {', '.join(dropped)}")
+        if self.turned:
+            said.append(f"turned {_count(self.turned, 'triangle')} to agree with the rest")
+        if self.turned_parts:
+            said.append(f"turned {_count(self.turned_parts, 'part')} that faced the wrong way")
+        if self.cavities:
+            said.append(
+                f"left {_count(self.cavities, 'part')} that lie inside others and face inward:"
+                " cavities"
+            )
+        if self.holes_closed:
+            said.append(
+                f"closed {_count(self.holes_closed, 'hole')} with {_count(self.caps, 'triangle')},"
+                f" the largest {_share(self.largest_closed)} of the closed area"
+            )
+        if self.holes_left:
+            said.append(
+                f"left {_count(self.holes_left, 'hole')} open, the largest"
+                f" {_share(self.largest_left)} of the closed area (repair closes up to"
+                f" {_share(HOLE_LIMIT)})"
+            )
+        if self.loose_edges:
+            said.append(
+                f"left {_count(self.loose_edges, 'boundary edge')} that make no closed loop"
+            )
+        return tuple(said)
+
+    def as_dict(self) -> dict[str, object]:
+        """Every count by name."""
+        return asdict(self)
+
+
+def repair_asset(asset: Asset) -> tuple[Asset, tuple[Repairs, ...]]:
+    """The asset with every surface's triangles mended, and what was done to each."""
+    done = [repair_surface(surface) for surface in asset.surfaces]
+    return replace(asset, surfaces=tuple(s for s, _ in done)), tuple(r for _, r in done)
+
+
+def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
+    """The repairs in words, a line for each surface that needed any."""
+    return tuple(
+        f"<{r.path}> repaired for the fill: {'; '.join(r.words())}" for r in repairs if r.words()
+    )
+
+
+def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
+    """A surface whose triangles bound a solid as well as they can, and what was done.
+
+    In this order: drop collapsed triangles, those without area that hold no seam together, and
+    duplicates; make neighbours agree; close holes up to `HOLE_LIMIT`; face every closed part
+    outward, cavities aside.  Nothing but the triangles and what hangs on their corners changes.
+    """
+    points = surface.points
+    vertex = weld(points)[0][surface.triangles].reshape(-1)
+    slots = np.arange(len(vertex)).reshape(-1, 3)  # corners of Surface.triangles, counted through
+
+    sound = proper(vertex[slots])
+    slots = slots[sound]
+    flat = idle(slivers(points, vertex[slots]), Edges.of(vertex[slots]))
+    slots = slots[~flat]
+    double = doubled(vertex[slots]) if len(slots) else np.zeros(0, bool)
+    slots = slots[~double]
+    if len(slots) == 0:
+        return surface, Repairs(path=surface.path)
+
+    patch = winding.patches(points, vertex[slots], Edges.of(vertex[slots]))
+    slots = winding.turned(slots, patch.against)
+    caps, closing = _close(points, vertex, slots, patch.label)
+    label = np.concatenate([patch.label, caps[:, 3]])
+    slots = np.concatenate([slots, caps[:, :3]])
+    parent = winding.containers(points, vertex[slots], label)
+    now, goal = winding.facing(points, vertex[slots], label, parent)
+    inward = (now != 0) & (now == -goal)
+    slots = winding.turned(slots, inward[label])
+
+    done = Repairs(
+        path=surface.path,
+        collapsed=int((~sound).sum()),
+        slivers=int(flat.sum()),
+        duplicates=int(double.sum()),
+        turned=int(patch.against.sum()),
+        turned_parts=int(inward.sum()),
+        cavities=int((goal == -1).sum()),
+        caps=len(caps),
+        **closing,
+    )
+    return (_with_slots(surface, slots) if done.changed else surface), done
+
+
+def _close(
+    points: Floats, vertex: Ints, slots: Ints, label: Ints
+) -> tuple[Ints, dict[str, int | float]]:
+    """Caps (C, 4), three slots and the patch each belongs to, over the small holes; and counts."""
+    triangles = vertex[slots]
+    area = np.bincount(label, winding.areas(points, triangles))
+    loops, loose = boundary_loops(Edges.of(triangles))
+    fans = [fan_area(points[triangles.reshape(-1)[loop]]) for loop in loops]
+    homes = [int(label[loop[0] // 3]) for loop in loops]
+    closed = area + np.bincount(homes, fans, minlength=len(area)) if loops else area
+    caps = [np.zeros((0, 4), np.int64)]
+    small, large = [0.0], [0.0]
+    for loop, fan, home in zip(loops, fans, homes):
+        share = fan / closed[home] if closed[home] > 0.0 else 0.0
+        if share > HOLE_LIMIT:
+            large.append(share)
+            continue
+        small.append(share)
+        ring = slots.reshape(-1)[loop[::-1]]  # a cap runs along each edge the other way
+        _, corners, _ = triangulate(points, np.array([len(ring)]), vertex[ring])
+        caps.append(np.column_stack([ring[corners], np.full(len(corners), home)]))
+    return np.concatenate(caps), {
+        "holes_closed": len(small) - 1,
+        "largest_closed": float(max(small)),
+        "holes_left": len(large) - 1,
+        "largest_left": float(max(large)),
+        "loose_edges": loose,
+    }
+
+
+def _with_slots(surface: Surface, slots: Ints) -> Surface:
+    """The surface with triangles made of these corners of its own triangles, (T', 3).
+
+    A cap takes colour and UV at each corner, and its material, from the triangle beside it.
+    """
+    colours, uvs, materials = (
+        surface.triangle_colours, surface.triangle_uvs, surface.triangle_materials,
+    )  # fmt: skip
+    return replace(
+        surface,
+        triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[slots]),
+        triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[slots]),
+        triangle_colours=None if colours is None else colours.reshape(-1, 3)[slots],
+        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[slots],
+        triangle_materials=None if materials is None else materials[slots[:, 0] // 3],
+    )
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _share(value: float) -> str:
+    return f"{100 * value:.2g} %"
