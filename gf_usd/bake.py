@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from gf_usd import materials as presets
 from gf_usd.errors import UsageError
-from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, SurfaceSamples
+from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose, SurfaceSamples
 from gf_usd.output_files import claim, outputs, require_free
 from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
 from gf_usd.publish import publish, publish_text
+from gf_usd.runtime import init_taichi
 from gf_usd.summary import HealthLog
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
@@ -46,7 +47,7 @@ def bake(
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
-        filter_rate [1/T], damping_time [s], friction, restitution, time_scale and so on.
+        filter_rate [1/T], damping_time [s], friction, restitution, time_scale, skin and so on.
 
     Raises
     ------
@@ -82,8 +83,11 @@ def prepare(
     files = outputs(source, names, None if output is None else str(output))
     require_free(files, overwrite)
 
+    # A device that is not there is found out before the asset is read.
+    init_taichi(request.device, request.threads)
     from gf_usd.assets import read_asset
     from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
 
     asset = read_asset(source, prims=tuple(prims), time_code=request.start)
@@ -116,7 +120,7 @@ def prepare(
         outputs=files,
         riders=solid.riders,
         drop=lift + lowest,
-        notes=(*asset.facts.notes, *ridden, *left),
+        notes=(*asset.facts.notes, *ridden, *left, *SKIN_NOTES.get(settings.skin, ())),
     )
 
 
@@ -201,20 +205,25 @@ def _run_look(
 
 def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
     """Poses of meshes and Gaussians, frame by frame, in playback time."""
+    from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
+    skin = None
+    if plan.settings.skin != "embed":
+        skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     for frame in plan.solver(material).frames():
-        yield _baked(plan, frame, track)
+        poses = skin.poses(frame.particles) if skin else frame.riders
+        yield _baked(plan, frame, poses, track)
 
 
-def _baked(plan: Plan, frame: Frame, track: Any) -> BakedFrame:
+def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
     from gf_usd.physics.embedding import deform_normals
 
     s = plan.settings
     meshes = {}
     for surface in plan.asset.surfaces:
-        pose = frame.riders[surface.path]
+        pose = poses[surface.path]
         normals = None
         if surface.normals is not None and surface.normal_points is not None:
             normals = deform_normals(surface.normals, surface.normal_points, pose.F)

@@ -184,6 +184,7 @@ class Settings:
     followers: bool = True  # light nodes follow the others; False: every node is free
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
+    skin: str = "embed"  # embed | idw | paper: how meshes follow the body
 
 
 @dataclass(frozen=True, kw_only=True)

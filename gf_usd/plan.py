@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
-from gf_usd.model import Asset, Material, Particles, Settings, SurfaceSamples
+from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class Plan:
         words += ["--material", ",".join(m.name for m in self.materials)]
         words += ["--particles", str(len(self.particles)), "--frames", str(s.frames)]
         words += ["--fps", f"{s.fps:g}", "--seed", str(s.seed)]
+        words += ["--skin", s.skin] if s.skin != "embed" else []
         return shlex.join(words)
 
     def solver(self, material: Material) -> TotalLagrangian:
@@ -53,8 +54,13 @@ class Plan:
             [material],
             self.settings,
             samples=self.samples,
-            riders={s.path: s.points for s in self.asset.surfaces},
+            riders=self.points if self.settings.skin == "embed" else {},
         )
+
+    @property
+    def points(self) -> dict[str, Floats]:
+        """Vertices (n, 3) [m] at rest of every mesh, by prim path."""
+        return {s.path: s.points for s in self.asset.surfaces}
 
 
 def input_hash(plan: Plan) -> str:

@@ -13,6 +13,7 @@ from gf_usd.model import Floats, Settings, StageFacts
 DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
 DEFAULT_FPS = 24.0
 DEFAULT_DROP = "3r"
+SKINS = ("embed", "idw", "paper")
 
 # GaussianFlesh section 4, with what it leaves out as fitted in physics.md section 4: a unit sphere,
 # so that rates are given in units of 1/T with its T.
@@ -47,6 +48,7 @@ class Request:
     preset: str | None = None  # "paper"
     deformation_gradients: bool = False
     stress: bool = False
+    skin: str | None = None  # one of SKINS
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -66,6 +68,8 @@ class Request:
                 raise UsageError(f"{option} is {value:g}", f"give a number from 0 to {high:g}")
         if self.preset not in (None, "paper"):
             raise UsageError(f"there is no preset {self.preset!r}", "the only preset is paper")
+        if self.skin not in (None, *SKINS):
+            raise UsageError(f"there is no skin {self.skin!r}", f"choose {', '.join(SKINS)}")
         parse_time_scale(self.time_scale, 1.0)
         if self.particles and self.spacing:
             raise UsageError(
@@ -125,6 +129,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         followers=not paper,
         deformation_gradients=request.deformation_gradients,
         stress=request.stress,
+        skin=request.skin or ("paper" if paper else "embed"),
     )
 
 

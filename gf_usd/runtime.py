@@ -103,4 +103,5 @@ def _cores() -> int:
 
 
 def _has_cuda(ti: ModuleType) -> bool:
+    ti.set_logging_level(ti.ERROR)  # looking for the driver is no reason to warn of its absence
     return bool(ti.lang.misc.is_arch_supported(ti.cuda))

@@ -93,6 +93,14 @@ def bake(
     preset: Annotated[
         str | None, typer.Option(help="paper: the set-up of the GaussianFlesh paper.")
     ] = None,
+    skin: Annotated[
+        str | None,
+        typer.Option(
+            help="How meshes follow: embed (the solver's grid), idw (nearest particles), paper"
+            " (all particles, GaussianFlesh eq. 6).",
+            show_default="embed; paper with --preset paper",
+        ),
+    ] = None,
     deformation_gradients: Annotated[
         bool, typer.Option("--deformation-gradients", help="Write F of every particle.")
     ] = False,
@@ -121,7 +129,7 @@ def bake(
         gravity=gravity, seed=seed, device=device, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress,
+        stress=stress, skin=skin,
     )  # fmt: skip
     if dry_run:
         show_plan(plan, as_json=as_json)

@@ -37,7 +37,7 @@ class Shell:
     high: Floats  # (3,) [m]
     area: float  # [m^2]
     volume: float  # [m^3] enclosed, were all its triangles to agree; holes closed by the winding
-    winding: str  # outward | inside out | cavity | mixed | one-sided | flat
+    winding: str  # outward | inside out | cavity | mixed | one-sided | open | flat
     against: int  # triangles that face against their neighbours
     holes: tuple[Hole, ...]
 
@@ -129,26 +129,27 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
     area = np.bincount(label, winding.areas(points, triangles))
     low, high = winding.boxes(points, triangles, label)
     volume = np.abs(winding.volumes(points, agreed, label))
-    parent = winding.containers(points, agreed, label)
-    now, goal = winding.facing(points, agreed, label, parent)
+    facing = winding.facing(points, agreed, label)
     against = np.bincount(label, patch.against)
     one_sided = np.bincount(label, patch.one_sided) > 0
     # Boundary edges chain only where their triangles agree.
-    loops, loose = boundary_loops(Edges.of(agreed))
+    apart = winding.facing(points, agreed, patch.label)
+    faced = winding.turned(agreed, apart.wrong[patch.label])
+    loops, loose = boundary_loops(Edges.of(faced))
     holes: dict[int, list[Ints]] = {}
     for loop in loops:
-        holes.setdefault(int(label[loop[0] // 3]), []).append(agreed.reshape(-1)[loop])
+        holes.setdefault(int(label[loop[0] // 3]), []).append(faced.reshape(-1)[loop])
 
     def kind(k: int) -> str:
         if one_sided[k]:
             return "one-sided"
         if against[k]:
             return "mixed"
-        if now[k] == 0:
-            return "flat"
-        if goal[k] == -1:
+        if facing.now[k] == 0:
+            return "open" if holes.get(k) else "flat"
+        if facing.goal[k] == -1:
             return "cavity"
-        return "outward" if now[k] > 0 else "inside out"
+        return "outward" if facing.now[k] > 0 else "inside out"
 
     made = tuple(
         Shell(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from gf_usd.geometry import winding
 from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
 from gf_usd.geometry.faces import doubled, idle, slivers
 from gf_usd.model import Asset, Floats, Ints, Surface
-from gf_usd.topology import proper, triangulate, weld
+from gf_usd.topology import proper, shells, triangulate, weld
 
-HOLE_LIMIT = 0.05  # a hole is small up to this share of its closed patch's area
+HOLE_LIMIT = 0.05  # a hole is small up to this share of its shell's area, all holes closed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +110,8 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """A surface whose triangles bound a solid as well as they can, and what was done.
 
     In this order: drop collapsed triangles, those without area that hold no seam together, and
-    duplicates; make neighbours agree; close holes up to `HOLE_LIMIT`; face every closed part
-    outward, cavities aside.  Nothing but the triangles and what hangs on their corners changes.
+    duplicates; make neighbours agree; face every part outward, cavities aside; close holes up to
+    `HOLE_LIMIT`.  Nothing but the triangles and what hangs on their corners changes.
     """
     points = surface.points
     vertex = weld(points)[0][surface.triangles].reshape(-1)
@@ -127,13 +128,10 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
 
     patch = winding.patches(points, vertex[slots], Edges.of(vertex[slots]))
     slots = winding.turned(slots, patch.against)
-    caps, closing = _close(points, vertex, slots, patch.label)
-    label = np.concatenate([patch.label, caps[:, 3]])
-    slots = np.concatenate([slots, caps[:, :3]])
-    parent = winding.containers(points, vertex[slots], label)
-    now, goal = winding.facing(points, vertex[slots], label, parent)
-    inward = (now != 0) & (now == -goal)
-    slots = winding.turned(slots, inward[label])
+    facing = winding.facing(points, vertex[slots], patch.label)
+    slots = winding.turned(slots, facing.wrong[patch.label])
+    caps, closing = _close(points, vertex, slots)
+    slots = np.concatenate([slots, caps])
 
     done = Repairs(
         path=surface.path,
@@ -141,25 +139,24 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
         slivers=int(flat.sum()),
         duplicates=int(double.sum()),
         turned=int(patch.against.sum()),
-        turned_parts=int(inward.sum()),
-        cavities=int((goal == -1).sum()),
+        turned_parts=int(facing.wrong.sum()),
+        cavities=int((facing.goal == -1).sum()),
         caps=len(caps),
         **closing,
     )
     return (_with_slots(surface, slots) if done.changed else surface), done
 
 
-def _close(
-    points: Floats, vertex: Ints, slots: Ints, label: Ints
-) -> tuple[Ints, dict[str, int | float]]:
-    """Caps (C, 4), three slots and the patch each belongs to, over the small holes; and counts."""
+def _close(points: Floats, vertex: Ints, slots: Ints) -> tuple[Ints, dict[str, Any]]:
+    """Caps (C, 3) of slots over the small holes, and what was counted."""
     triangles = vertex[slots]
+    label = shells(triangles)
     area = np.bincount(label, winding.areas(points, triangles))
     loops, loose = boundary_loops(Edges.of(triangles))
     fans = [fan_area(points[triangles.reshape(-1)[loop]]) for loop in loops]
     homes = [int(label[loop[0] // 3]) for loop in loops]
     closed = area + np.bincount(homes, fans, minlength=len(area)) if loops else area
-    caps = [np.zeros((0, 4), np.int64)]
+    caps = [np.zeros((0, 3), np.int64)]
     small, large = [0.0], [0.0]
     for loop, fan, home in zip(loops, fans, homes):
         share = fan / closed[home] if closed[home] > 0.0 else 0.0
@@ -169,7 +166,7 @@ def _close(
         small.append(share)
         ring = slots.reshape(-1)[loop[::-1]]  # a cap runs along each edge the other way
         _, corners, _ = triangulate(points, np.array([len(ring)]), vertex[ring])
-        caps.append(np.column_stack([ring[corners], np.full(len(corners), home)]))
+        caps.append(ring[corners])
     return np.concatenate(caps), {
         "holes_closed": len(small) - 1,
         "largest_closed": float(max(small)),

@@ -16,7 +16,7 @@ Velocities take dT/dt from dF/dt at the particles, the gradient of their velocit
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +32,12 @@ IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
 PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
 GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to stay local
 CHUNK_BYTES = 32_000_000  # of dense weights held at once
+SKIN_NOTES = {
+    "paper": (
+        "skin paper: offsets of vertices are stretched but not turned with the body"
+        " (GaussianFlesh eq. 6); meshes are distorted where it turns",
+    )
+}
 
 
 class Skin(Protocol):
@@ -103,6 +109,25 @@ def make_skin(name: str, X: Floats, particles: Floats) -> Skin:
             f"there is no skin {name!r} on particles", f"choose one of {', '.join(SKINS)}"
         )
     return SKINS[name](X, particles)
+
+
+class MeshSkin:
+    """One skin for all meshes of an asset.
+
+    points : vertices (n, 3) [m] at rest, by prim path; particles : (N, 3) [m] at rest.
+    Raises UsageError for a name that `make_skin` does not know.
+    """
+
+    def __init__(self, name: str, points: Mapping[str, Floats], particles: Floats) -> None:
+        self.paths = tuple(points)
+        self.ends = np.cumsum([len(X) for X in points.values()])[:-1]
+        self.skin = make_skin(name, np.concatenate(list(points.values())), particles)
+
+    def poses(self, particles: Pose) -> dict[str, Pose]:
+        """The pose of each mesh, by prim path."""
+        whole = self.skin.pose(particles)
+        parts = zip(*(np.split(values, self.ends) for values in (whole.x, whole.v, whole.F)))
+        return {path: Pose(x=x, v=v, F=F) for path, (x, v, F) in zip(self.paths, parts)}
 
 
 def inverse_distance(squared: Floats, power: float) -> Floats:

@@ -16,6 +16,7 @@ from gf_usd.model import Floats, Ints
 Flags = NDArray[np.bool_]
 
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): no inside, so no outside either
+OPEN_FRACTION = 0.25  # a wider mouth: neither
 PROBES = 16  # vertices of a part that must lie inside another for the part to do
 SIDES = 1024  # parts whose boxes are compared together: bounds memory
 
@@ -75,6 +76,20 @@ def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
     return np.bincount(label, np.einsum("ti,ti->t", a, np.cross(b, c)) / 6.0)
 
 
+def mouths(points: Floats, triangles: Ints, label: Ints) -> Floats:
+    """(K,) |S| / (A + |S|), S = sum of the area vectors of a part and A its area.
+
+    S is zero for a closed part; |S| is the least area that closes one hole.
+    """
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    vector = 0.5 * np.cross(b - a, c - a)
+    gap = np.linalg.norm(
+        np.stack([np.bincount(label, vector[:, d]) for d in range(3)], axis=1), axis=1
+    )
+    whole = np.bincount(label, np.linalg.norm(vector, axis=1)) + gap
+    return gap / np.where(whole > 0.0, whole, 1.0)
+
+
 def boxes(points: Floats, triangles: Ints, label: Ints) -> tuple[Floats, Floats]:
     """(K, 3), (K, 3) [m] lowest and highest corner of each part."""
     order = np.argsort(label, kind="stable")
@@ -121,19 +136,36 @@ def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
     return np.abs(np.atleast_1d(w)) > 0.5
 
 
-def facing(points: Floats, triangles: Ints, label: Ints, parent: Ints) -> tuple[Ints, Ints]:
-    """(K,) how each part faces, +1 outward, -1 inward, 0 flat, and how it should face.
+@dataclass(frozen=True, kw_only=True)
+class Facing:
+    """How parts face: +1 outward, -1 inward, 0 where there is no inside to speak of."""
 
-    Parts face outward.  One that lies inside another and faces the other way bounds a cavity: that
+    now: Ints  # (K,)
+    goal: Ints  # (K,) -1 for cavities
+
+    @property
+    def wrong(self) -> Flags:
+        """(K,) parts that face the other way than they should."""
+        return (self.now != 0) & (self.now == -self.goal)
+
+
+def facing(points: Floats, triangles: Ints, label: Ints) -> Facing:
+    """How each part faces, and how it should.
+
+    Parts face outward, if they have an inside: some volume, and no mouth wider than
+    `OPEN_FRACTION`.  One that lies inside another and faces the other way bounds a cavity: that
     is how hollow things are modelled, and it stays opposite to what it lies in.
     """
     volume = volumes(points, triangles, label)
     area = np.bincount(label, areas(points, triangles))
-    now = np.where(np.abs(volume) > FLAT_FRACTION * area**1.5, np.sign(volume), 0).astype(int)
-    goal = np.where(now == 0, 0, 1)
+    inside = np.abs(volume) > FLAT_FRACTION * area**1.5
+    inside &= mouths(points, triangles, label) <= OPEN_FRACTION
+    now = np.where(inside, np.sign(volume), 0).astype(int)
+    goal = np.abs(now)
+    parent = containers(points, triangles, label)
     # From the outside in: what a part lies in is larger and decided before it.
     for i in np.argsort(-np.abs(volume), kind="stable"):
         j = parent[i]
         if j >= 0 and goal[j] == 1 and now[i] * now[j] == -1:
             goal[i] = -1
-    return now, goal
+    return Facing(now=now, goal=goal)
