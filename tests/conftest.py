@@ -1,1 +1,1 @@
-"""Marks the root of the tests, so that every folder of them can import the helpers that lie here."""
+"""The root of the tests: every folder of them can import the helpers that lie here."""

@@ -21,6 +21,7 @@ from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid
+THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part
 # of it is clearly so.
@@ -85,18 +86,18 @@ def _poor_shells(
     area = np.bincount(label, winding.areas(points, triangles))
     volume = np.abs(winding.volumes(points, triangles, label))
     low, high = winding.boxes(points, triangles, label)
+    reach = 0.5 * np.linalg.norm(high - low, axis=1)
     cavity = winding.facing(points, triangles, label).goal == -1
     tree = cKDTree(particles.X)
     found = []
     for k, rows in enumerate(winding.rows_of(label)):
         if cavity[k]:
             continue
-        near = tree.query_ball_point(0.5 * (low[k] + high[k]), 0.5 * np.linalg.norm(high - low, axis=1)[k])
-        X = particles.X[near]
+        X = particles.X[tree.query_ball_point(0.5 * (low[k] + high[k]), reach[k])]
         count = int(winding.winding_inside(points, triangles[rows], X).sum()) if len(X) else 0
         thickness = float(2.0 * volume[k] / area[k]) if area[k] > 0.0 else 0.0
         kind = "empty" if count == 0 else "few" if count < FEW else ""
-        kind = kind or ("thin" if thickness < particles.spacing else "")
+        kind = kind or ("thin" if thickness < THIN * particles.spacing else "")
         if not kind:
             continue
         spacing = min(thickness, float(np.cbrt(volume[k] / FEW)))
@@ -168,7 +169,7 @@ def _bare_regions(
 
 
 def _thickness(solid: Solid, X: Floats, normal: Floats, reach: float) -> Floats:
-    """(n,) [m] from surface points X against their normals to where the solid ends, at most reach."""
+    """(n,) [m] from surface points X inward to where the solid ends, reach at most."""
     depth = (np.arange(PROBE_STEPS) + 0.5) / PROBE_STEPS * reach
     probes = X[:, None, :] - depth[:, None] * normal[:, None, :]
     inside = solid.inside(probes.reshape(-1, 3)).reshape(len(X), PROBE_STEPS)

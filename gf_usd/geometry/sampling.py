@@ -17,8 +17,8 @@ from gf_usd.geometry.surface import colours, nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 
 JITTER = 0.7  # of a stratum that a particle may lie in: less is more even, more is less regular
-SIGMA_T = 0.6  # tangential standard deviation over the spacing: neighbours overlap at one sigma
-SIGMA_R = 0.15  # along the normal
+SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbours
+SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid
 MOST_PARTICLES = 50_000_000
 CHUNK = 2_000_000  # lattice cubes looked at together: bounds memory

@@ -2,7 +2,8 @@
 
 Per substep of length dt, with everything but u and v constant (physics.md section 1):
 
-    v <- v + alpha (A v - v)                 every `every` substeps (GaussianFlesh eq. 1 and 3)
+    v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
+                                             the velocities that eq. 3 gathers
     F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
     v_i <- (v_i + dt (f_i / m_i + g)) exp(-drag dt)
@@ -19,7 +20,14 @@ import taichi as ti
 from gf_usd.physics.cell_kernel import filter_cell, stress_cell
 from gf_usd.physics.contact_kernel import sample_contact
 from gf_usd.physics.lanes import LANES, von_mises
-from gf_usd.physics.node_kernel import drift_node, filter_node, follow, follower_share, move_node
+from gf_usd.physics.node_kernel import (
+    drift_node,
+    filter_node,
+    follow,
+    follower_loss,
+    follower_share,
+    move_node,
+)  # fmt: skip
 from gf_usd.physics.stencil_kernel import deformation, lane_sum, load
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
@@ -29,7 +37,19 @@ STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 3
 def pack_type(real):
     """The arguments of a body, one pack: a launch then costs the same however many arrays."""
     reals = (
-        *("fx", "V0", "m", "mu", "lam", "viscosity", "block", "u", "v", "inverse_mass"),
+        *(
+            "fx",
+            "V0",
+            "m",
+            "mu",
+            "lam",
+            "viscosity",
+            "block",
+            "u",
+            "v",
+            "inverse_mass",
+            "node_mass",
+        ),
         *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
@@ -72,7 +92,7 @@ def build(law, damped: bool, real) -> SimpleNamespace:
                 for c in range(cells):
                     filter_cell(body, c)
                 for n in range(followers):
-                    follower_share(body, n, free)
+                    follower_loss(body, n, free)
                 for n in range(free):
                     filter_node(body, n, alpha)
                 for n in range(followers):
@@ -99,7 +119,7 @@ def build(law, damped: bool, real) -> SimpleNamespace:
             if z % STRIDE == 0:
                 filter_cell(body, z // STRIDE)
         for n in range(followers * filtered):
-            follower_share(body, n, free)
+            follower_loss(body, n, free)
         for n in range(free * filtered):
             filter_node(body, n, alpha)
         for n in range(followers * filtered):

@@ -30,7 +30,13 @@ def follower_share(body: ti.template(), follower, free):
 @ti.func
 def node_sum(body: ti.template(), node):
     """What the cells hold for a free node and for those that follow it: (E^T f)_i."""
-    f = block_sum(body, node)
+    return block_sum(body, node) + leader_sum(body, node)
+
+
+@ti.func
+def leader_sum(body: ti.template(), node):
+    """sum_l e_li of what the followers kept."""
+    f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     for e in range(body.leader_start[node], body.leader_start[node + 1]):
         o = body.leader_follower[e] * 3
         f += body.leader_weight[e] * ti.Vector(
@@ -76,9 +82,30 @@ def move_node(body: ti.template(), node, contact, g, dt, drift, keep):
 
 
 @ti.func
+def follower_loss(body: ti.template(), follower, free):
+    """Keep (B v - m v)_l of a follower, for the nodes it follows."""
+    f = momentum_change(body, free + follower)
+    for d in ti.static(range(3)):
+        body.share[3 * follower + d] = f[d]
+
+
+@ti.func
+def momentum_change(body: ti.template(), node):
+    """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
+    p = block_sum(body, node)
+    for d in ti.static(range(3)):
+        p[d] -= body.node_mass[node] * body.v[3 * node + d]
+    return p
+
+
+@ti.func
 def filter_node(body: ti.template(), node, alpha):
-    """v += alpha (A v - v)."""
-    p = node_sum(body, node) * body.inverse_mass[node]
+    """v += alpha (B v - m v) / m, with the followers' shares: E^T (B - M) E v.
+
+    B and M agree on sum m v and sum X x m v, and E carries both, so they are kept to rounding;
+    B <= M in the sense of forms, so no motion can grow.
+    """
+    p = momentum_change(body, node) + leader_sum(body, node)
     for d in ti.static(range(3)):
         v = body.v[3 * node + d]
-        body.v[3 * node + d] = v + alpha * (p[d] - v)
+        body.v[3 * node + d] = v + alpha * p[d] * body.inverse_mass[node]

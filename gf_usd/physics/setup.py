@@ -107,6 +107,7 @@ def arrays(
         "u": np.zeros(3 * stencil.node_count),
         "v": velocity.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
+        "node_mass": stencil.node_mass,
         "share": np.zeros(3 * max(1, followers)),
         "cell_batch": batches.cell_batch,
         "cell_nodes": stencil.cell_nodes.ravel(),

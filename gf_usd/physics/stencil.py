@@ -30,6 +30,7 @@ from gf_usd.model import Floats, Ints
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
 FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 
 
 def bspline(f: Floats) -> tuple[Floats, Floats]:
@@ -65,6 +66,7 @@ class Stencil:
     fx: Floats  # (N, 3) distance from the base node in cells, in `order`
     node_ijk: Ints  # (M, 3); the free nodes come first
     mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
+    node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
     follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
@@ -133,20 +135,28 @@ class Stencil:
 def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
     """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
 
-    Moving least squares with a linear basis p = (1, X_j - X_i) and Gaussian weights B:
-    e = B P (P^T B P)^-1 (1, 0, 0, 0), so that sum_j e_j = 1 and sum_j e_j X_j = X_i.
+    Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
+    e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
+    sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
+    across it.
     ijk : (n, 3), free : (m, 3) grid indices.
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
     k = min(FIT_NEIGHBOURS, len(free))
-    distance, near = cKDTree(free).query(ijk, k=k)
+    tree = cKDTree(free)
+    gap, closest = tree.query(ijk)
+    # From afar the nearest nodes may all lie in one flat face: take those around the nearest one.
+    around = np.where((gap > FIT_REACH)[:, None], free[closest], ijk)
+    distance, near = tree.query(around, k=k)
     distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
     B = np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2))
-    P = np.concatenate([np.ones((len(ijk), k, 1)), free[near] - ijk[:, None, :]], -1)
-    normal = np.einsum("nka,nk,nkb->nab", P, B, P)
-    inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True)
-    e = np.einsum("nka,nk,na->nk", P, B, inverse[:, :, 0])
+    B /= B.sum(1, keepdims=True)
+    centre = np.einsum("nk,nka->na", B, free[near])
+    P = free[near] - centre[:, None, :]
+    M = np.einsum("nka,nk,nkb->nab", P, B, P)
+    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
+    e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
     return sparse.csr_matrix(
         (e.ravel(), (np.repeat(np.arange(len(ijk)), k), near.ravel())), shape=(len(ijk), len(free))
     )
@@ -211,6 +221,7 @@ def build_stencil(
         fx=fx,
         node_ijk=np.concatenate([node_ijk[free], node_ijk[~free]]),
         mass=lumped,
+        node_mass=np.concatenate([mass[free], mass[~free]]),
         follow=follow,
         sorted_keys=sorted_keys,
         sorted_node=renumber,

@@ -1,0 +1,215 @@
+"""PLY files: the elements of the header as tables, and the polygons in them.
+
+trimesh refuses a binary PLY whose faces differ in their number of corners and cuts every polygon
+into triangles; here they stay as they are.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.assets.mesh_data import (
+    REPAIR, FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot, refuse_pointer,
+    require_sound, tidy,
+)  # fmt: skip
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.ply_body import Column, Element, Ragged, read_body
+from gf_usd.colour import srgb_to_linear
+from gf_usd.errors import InputError
+from gf_usd.model import Floats, Ints
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"int64": "i8", "uint64": "u8", "float": "f4", "double": "f8"},
+    **{"float16": "f2", "float32": "f4", "float64": "f8"},
+}
+ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+
+def read_ply(path: Path) -> MeshFile:
+    """The polygons of a PLY file with their colours, normals and texture coordinates.
+
+    Raises InputError for a header or a body that is not what it says, and for a file that holds
+    points without faces.
+    """
+    data = path.read_bytes()
+    refuse_pointer(path, data)
+    elements, order, texture, start = _header(path, data)
+    tables = read_body(path, data, start, elements, order)
+    notes = Notes()
+    _require_mesh(path, tables)
+    picture = _picture(path, texture, notes)
+    mesh = _mesh(path, tables, picture is not None, notes)
+    materials = ()
+    if picture is not None and mesh.uvs is not None:
+        slot = Slot(input="diffuseColor", picture=picture)
+        materials = (FileMaterial(name="texture", slots=(slot,)),)
+    return require_sound(
+        MeshFile(
+            path=path,
+            format="PLY",
+            nodes=(FileNode(name=mesh.name, mesh=mesh),),
+            materials=materials,
+            inputs=(path,),
+            notes=notes.lines(),
+        )
+    )
+
+
+def _header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
+    """Elements, byte order ("" for text), texture name, and where the body begins."""
+    if not data.startswith(b"ply") or b"end_header" not in data:
+        raise InputError(
+            f"{path} is not a PLY file: it does not begin with 'ply' and a header",
+            "check what the file really is",
+        )
+    end = data.index(b"end_header")
+    rest = data.find(b"\n", end)
+    start = len(data) if rest < 0 else rest + 1
+    elements: list[Element] = []
+    order, texture = None, ""
+    for number, line in enumerate(data[:end].decode("utf-8", errors="replace").splitlines(), 1):
+        words = line.split()
+        where = f"{path}, line {number}: '{line.strip()[:60]}'"
+        if words[:1] == ["format"]:
+            order = ENCODINGS.get(words[1] if len(words) > 1 else "")
+        elif words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdigit():
+                raise InputError(f"{where} is no element with a count", REPAIR)
+            elements.append(Element(words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1:] or _refuse(f"{where} stands before any element")
+            elements[-1].columns.append(_column(where, words))
+        elif words[:2] == ["comment", "TextureFile"]:
+            texture = line.split("TextureFile", 1)[1].strip()
+    if order is None:
+        raise InputError(f"{path}: its header names no format that exists", REPAIR)
+    return elements, order, texture, start
+
+
+def _refuse(what: str) -> None:
+    raise InputError(what, REPAIR)
+
+
+def _column(where: str, words: list[str]) -> Column:
+    kinds = words[2:4] if words[1:2] == ["list"] else words[1:2]
+    if len(words) != len(kinds) + 2 + (words[1:2] == ["list"]):
+        raise InputError(f"{where} is no property", REPAIR)
+    unknown = [kind for kind in kinds if kind not in TYPES]
+    if unknown:
+        raise InputError(f"{where} has the unknown type {unknown[0]}", REPAIR)
+    types = [TYPES[kind] for kind in kinds]
+    return Column(words[-1], types[-1], types[0] if len(types) == 2 else "")
+
+
+def _require_mesh(path: Path, tables: dict[str, dict[str, Floats | Ragged]]) -> None:
+    vertex = tables.get("vertex", {})
+    missing = [axis for axis in "xyz" if axis not in vertex]
+    if missing:
+        raise InputError(f"{path}: its vertices have no {missing[0]}", REPAIR)
+    if _faces(tables) is not None:
+        return
+    if "tristrips" in tables:
+        raise InputError(
+            f"{path} holds triangle strips, which are not read", "export it with faces"
+        )
+    count = len(np.asarray(vertex["x"]))
+    kind = "Gaussian splats" if "f_dc_0" in vertex else "points"
+    raise InputError(
+        f"{path} holds {count} {kind} and no face: it has no surface to fill",
+        "give a file with faces; a reconstruction program makes a mesh of a point cloud",
+    )
+
+
+def _faces(tables: dict[str, dict[str, Floats | Ragged]]) -> Ragged | None:
+    face = tables.get("face", {})
+    found = face.get("vertex_indices", face.get("vertex_index"))
+    return found if isinstance(found, Ragged) and len(found.counts) else None
+
+
+def _mesh(
+    path: Path, tables: dict[str, dict[str, Floats | Ragged]], textured: bool, notes: Notes
+) -> FileMesh:
+    vertex, face = tables["vertex"], tables["face"]
+    faces = _faces(tables)
+    assert faces is not None
+    corners = faces.values.astype(np.int64)
+    uvs, uv_indices = _uvs(vertex, face, faces, notes)
+    colours, per_face = _colours(vertex), False
+    if colours is None:
+        colours = _colours(face)
+        per_face = colours is not None
+    normals = _columns(vertex, ("nx", "ny", "nz"))
+    if normals is not None and not np.isfinite(normals).all():
+        notes.add("its normals are not all finite: left out")
+        normals = None
+    if textured and uvs is None:
+        notes.add("it names a texture but has no texture coordinates: left out")
+    points = _columns(vertex, ("x", "y", "z"))
+    assert points is not None
+    return FileMesh(
+        name="mesh",
+        points=points,
+        counts=faces.counts,
+        indices=corners,
+        uvs=uvs,
+        uv_indices=uv_indices,
+        normals=normals,
+        colours=colours,
+        colours_per_face=per_face,
+        materials=np.zeros(len(faces.counts), np.int64) if textured and uvs is not None else None,
+    )
+
+
+def _columns(table: dict[str, Floats | Ragged], names: tuple[str, ...]) -> Floats | None:
+    """(n, k) of scalar columns; None where one is missing."""
+    found = [table.get(name) for name in names]
+    if any(column is None or isinstance(column, Ragged) for column in found):
+        return None
+    return np.stack([np.asarray(column, np.float64) for column in found], axis=1)
+
+
+def _colours(table: dict[str, Floats | Ragged]) -> Floats | None:
+    """(n, 3) linear: whole numbers are sRGB up to the type's largest, fractions linear."""
+    first = table.get("red")
+    colours = _columns(table, ("red", "green", "blue"))
+    if colours is None or not np.isfinite(colours).all():
+        return None
+    kind = np.asarray(first).dtype
+    if kind.kind in "iu":
+        return srgb_to_linear(np.clip(colours / np.iinfo(kind).max, 0.0, 1.0))
+    return np.clip(colours, 0.0, 1.0)
+
+
+def _uvs(
+    vertex: dict[str, Floats | Ragged], face: dict[str, Floats | Ragged], faces: Ragged,
+    notes: Notes,
+) -> tuple[Floats | None, Ints | None]:  # fmt: skip
+    """Texture coordinates at corners (as MeshLab writes them), or else at points."""
+    texcoord = face.get("texcoord")
+    uvs = indices = None
+    if isinstance(texcoord, Ragged) and (texcoord.counts == 2 * faces.counts).all():
+        values = texcoord.values.astype(np.float64).reshape(-1, 2)
+        uvs, inverse = np.unique(values, axis=0, return_inverse=True)
+        uvs, indices = tidy(uvs, inverse.reshape(-1))
+    else:
+        for names in UV_NAMES:
+            uvs = _columns(vertex, names) if uvs is None else uvs
+    if uvs is not None and not np.isfinite(uvs).all():
+        notes.add("its texture coordinates are not all finite: left out")
+        return None, None
+    return uvs, indices
+
+
+def _picture(path: Path, texture: str, notes: Notes) -> Picture | None:
+    if not texture:
+        return None
+    found = path.parent / texture.replace("\\", "/")
+    if not found.is_file():
+        notes.add(f"its texture {texture} does not exist: no texture")
+        return None
+    return Picture(name=found.name, path=found)

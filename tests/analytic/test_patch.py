@@ -1,0 +1,74 @@
+"""The affine patch test: an affine motion of the nodes is the same F in every particle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.physics.laws import LAWS
+from gf_usd.physics.solver import TotalLagrangian
+
+A = np.array([[1.10, 0.06, -0.03], [0.02, 0.92, 0.05], [-0.04, 0.03, 1.05]])
+SHIFT = np.array([0.3, -0.2, 0.1])
+
+
+def reference_stress(token: str, mu: float, lam: float) -> np.ndarray:
+    """P(A) in numpy float64, by the formulas of the laws and an SVD."""
+    J, inverse = np.linalg.det(A), np.linalg.inv(A).T
+    if token == "neoHookean":
+        return mu * (A - inverse) + lam * np.log(J) * inverse
+    U, _, Vt = np.linalg.svd(A)
+    return 2.0 * mu * (A - U @ Vt) + lam * (J - 1.0) * J * inverse
+
+
+def von_mises(P: np.ndarray) -> float:
+    sigma = P @ A.T / np.linalg.det(A)
+    s = sigma - np.trace(sigma) / 3.0 * np.eye(3)
+    return float(np.sqrt(1.5 * (s * s).sum()))
+
+
+@pytest.mark.parametrize("token", LAWS)
+@pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-12)])
+def test_stress_is_uniform(token, real, tolerance):
+    # P ~ mu (F - R) and |F - R| ~ 0.1 here, F has rounding eps * sum |u| |grad w| ~ 3 eps on 1:
+    # f32 leaves some 3e-6 of the stress, f64 1e-14.
+    body, _ = ball(500)
+    made = look("rubber", body, law=token, damping_time=0.0)
+    solver = TotalLagrangian(body, [made], settings(), real=real)
+    u = solver.stencil.node_X @ (A - np.eye(3)).T + SHIFT
+    solver.arrays["u"].from_numpy(u.astype(real).ravel())
+    expected = von_mises(reference_stress(token, made.mu, made.lam))
+    stress = solver.von_mises()
+    np.testing.assert_allclose(stress, expected, rtol=10 * tolerance)
+    pose = next(iter(solver.frames())).particles
+    np.testing.assert_allclose(pose.F, np.broadcast_to(A, pose.F.shape), atol=3 * tolerance)
+    np.testing.assert_allclose(pose.x, body.X @ A.T + SHIFT, atol=3 * tolerance)
+
+
+@pytest.mark.parametrize("token", LAWS)
+def test_forces_add_up_to_nothing(token):
+    # Internal forces are pairs: their sum and their moment about any point vanish, whatever u is.
+    body, _ = ball(300)
+    made = look("rubber", body, law=token, damping_time=0.002)
+    s = settings(frames=2, substeps=1, fps=1e6)
+    rng = np.random.default_rng(1)
+    wave = rng.normal(size=(3, 3))
+
+    def velocity(X):
+        return 0.1 * np.sin(X @ wave)
+
+    solver = TotalLagrangian(body, [made], s, velocity=velocity, real=np.float64)
+    u = 0.02 * np.sin(2.0 * solver.stencil.free_X @ wave.T)
+    full = np.concatenate([u, solver.stencil.follow @ u])
+    solver.arrays["u"].from_numpy(full.ravel())
+    m = solver.stencil.mass
+    before = solver.state()[1]
+    list(solver.frames())
+    change = m[:, None] * (solver.state()[1] - before)
+    size = np.abs(change).sum()
+    assert size > 0.0
+    assert np.abs(change.sum(0)).max() < 1e-10 * size
+    x = solver.stencil.free_X + u
+    # The moment is taken half a drift of 5e-7 s later: x is off by v dt / 2 ~ 5e-8 of its size.
+    assert np.abs(np.cross(x, change).sum(0)).max() < 1e-6 * size
