@@ -9,14 +9,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from gf_usd import materials as presets
-from gf_usd.errors import UsageError
-from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose, SurfaceSamples
-from gf_usd.output_files import claim, outputs, require_free
+from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
+from gf_usd.output_files import claim
 from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash
-from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
+from gf_usd.preflight import prepare
 from gf_usd.publish import publish, publish_text
-from gf_usd.runtime import init_taichi
 from gf_usd.summary import HealthLog
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
@@ -30,6 +27,9 @@ def bake(
     law: str | None = None,
     prims: Sequence[str] = (),
     overwrite: bool = False,
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    repair: bool = False,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -44,6 +44,8 @@ def bake(
     law : constitutive law in place of the material's own: corotated or neoHookean.
     prims : prim paths to bake; default all under the default prim.
     overwrite : replace results of an earlier bake.
+    meters_per_unit, up_axis : in place of what the file says or omits.
+    repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
@@ -56,72 +58,10 @@ def bake(
     BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.
     """
     plan = prepare(
-        path, material=material, output=output, law=law, prims=prims, overwrite=overwrite, **options
-    )
+        path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
+        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, **options,
+    )  # fmt: skip
     return run(plan, progress)
-
-
-def prepare(
-    path: str | Path,
-    *,
-    material: str = "rubber",
-    output: str | Path | None = None,
-    law: str | None = None,
-    prims: Sequence[str] = (),
-    overwrite: bool = False,
-    **options: Any,
-) -> Plan:
-    """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
-    request = _request(options)
-    if law is not None:
-        presets.check_law(law)
-    from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
-
-    looks = [_find(name, request) for name in material.split(",")]
-    source = Path(path)
-    names = [look.name for look in looks]
-    files = outputs(source, names, None if output is None else str(output))
-    require_free(files, overwrite)
-
-    # A device that is not there is found out before the asset is read.
-    init_taichi(request.device, request.threads)
-    from gf_usd.assets import read_asset
-    from gf_usd.geometry.sampling import sample_solid, sample_surface
-    from gf_usd.geometry.skinning import SKIN_NOTES
-    from gf_usd.geometry.solid import build_solid
-
-    asset = read_asset(source, prims=tuple(prims), time_code=request.start)
-    solid = build_solid(asset)
-    unit = asset.facts.units.length
-    default = PAPER_PARTICLES if request.preset == "paper" else DEFAULT_PARTICLES
-    particles = sample_solid(
-        solid,
-        particles=None if request.spacing else (request.particles or default),
-        spacing=request.spacing * unit if request.spacing else None,
-        seed=request.seed,
-        uniform=request.preset == "paper",
-    )
-    if request.preset == "paper":
-        # There every particle feels the floor; a mass of rho * area * spacing is its own.
-        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
-    else:
-        samples = sample_surface(solid, particles.spacing, request.seed)
-    lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
-    settings = resolve(request, asset.facts, particles.radius, lowest)
-    lift = sum(a * b for a, b in zip(settings.lift, settings.up))
-    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
-    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
-    return Plan(
-        asset=asset,
-        particles=particles,
-        samples=samples,
-        materials=tuple(_made(look, particles.radius, law, request) for look in looks),
-        settings=settings,
-        outputs=files,
-        riders=solid.riders,
-        drop=lift + lowest,
-        notes=(*asset.facts.notes, *ridden, *left, *SKIN_NOTES.get(settings.skin, ())),
-    )
 
 
 def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
@@ -243,39 +183,6 @@ def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> B
         ),
         health=frame.health,
     )
-
-
-def _find(name: str, request: Request) -> Any:
-    """A preset, or the material of a file in the clothes of one."""
-    from gf_usd.usd.material_file import is_material_file, read_material
-
-    if is_material_file(name):
-        return presets.Fixed(read_material(Path(name)))
-    look = presets.find_preset(name.strip())
-    # The paper has every solid corotated.
-    return replace(look, law="corotated") if request.preset == "paper" else look
-
-
-def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
-    """A material on a body of radius [m], with what the request says in place of its own."""
-    own = {
-        name: value
-        for name in ("damping_time", "friction", "restitution")
-        if (value := getattr(request, name)) is not None
-    }
-    return replace(look.material(radius, law), **own)
-
-
-def _request(options: dict[str, Any]) -> Request:
-    known = Request.__dataclass_fields__
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise UsageError(
-            f"bake() has no option {unknown[0]!r}", f"its options are {', '.join(sorted(known))}"
-        )
-    request = Request(**options)
-    request.check()
-    return request
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

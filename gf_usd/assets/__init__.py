@@ -10,15 +10,19 @@ import difflib
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gf_usd.errors import InputError
 from gf_usd.model import Asset
 
+if TYPE_CHECKING:
+    from gf_usd.assets.usd_source import MeshSource
+
+USD = (".usd", ".usda", ".usdc", ".usdz")
+MESH = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".fbx")
 READERS: dict[str, str] = {
-    ".usd": "gf_usd.assets.usd:read_usd",
-    ".usda": "gf_usd.assets.usd:read_usd",
-    ".usdc": "gf_usd.assets.usd:read_usd",
-    ".usdz": "gf_usd.assets.usd:read_usd",
+    **dict.fromkeys(USD, "gf_usd.assets.usd:read_usd"),
+    **dict.fromkeys(MESH, "gf_usd.assets.mesh:read_mesh"),
 }
 
 
@@ -46,12 +50,7 @@ def read_asset(
         nothing in it that has a surface.
     """
     path = Path(path)
-    _require_file(path)
-    row = READERS.get(path.suffix.lower())
-    if row is None:
-        what = f"{path} has the suffix '{path.suffix}'" if path.suffix else f"{path} has no suffix"
-        raise InputError(f"{what}: there is no reader for it", _what_can_be_read())
-    module, function = row.split(":")
+    module, function = _reader(path).split(":")
     reader = getattr(import_module(module), function)
     return reader(
         path,
@@ -60,6 +59,33 @@ def read_asset(
         up_axis=up_axis,
         time_code=time_code,
     )
+
+
+def convert(
+    path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
+) -> MeshSource | None:
+    """A mesh file made into USD, not yet written anywhere; None for a file that is USD already.
+
+    Arguments and errors are those of `read_asset`.  The result's `asset` stands in for
+    `read_asset`, so that the file is parsed once; its `write` puts the layer where results lie.
+    """
+    path = Path(path)
+    _reader(path)
+    if path.suffix.lower() in USD:
+        return None
+    from gf_usd.assets.mesh import convert_mesh
+
+    return convert_mesh(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+
+
+def _reader(path: Path) -> str:
+    """The row of the registry for a file; raises InputError where there is none, or no file."""
+    _require_file(path)
+    row = READERS.get(path.suffix.lower())
+    if row is None:
+        what = f"{path} has the suffix '{path.suffix}'" if path.suffix else f"{path} has no suffix"
+        raise InputError(f"{what}: there is no reader for it", _what_can_be_read())
+    return row
 
 
 def _what_can_be_read() -> str:

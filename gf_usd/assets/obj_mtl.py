@@ -15,11 +15,11 @@ from gf_usd.assets.notes import Notes
 from gf_usd.errors import InputError
 
 # how many words follow each option of a map_ statement; -o, -s and -t have one to three numbers
-OPTIONS = {
-    **{"-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-texres": 1, "-clamp": 1, "-bm": 1},
-    **{"-imfchan": 1, "-type": 1, "-cc": 1, "-colorspace": 1},
-}
+OPTIONS = dict.fromkeys(
+    ("-blendu", "-blendv", "-boost", "-texres", "-clamp", "-bm", "-imfchan", "-type", "-cc"), 1
+) | {"-mm": 2}
 NUMBERS = ("-o", "-s", "-t")
+CLEAR = {"d": 1.0, "Tr": 0.0}  # of what hides all behind it
 CONSTANTS = {"Kd": "diffuseColor", "Ke": "emissiveColor", "Pr": "roughness", "Pm": "metallic"}
 
 
@@ -97,9 +97,8 @@ class _Library:
             self._constant(number, words)
         elif key.lower() == "map_kd":
             self._texture(number, words[1:])
-        elif key in ("d", "Tr") and _is_number(words[-1]):
-            if float(words[-1]) != (1.0 if key == "d" else 0.0):
-                self._notes.add("transparency is not read: opaque", f"material {self._name}")
+        elif key in CLEAR and _is_number(words[-1]) and float(words[-1]) != CLEAR[key]:
+            self._notes.add("transparency is not read: opaque", f"material {self._name}")
 
     def _constant(self, number: int, words: list[str]) -> None:
         if words[1:2] in (["xyz"], ["spectral"]):

@@ -116,9 +116,7 @@ def _points(tables: Tables, mine: Ints) -> tuple[Floats, Ints, Ints]:
     return tables.points[used], indices.reshape(-1), used
 
 
-def _uvs(
-    tables: Tables, mine: Ints, name: str, notes: Notes
-) -> tuple[Floats | None, Ints | None]:
+def _uvs(tables: Tables, mine: Ints, name: str, notes: Notes) -> tuple[Floats | None, Ints | None]:
     corners = tables.uv_corners[mine]
     missing = corners == NO_INDEX
     if missing.all():

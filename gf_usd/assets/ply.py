@@ -11,9 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from gf_usd.assets.mesh_data import (
-    REPAIR, FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot, refuse_pointer,
-    require_sound, tidy,
-)  # fmt: skip
+    REPAIR,
+    FileMaterial,
+    FileMesh,
+    FileNode,
+    MeshFile,
+    Picture,
+    Slot,
+    refuse_pointer,
+    require_sound,
+    tidy,
+)
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.ply_body import Column, Element, Ragged, read_body
 from gf_usd.colour import srgb_to_linear
@@ -21,10 +29,21 @@ from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints
 
 TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"int64": "i8", "uint64": "u8", "float": "f4", "double": "f8"},
-    **{"float16": "f2", "float32": "f4", "float64": "f8"},
+    name: kind
+    for names, kind in (
+        (("char", "int8"), "i1"),
+        (("uchar", "uint8"), "u1"),
+        (("short", "int16"), "i2"),
+        (("ushort", "uint16"), "u2"),
+        (("int", "int32"), "i4"),
+        (("uint", "uint32"), "u4"),
+        (("int64",), "i8"),
+        (("uint64",), "u8"),
+        (("float16",), "f2"),
+        (("float", "float32"), "f4"),
+        (("double", "float64"), "f8"),
+    )
+    for name in names
 }
 ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
@@ -82,17 +101,15 @@ def _header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
                 raise InputError(f"{where} is no element with a count", REPAIR)
             elements.append(Element(words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
-            elements[-1:] or _refuse(f"{where} stands before any element")
-            elements[-1].columns.append(_column(where, words))
+            column = _column(where, words)
+            if not elements or column.name in [c.name for c in elements[-1].columns]:
+                raise InputError(f"{where} stands before any element, or twice in one", REPAIR)
+            elements[-1].columns.append(column)
         elif words[:2] == ["comment", "TextureFile"]:
             texture = line.split("TextureFile", 1)[1].strip()
     if order is None:
         raise InputError(f"{path}: its header names no format that exists", REPAIR)
     return elements, order, texture, start
-
-
-def _refuse(what: str) -> None:
-    raise InputError(what, REPAIR)
 
 
 def _column(where: str, words: list[str]) -> Column:

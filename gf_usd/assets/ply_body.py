@@ -54,7 +54,7 @@ def read_body(
     Raises InputError for a body that is shorter than announced or holds what is no number.
     """
     body = _Text(path, data, start) if not order else _Binary(path, data, start, order)
-    return {element.name: body.read(element) for element in elements}
+    return {element.name: body.read(element) for element in elements if element.columns}
 
 
 class _Text:
@@ -64,9 +64,7 @@ class _Text:
         self._path = path
         first = data[:start].count(b"\n") + 1
         lines = data[start:].decode("ascii", errors="replace").splitlines()
-        self._rows = [
-            (n, words) for n, line in enumerate(lines, first) if (words := line.split())
-        ]
+        self._rows = [(n, words) for n, line in enumerate(lines, first) if (words := line.split())]
         self._at = 0
 
     def read(self, element: Element) -> Table:
@@ -105,9 +103,7 @@ class _Text:
         flat: list[float] = []
         for number, words in rows:
             if len(words) < width:
-                raise self._error(
-                    number, f"{element.name} needs {width} numbers, has {len(words)}"
-                )
+                raise self._error(number, f"{element.name} needs {width} numbers, has {len(words)}")
             flat.extend(self._numbers(number, words[:width]))
         table = np.array(flat).reshape(-1, width)
         return {c.name: _cast(table[:, i], c) for i, c in enumerate(element.columns)}
@@ -160,7 +156,10 @@ class _Binary:
         kind = self._order + column.type
         if not column.count_type:
             return [(column.name, kind)]
-        return [(f"#{column.name}", self._order + column.count_type), (column.name, kind, (length,))]
+        return [
+            (f"#{column.name}", self._order + column.count_type),
+            (column.name, kind, (length,)),
+        ]
 
     def _first_lengths(self, element: Element) -> list[int]:
         """Lengths of the lists in the element's first row; 0 for a single number."""

@@ -26,14 +26,17 @@ def read_usd(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     time_code: float | None = None,
+    named: Path | None = None,
 ) -> Asset:
     """The visible meshes and implicit shapes of a stage, posed at one time.
 
-    The arguments are those of `gf_usd.assets.read_asset`.  Raises InputError for a file that is
-    not USD or damaged, for broken meshes, and where there is nothing to make soft.
+    The arguments are those of `gf_usd.assets.read_asset`; `named` is the file that the user named
+    where `path` was made from it.  Raises InputError for a file that is not USD or damaged, for
+    broken meshes, and where there is nothing to make soft.
     """
     with reading(path):
         stage = open_stage(path)
+        path = named or path
         notes = Notes()
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
         time = _pose_time(facts, time_code)

@@ -133,9 +133,12 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
     against = np.bincount(label, patch.against)
     one_sided = np.bincount(label, patch.one_sided) > 0
     # Boundary edges chain only where their triangles agree.
-    apart = winding.facing(points, agreed, patch.label)
-    faced = winding.turned(agreed, apart.wrong[patch.label])
-    loops, loose = boundary_loops(Edges.of(faced))
+    loops: list[Ints] = []
+    loose, faced = 0, agreed
+    if len(edges.boundary):
+        apart = winding.facing(points, agreed, patch.label)
+        faced = winding.turned(agreed, apart.wrong[patch.label])
+        loops, loose = boundary_loops(Edges.of(faced))
     holes: dict[int, list[Ints]] = {}
     for loop in loops:
         holes.setdefault(int(label[loop[0] // 3]), []).append(faced.reshape(-1)[loop])
@@ -182,3 +185,34 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
         for ring, fan in zip(rings, fans)
     ]
     return tuple(sorted(made, key=lambda hole: -hole.share))
+
+
+def tolerated(seen: Diagnosis) -> str:
+    """What the fill puts up with in a mesh, in words; "" where there is nothing to say.
+
+    The winding number judges the inside of a mesh with holes, with doubled faces or with a few
+    faces turned as a person would; whole parts that face inward inside others are taken as hollow.
+    """
+    faults = faults_of(seen)
+    if not faults:
+        return ""
+    return f"<{seen.path}> is filled as it is, with {'; '.join(faults)} (--repair mends these)"
+
+
+def faults_of(seen: Diagnosis) -> list[str]:
+    """What --repair would look at, in words."""
+    said = []
+    if seen.holes:
+        share = f"{100 * seen.hole_share:.2g} % of the closed area"
+        said.append(f"{_count(len(seen.holes), 'hole')}, {share}")
+    if against := sum(shell.against for shell in seen.shells):
+        said.append(f"{_count(against, 'triangle')} facing against the rest")
+    if inward := seen.with_winding("inside out"):
+        said.append(f"{inward} of {_count(len(seen.shells), 'shell')} inside out")
+    if seen.duplicates:
+        said.append(_count(seen.duplicates, "duplicate triangle"))
+    return said
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"

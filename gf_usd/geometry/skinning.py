@@ -31,7 +31,7 @@ NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
 PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
 GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to stay local
-CHUNK_BYTES = 256_000  # of dense weights held at once: in a core's cache, twice as fast as 32 MB
+CHUNK_BYTES = 256_000  # of dense weights held at once: a core's cache, measured faster than more
 SKIN_NOTES = {
     "paper": (
         "skin paper: offsets of vertices are stretched but not turned with the body"

@@ -1,0 +1,149 @@
+"""The primitives of a glTF file as arrays, decoded by trimesh.
+
+trimesh gets the file rewritten: every primitive is a mesh of its own whose name says which it is,
+and each attribute also stands under a name with an underscore, which it hands on as it is.  So
+nothing is lost to its own ideas of colours and texture coordinates.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gf_usd.assets.gltf import DRACO, Gltf
+from gf_usd.assets.mesh_data import REPAIR
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.trimesh_load import load_meshes
+from gf_usd.errors import InputError
+from gf_usd.model import Floats, Ints
+
+TRIANGLES, STRIP = 4, 5
+# what a whole number stands for where its accessor is normalised: componentType -> largest
+WHOLE = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Primitive:
+    """One primitive in the space of its mesh."""
+
+    points: Floats  # (V, 3)
+    triangles: Ints  # (T, 3)
+    attributes: dict[str, Floats]  # by glTF name, each (V, k)
+    material: int | None
+
+
+def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive]:
+    """Every primitive made of triangles, by (number of mesh, number in the mesh).
+
+    Raises InputError for sparse accessors, compressed data that could not be decoded, and what
+    trimesh cannot read.
+    """
+    rows = [
+        (m, p, primitive)
+        for m, mesh in enumerate(gltf.rows("meshes"))
+        for p, primitive in enumerate(_list(gltf, mesh, "primitives"))
+        if _is_surface(primitive, m, notes)
+    ]
+    if not rows:
+        raise InputError(f"{gltf.path}: there is no mesh in it", "give a file with a mesh in it")
+    tree = {
+        "asset": {"version": "2.0"},
+        "buffers": [
+            {"uri": f"{i}", "byteLength": len(data)} for i, data in enumerate(gltf.buffers)
+        ],
+        "bufferViews": gltf.rows("bufferViews"),
+        "accessors": gltf.rows("accessors"),
+        "meshes": [
+            {"name": f"{m}.{p}", "primitives": [_with_aliases(gltf, row)]} for m, p, row in rows
+        ],
+        "nodes": [{"mesh": i} for i in range(len(rows))],
+        "scenes": [{"nodes": list(range(len(rows)))}],
+        "scene": 0,
+    }
+    files = {f"{i}": data for i, data in enumerate(gltf.buffers)}
+    loaded = load_meshes(gltf.path, json.dumps(tree).encode(), "gltf", files)
+    return {
+        (m, p): _primitive(gltf, f"mesh {m}, primitive {p}", row, loaded.get(f"{m}.{p}"))
+        for m, p, row in rows
+    }
+
+
+def _list(gltf: Gltf, row: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    values = row.get(key, [])
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+        raise InputError(f"{gltf.path}: '{key}' of a mesh is not a list of objects", REPAIR)
+    return values
+
+
+def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
+    mode = primitive.get("mode", TRIANGLES)
+    if mode not in (TRIANGLES, STRIP):
+        notes.add(f"points, lines and triangle fans (mode {mode}) are left out", f"mesh {mesh}")
+    elif primitive.get("targets"):
+        notes.add("morph targets are not read: the shape without them", f"mesh {mesh}")
+    return mode in (TRIANGLES, STRIP)
+
+
+def _with_aliases(gltf: Gltf, primitive: dict[str, Any]) -> dict[str, Any]:
+    attributes = primitive.get("attributes", {})
+    if "POSITION" not in attributes:
+        raise InputError(f"{gltf.path}: a primitive has no POSITION", REPAIR)
+    for index in (*attributes.values(), *[primitive[k] for k in ("indices",) if k in primitive]):
+        accessor = gltf.row("accessors", index)
+        if "sparse" in accessor:
+            raise InputError(
+                f"{gltf.path}: accessor {index} is sparse, which is not read",
+                "export it again without sparse accessors",
+            )
+        if "bufferView" in accessor:
+            gltf.view(accessor["bufferView"])
+    kept = {k: v for k, v in primitive.items() if k in ("indices", "mode")}
+    if DRACO in primitive.get("extensions", {}):
+        kept["extensions"] = {DRACO: primitive["extensions"][DRACO]}
+    kept["attributes"] = {**attributes, **{f"_{key}": value for key, value in attributes.items()}}
+    return kept
+
+
+def _primitive(gltf: Gltf, where: str, row: dict[str, Any], mesh: Any) -> Primitive:
+    if mesh is None:
+        raise InputError(f"{gltf.path}: {where} could not be read", REPAIR)
+    raw = mesh.vertex_attributes
+    attributes = {
+        key: _numbers(gltf, index, np.asarray(raw[f"_{key}"]))
+        for key, index in row["attributes"].items()
+        if f"_{key}" in raw
+    }
+    points = attributes.pop("POSITION")
+    if len(points) and not np.ptp(points, axis=0).any():
+        compressed = DRACO in row.get("extensions", {})
+        raise InputError(
+            f"{gltf.path}: {where} has no size: its {len(points)} points are all in one place"
+            + (f"; it is compressed with {DRACO}, which was not decoded" if compressed else ""),
+            "export it without Draco compression, or: pip install DracoPy"
+            if compressed
+            else REPAIR,
+        )
+    for key, values in attributes.items():
+        if len(values) != len(points):
+            raise InputError(
+                f"{gltf.path}: {where} has {len(values)} of {key} for {len(points)} points", REPAIR
+            )
+    material = row.get("material")
+    return Primitive(
+        points=points,
+        triangles=np.asarray(mesh.faces, np.int64),
+        attributes=attributes,
+        material=material if isinstance(material, int) else None,
+    )
+
+
+def _numbers(gltf: Gltf, index: int, values: np.ndarray) -> Floats:
+    """(n, k) of an accessor; whole numbers that stand for fractions become those."""
+    accessor = gltf.row("accessors", index)
+    numbers = values.astype(np.float64).reshape(len(values), -1)
+    if not accessor.get("normalized") or values.dtype.kind == "f":
+        return numbers
+    return np.maximum(numbers / WHOLE.get(accessor.get("componentType", 0), 1.0), -1.0)

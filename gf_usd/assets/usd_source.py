@@ -1,0 +1,176 @@
+"""A mesh file made into USD: read at once, written beside the results when they are.
+
+The layer is first made in a temporary folder and read from there, so that a file which is refused,
+or a dry run, leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pxr import Sdf, Tf, UsdUtils
+
+from gf_usd.assets.mesh_data import MeshFile
+from gf_usd.assets.usd import read_usd
+from gf_usd.assets.usd_source_layer import write_layer
+from gf_usd.errors import BakeError
+from gf_usd.model import Asset
+from gf_usd.publish import partial_path, publish
+
+RECORD = "convertedFrom"  # in customLayerData
+TEXTURES = "textures"  # subfolder of the temporary folder
+
+
+class MeshSource:
+    """The USD layer of a file that is not USD.
+
+    Parameters
+    ----------
+    path : the file as the user named it.
+    layer : its USD form, in a folder that lives as long as `folder`.
+    folder : holds the layer and what is to be extracted beside it.
+    record : what the layer was made of, to be found again in it.
+    notes : what was assumed or left out on the way.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        layer: Path,
+        folder: tempfile.TemporaryDirectory[str],
+        record: dict[str, str],
+        notes: tuple[str, ...],
+    ) -> None:
+        self.path = path
+        self.notes = notes
+        self._layer = layer
+        self._folder = folder  # removed with this object
+        self._pictures = Path(folder.name).resolve() / TEXTURES
+        self._record = record
+
+    @classmethod
+    def of(
+        cls, file: MeshFile, *, meters_per_unit: float, up_axis: str, notes: tuple[str, ...]
+    ) -> MeshSource:
+        """Make the layer of a mesh file."""
+        folder = new_folder()
+        inside = Path(folder.name).resolve()
+        layer = inside / "source.usdc"
+        write_layer(
+            file, layer, inside / TEXTURES, meters_per_unit=meters_per_unit, up_axis=up_axis
+        )
+        record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
+        return cls(file.path, layer, folder, record, notes)
+
+    def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
+        """The surfaces and facts; `facts.path` is the original.  See `gf_usd.assets.read_asset`."""
+        asset = read_usd(self._layer, prims=prims, time_code=time_code, named=self.path)
+        return replace(asset, facts=replace(asset.facts, notes=(*self.notes, *asset.facts.notes)))
+
+    def is_at(self, target: Path) -> bool:
+        """Whether `target` was made of the same bytes in the same way, and is whole."""
+        if not target.is_file():
+            return False
+        try:
+            there = Sdf.Layer.OpenAsAnonymous(str(target))
+        except Tf.ErrorException:
+            return False
+        if there is None or dict(there.customLayerData.get(RECORD, {})) != self._record:
+            return False
+        extracted = textures_folder(target)
+        return all((extracted / name).is_file() for name in self.textures())
+
+    def textures(self) -> tuple[str, ...]:
+        """Pictures that are written beside the layer, as paths in the folder of them."""
+        files = (p for p in self._pictures.rglob("*") if p.is_file())
+        return tuple(sorted(p.relative_to(self._pictures).as_posix() for p in files))
+
+    def write(self, target: Path) -> Path:
+        """Write the layer as `target`, pictures first, each whole or not at all; returns target.
+
+        Nothing is done where it `is_at` target already.  Raises BakeError where the disk refuses.
+        """
+        if self.is_at(target):
+            return target
+        extracted = textures_folder(target)
+        for name in self.textures():
+            _write_bytes(extracted / name, (self._pictures / name).read_bytes())
+        layer = Sdf.Layer.OpenAsAnonymous(str(self._layer))
+        layer.customLayerData = {**layer.customLayerData, RECORD: self._record}
+
+        def moved(path: str) -> str:
+            file = Path(path)
+            if not file.is_absolute():
+                return path
+            if file.is_relative_to(self._pictures):
+                file = extracted / file.relative_to(self._pictures)
+            return _relative(file, target.parent)
+
+        UsdUtils.ModifyAssetPaths(layer, moved)
+        partial = partial_path(target)
+        try:
+            exported = layer.Export(str(partial))
+        except Tf.ErrorException as error:
+            raise _refused(partial) from error
+        if not exported:
+            raise _refused(partial)
+        publish(target)
+        if open_already := Sdf.Layer.Find(str(target.absolute())):
+            open_already.Reload(force=True)
+        return target
+
+
+def new_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that goes when the object does."""
+    # Windows will not remove a file that USD still maps.
+    return tempfile.TemporaryDirectory(prefix="gf-usd-", ignore_cleanup_errors=True)
+
+
+def record_of(
+    path: Path, inputs: Sequence[Path], meters_per_unit: float | None, up_axis: str | None
+) -> dict[str, str]:
+    """What a layer was made of: the same words mean the same layer."""
+    content = hashlib.sha256()
+    for file in inputs:
+        content.update(file.read_bytes())
+    return {
+        "file": path.name,
+        "sha256": content.hexdigest(),
+        "metersPerUnit": str(meters_per_unit),
+        "upAxis": str(up_axis),
+    }
+
+
+def textures_folder(target: Path) -> Path:
+    """``duck.source.usdc`` -> ``duck.textures``, beside it."""
+    return target.with_name(f"{target.stem.removesuffix('.source')}.textures")
+
+
+def _relative(file: Path, folder: Path) -> str:
+    try:
+        relative = Path(os.path.relpath(file.absolute(), folder.absolute())).as_posix()
+    except ValueError:  # another drive on Windows
+        return file.as_posix()
+    return relative if relative.startswith("../") else f"./{relative}"
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    partial = partial_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(data)
+    except OSError as error:
+        raise _refused(partial) from error
+    publish(path)
+
+
+def _refused(partial: Path) -> BakeError:
+    return BakeError(
+        f"{partial} could not be written.",
+        f"check that {partial.parent} exists, is writable and has space left",
+    )

@@ -1,0 +1,219 @@
+"""Before time is spent: read, check and fill an asset, and say what a bake of it would be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd import materials as presets
+from gf_usd.errors import InputError, UsageError
+from gf_usd.estimate import estimate
+from gf_usd.inspection import Inspection, implausible_size, look_at
+from gf_usd.model import Asset, Material, SurfaceSamples
+from gf_usd.output_files import Outputs, outputs, require_free
+from gf_usd.plan import Plan
+from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
+from gf_usd.runtime import init_taichi
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.solid import Solid
+
+
+def prepare(
+    path: str | Path,
+    *,
+    material: str = "rubber",
+    output: str | Path | None = None,
+    law: str | None = None,
+    prims: Sequence[str] = (),
+    overwrite: bool = False,
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    repair: bool = False,
+    **options: Any,
+) -> Plan:
+    """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
+    request, looks = _asked(material, law, options)
+    source = Path(path)
+    names = [look.name for look in looks]
+    files = outputs(source, names, None if output is None else str(output))
+    require_free(files, overwrite)
+    # A device that is not there is found out before the asset is read.
+    init_taichi(request.device, request.threads)
+    from gf_usd.assets import read_asset
+
+    asset = read_asset(
+        source,
+        prims=tuple(prims),
+        meters_per_unit=meters_per_unit,
+        up_axis=up_axis,
+        time_code=request.start,
+    )
+    return _fill(asset, request, looks, law, files, repair=repair)[0]
+
+
+def inspect(
+    path: str | Path,
+    *,
+    material: str = "rubber",
+    law: str | None = None,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    repair: bool = False,
+    **options: Any,
+) -> Inspection:
+    """What `bake` would make of an asset with the same parameters, and what is wrong with it.
+
+    A refusal is part of the result (`Inspection.refusal`), where the file could be read at all.
+
+    Raises
+    ------
+    UsageError : the options make no sense.
+    InputError : the file cannot be read, or holds nothing that could be made soft.
+    """
+    from gf_usd.assets import read_asset
+    from gf_usd.geometry.parts import poor_parts
+    from gf_usd.geometry.repair import repair_asset
+
+    request, looks = _asked(material, law, options)
+    source = Path(path)
+    asset = read_asset(
+        source,
+        prims=tuple(prims),
+        meters_per_unit=meters_per_unit,
+        up_axis=up_axis,
+        time_code=request.start,
+    )
+    seen = look_at(asset, repair_asset(asset)[1] if repair else ())
+    files = outputs(source, [look.name for look in looks], None)
+    try:
+        plan, solid = _fill(
+            asset, request, looks, law, files, repair=repair, known=seen.diagnoses
+        )
+    except InputError as refusal:
+        warnings = [implausible_size(asset)]
+        if not repair and _would_fill(repair_asset(asset)[0]):
+            warnings.append("with --repair it can be baked")
+        return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
+    return replace(
+        seen,
+        plan=plan,
+        cost=estimate(plan),
+        parts=poor_parts(solid, plan.particles, plan.samples),
+        warnings=tuple(w for w in (implausible_size(asset),) if w),
+    )
+
+
+def _fill(
+    asset: Asset,
+    request: Request,
+    looks: Sequence[Any],
+    law: str | None,
+    files: Outputs,
+    *,
+    repair: bool,
+    known: Sequence[Diagnosis] = (),
+) -> tuple[Plan, Solid]:
+    """A plan for an asset that was read.  Raises InputError where it is refused.
+
+    known : what `diagnose` said of its surfaces, if it was asked already.
+    """
+    from gf_usd.geometry.diagnosis import diagnose, tolerated
+    from gf_usd.geometry.repair import notes, repair_asset
+    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.skinning import SKIN_NOTES
+    from gf_usd.geometry.solid import build_solid
+
+    mended: tuple[str, ...] = ()
+    if repair:
+        asset, repairs = repair_asset(asset)
+        mended = notes(repairs)
+    solid = build_solid(asset)
+    if not repair:
+        by_path = {seen.path: seen for seen in known}
+        all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
+        mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
+    unit = asset.facts.units.length
+    default = PAPER_PARTICLES if request.preset == "paper" else DEFAULT_PARTICLES
+    particles = sample_solid(
+        solid,
+        particles=None if request.spacing else (request.particles or default),
+        spacing=request.spacing * unit if request.spacing else None,
+        seed=request.seed,
+        uniform=request.preset == "paper",
+    )
+    if request.preset == "paper":
+        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
+    else:
+        samples = sample_surface(solid, particles.spacing, request.seed)
+    lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
+    settings = resolve(request, asset.facts, particles.radius, lowest)
+    lift = sum(a * b for a, b in zip(settings.lift, settings.up))
+    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
+    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    skin = SKIN_NOTES.get(settings.skin, ())
+    plan = Plan(
+        asset=asset,
+        particles=particles,
+        samples=samples,
+        materials=tuple(_made(look, particles.radius, law, request) for look in looks),
+        settings=settings,
+        outputs=files,
+        riders=solid.riders,
+        drop=lift + lowest,
+        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin),
+    )
+    return plan, solid
+
+
+def _would_fill(asset: Asset) -> bool:
+    from gf_usd.geometry.solid import build_solid
+
+    try:
+        build_solid(asset)
+    except InputError:
+        return False
+    return True
+
+
+def _asked(material: str, law: str | None, options: dict[str, Any]) -> tuple[Request, list[Any]]:
+    """The request and the materials of a bake, checked before anything is read."""
+    known = Request.__dataclass_fields__
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise UsageError(
+            f"bake() has no option {unknown[0]!r}", f"its options are {', '.join(sorted(known))}"
+        )
+    request = Request(**options)
+    request.check()
+    if law is not None:
+        presets.check_law(law)
+    from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
+
+    return request, [_find(name, request) for name in material.split(",")]
+
+
+def _find(name: str, request: Request) -> Any:
+    """A preset, or the material of a file in the clothes of one."""
+    from gf_usd.usd.material_file import is_material_file, read_material
+
+    if is_material_file(name):
+        return presets.Fixed(read_material(Path(name)))
+    look = presets.find_preset(name.strip())
+    # The paper has every solid corotated.
+    return replace(look, law="corotated") if request.preset == "paper" else look
+
+
+def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
+    """A material on a body of radius [m], with what the request says in place of its own."""
+    own = {
+        name: value
+        for name in ("damping_time", "friction", "restitution")
+        if (value := getattr(request, name)) is not None
+    }
+    return replace(look.material(radius, law), **own)
