@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
 from gf_usd.output_files import claim
-from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash
+from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash, settings_json
 from gf_usd.preflight import prepare
 from gf_usd.publish import publish, publish_text
 from gf_usd.summary import HealthLog
@@ -72,6 +72,8 @@ def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
 
     claim(plan.outputs)
     began = time.perf_counter()
+    if plan.converted is not None:
+        plan.converted.write(plan.source)
     results, looks, notes = [], [], list(plan.notes)
     for number, material in enumerate(plan.materials):
         result, info, more = _run_look(plan, number, material, progress)
@@ -82,15 +84,15 @@ def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
                 name=material.name, cache=result.cache, info=info, health=_plain(result.health)
             )
         )
-    root = write_root(plan.outputs.root, plan.asset, looks)
+    root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source)
     notes += root.notes
-    findings = review(plan.outputs.root, plan.asset.facts.path)
+    findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
     report = {
         **describe(plan),
         "notes": notes,
         "seconds": seconds,
-        "settings": asdict(plan.settings),
+        "settings": settings_json(plan.settings),
         "bakes": [r.as_json(frames=True) for r in results],
         "check": findings,
     }
@@ -124,7 +126,7 @@ def _run_look(
     )
     log = HealthLog(plan.settings, plan.particles.spacing, plan.drop)
     target = plan.outputs.caches[number]
-    with CacheWriter(target, plan.asset, plan.particles, info) as cache:
+    with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
         for baked in _frames(plan, material):
             cache.write(baked)
             log.add(baked.health)

@@ -13,8 +13,9 @@ meshes      of each: path, type, points, faces, triangles, quads, ngons, largest
             shells: index, triangles, low, size, volume_m3, area_m2, winding, against, and holes:
             edges, size, centre, share
 body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame
-parts       poorly filled: path, shell, kind (empty | few | thin | bare region), centre, size,
-            thickness, particles, suggested_particles
+parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),
+            centre, size, thickness, particles, suggested_particles; none where faults of a mesh
+            cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
 """
@@ -28,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.errors import InputError
-from gf_usd.geometry.diagnosis import Diagnosis, diagnose
+from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.parts import Part, suggestion
 from gf_usd.geometry.repair import Repairs
 from gf_usd.model import Asset, Floats, StageFacts
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 
 PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
+KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
+UNIT, AXIS = "--meters-per-unit", "--up-axis"
+ATTRIBUTES = {UNIT: "metersPerUnit", AXIS: "upAxis"}
 COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
 
 
@@ -69,7 +73,7 @@ class Inspection:
     def as_json(self) -> dict[str, Any]:
         """Plain values; see the top of this file."""
         facts = self.asset.facts
-        unit_from, axis_from = origin(facts, "metersPerUnit"), origin(facts, "upAxis")
+        unit_from, axis_from = origin(facts, UNIT), origin(facts, AXIS)
         return {
             "file": str(facts.path),
             "bakeable": self.refusal is None,
@@ -171,12 +175,12 @@ def refusal_json(error: InputError | None) -> dict[str, str] | None:
     return None if error is None else {"message": error.message, "hint": error.hint}
 
 
-def origin(facts: StageFacts, what: str) -> str:
-    """Where metersPerUnit or upAxis come from: file, assumed or option.
+def origin(facts: StageFacts, option: str) -> str:
+    """Where the answer to --meters-per-unit or --up-axis comes from: file, assumed or option.
 
     Readers say in a note what the file does not say itself.
     """
-    said = [note for note in facts.notes if what in note]
+    said = [note for note in facts.notes if option in note or ATTRIBUTES[option] in note]
     if any("asked for" in note for note in said):
         return "option"
     return "assumed" if any("assumed" in note for note in said) else "file"
@@ -195,7 +199,7 @@ def implausible_size(asset: Asset) -> str:
     width = float(size(asset).max())
     units = width / unit
     # An assumed unit deserves less trust than one that somebody wrote down.
-    least = PLAUSIBLE[0] if origin(asset.facts, "metersPerUnit") == "assumed" else TINY
+    least = PLAUSIBLE[0] if origin(asset.facts, UNIT) == "assumed" else TINY
     if least <= width <= HUGE:
         return ""
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
@@ -203,8 +207,21 @@ def implausible_size(asset: Asset) -> str:
     fitting = max(likely, default=None) if width < least else next(iter(likely), None)
     said = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
     if fitting is None:
-        return f"{said}; check its unit (--meters-per-unit)"
-    return f"{said}; with --meters-per-unit {fitting:g} it would be {units * fitting:.3g} m"
+        return f"{said}; check its unit ({UNIT})"
+    return f"{said}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"
+
+
+def lost_volume(seen: Inspection) -> str:
+    """A warning where faults of the meshes cost the fill much of what they enclose; else ""."""
+    if seen.plan is None or seen.repairs:
+        return ""
+    filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
+    whole, fill = sum(d.volume for d in filled), seen.plan.particles.volume
+    if fill >= KEPT * whole or not any(faults(d) for d in filled):
+        return ""
+    return (
+        f"only {fill:.3g} of the {whole:.3g} m^3 that the meshes enclose are filled: try --repair"
+    )
 
 
 def _part(part: Part) -> dict[str, Any]:

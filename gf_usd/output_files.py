@@ -9,6 +9,10 @@ from pathlib import Path
 
 from gf_usd.errors import UsageError
 
+SOURCE_VARIANT = "none"  # taken: usd.variants calls the asset without a bake so
+
+USD = (".usd", ".usda", ".usdc", ".usdz")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
@@ -17,10 +21,18 @@ class Outputs:
     root: Path
     caches: tuple[Path, ...]  # one for each look
     report: Path
+    source: Path | None = None  # USD layer of an asset that is not USD
+    textures: tuple[Path, ...] = ()  # pictures that were inside it
+
+    @property
+    def own(self) -> tuple[Path, ...]:
+        """The files that no other bake has a part in."""
+        return (self.root, *self.caches, self.report)
 
     @property
     def all(self) -> tuple[Path, ...]:
-        return (self.root, *self.caches, self.report)
+        """Every file."""
+        return (*self.own, *([self.source] if self.source else []), *self.textures)
 
 
 def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
@@ -28,8 +40,12 @@ def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
 
     `-o` names the root layer, or a folder if it ends in / or is one; default: the current folder.
     One look: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
-    duck.rubber-jelly.rubber.cache.usdc and so on.
+    duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
+    duck.source.usdc, which all bakes of it share.
+
+    Raises UsageError for names that collide, with each other or with the asset.
     """
+    _require_names(looks)
     name = f"{source.stem}.{'-'.join(looks)}.usda"
     if output is None:
         root = Path(name)
@@ -43,17 +59,40 @@ def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
     stem = root.name[: -len(root.suffix)]
+    is_usd = source.suffix.lower() in USD
     parts = ("",) if len(looks) == 1 else tuple(f".{look}" for look in looks)
-    return Outputs(
+    files = Outputs(
         root=root,
         caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
         report=root.with_name(f"{stem}.report.json"),
+        source=None if is_usd else root.with_name(f"{source.stem}.source.usdc"),
     )
+    for path in files.all:
+        if path.resolve() == source.resolve():
+            raise UsageError(
+                f"{path} is the asset itself, which is never written to", "choose another -o"
+            )
+    return files
+
+
+def _require_names(looks: Sequence[str]) -> None:
+    """Raise UsageError where two variants, and so their caches, would have one name."""
+    for look in looks:
+        if looks.count(look) > 1:
+            raise UsageError(
+                f"--material has {looks.count(look)} materials named {look!r}",
+                "name each once; a material of a file is called after its prim",
+            )
+        if look == SOURCE_VARIANT:
+            raise UsageError(
+                f"a material is named {look!r}, which is the variant that shows the source",
+                "give its prim another name",
+            )
 
 
 def require_free(files: Outputs, overwrite: bool) -> None:
     """Raise UsageError where a result is there already, or no folder could hold one."""
-    there = [p for p in files.all if p.exists()]
+    there = [p for p in files.own if p.exists()]
     if there and not overwrite:
         raise UsageError(
             f"{there[0]} exists already", "add --overwrite to replace it, or choose another -o"
@@ -71,6 +110,21 @@ def require_free(files: Outputs, overwrite: bool) -> None:
             f"{parent} cannot be written to: {error.strerror}",
             "choose another folder with -o, or change its permissions",
         ) from error
+
+
+def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> None:
+    """Raise UsageError where the layer of a mesh file would replace one that is not the same.
+
+    is_the_same : what lies there was made of the same file in the same way; it is used again.
+    """
+    if overwrite or is_the_same or files.source is None:
+        return
+    there = [p for p in (files.source, *files.textures) if p.exists()]
+    if there:
+        raise UsageError(
+            f"{there[0]} exists already, and was not made of this file in this way",
+            "add --overwrite to replace it (other bakes may lie over it), or choose another -o",
+        )
 
 
 def claim(files: Outputs) -> None:

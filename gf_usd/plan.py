@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import shlex
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSa
 from gf_usd.output_files import Outputs
 
 if TYPE_CHECKING:
+    from gf_usd.assets.usd_source import MeshSource
     from gf_usd.physics.solver import TotalLagrangian
 
 
@@ -29,6 +31,12 @@ class Plan:
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
+    converted: MeshSource | None = None  # of an asset that is not USD
+
+    @property
+    def source(self) -> Path:
+        """The USD file to lie over: the asset, or the layer that is made of it."""
+        return self.outputs.source or self.asset.facts.path
 
     @property
     def version(self) -> str:
@@ -91,6 +99,13 @@ def describe(plan: Plan) -> dict[str, Any]:
     }
 
 
+def settings_json(settings: Settings) -> dict[str, Any]:
+    """Plain values; an infinite one as the word "inf", since JSON has no number for it."""
+    return {
+        name: str(value) if value == math.inf else value for name, value in asdict(settings).items()
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class LookResult:
     """One material's bake."""
@@ -149,7 +164,7 @@ class BakeResult:
             "particles": self.particles,
             "frames": self.frames,
             "seconds": self.seconds,
-            "settings": asdict(self.settings),
+            "settings": settings_json(self.settings),
             "bakes": [b.as_json() for b in self.bakes],
             "notes": list(self.notes),
             "check": list(self.findings),

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd import materials as presets
 from gf_usd.errors import InputError, UsageError
-from gf_usd.estimate import estimate
-from gf_usd.inspection import Inspection, implausible_size, look_at
 from gf_usd.model import Asset, Material, SurfaceSamples
-from gf_usd.output_files import Outputs, outputs, require_free
+from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
 from gf_usd.plan import Plan
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
 from gf_usd.runtime import init_taichi
@@ -20,6 +18,7 @@ from gf_usd.runtime import init_taichi
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.solid import Solid
+    from gf_usd.inspection import Inspection
 
 
 def prepare(
@@ -43,16 +42,25 @@ def prepare(
     require_free(files, overwrite)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
-    from gf_usd.assets import read_asset
+    from gf_usd.assets import convert, read_asset
 
-    asset = read_asset(
-        source,
-        prims=tuple(prims),
-        meters_per_unit=meters_per_unit,
-        up_axis=up_axis,
-        time_code=request.start,
-    )
-    return _fill(asset, request, looks, law, files, repair=repair)[0]
+    converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
+    if converted is None:
+        asset = read_asset(
+            source,
+            prims=tuple(prims),
+            meters_per_unit=meters_per_unit,
+            up_axis=up_axis,
+            time_code=request.start,
+        )
+    else:
+        asset = converted.asset(prims=tuple(prims), time_code=request.start)
+        target = files.source
+        assert target is not None
+        files = replace(files, textures=converted.textures(target))
+        require_source_free(files, converted.is_at(target), overwrite)
+    plan = _fill(asset, request, looks, law, files, repair=repair)[0]
+    return replace(plan, converted=converted)
 
 
 def inspect(
@@ -76,8 +84,10 @@ def inspect(
     InputError : the file cannot be read, or holds nothing that could be made soft.
     """
     from gf_usd.assets import read_asset
+    from gf_usd.estimate import estimate
     from gf_usd.geometry.parts import poor_parts
     from gf_usd.geometry.repair import repair_asset
+    from gf_usd.inspection import implausible_size, look_at, lost_volume
 
     request, looks = _asked(material, law, options)
     source = Path(path)
@@ -91,21 +101,18 @@ def inspect(
     seen = look_at(asset, repair_asset(asset)[1] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:
-        plan, solid = _fill(
-            asset, request, looks, law, files, repair=repair, known=seen.diagnoses
-        )
+        plan, solid = _fill(asset, request, looks, law, files, repair=repair, known=seen.diagnoses)
     except InputError as refusal:
         warnings = [implausible_size(asset)]
         if not repair and _would_fill(repair_asset(asset)[0]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    return replace(
-        seen,
-        plan=plan,
-        cost=estimate(plan),
-        parts=poor_parts(solid, plan.particles, plan.samples),
-        warnings=tuple(w for w in (implausible_size(asset),) if w),
-    )
+    seen = replace(seen, plan=plan, cost=estimate(plan))
+    lost = lost_volume(seen)
+    # Where faults cost much of the fill, thin parts are their echo.
+    parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
+    warnings = (implausible_size(asset), lost)
+    return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))
 
 
 def _fill(

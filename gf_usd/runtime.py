@@ -15,6 +15,7 @@ from gf_usd.errors import GfUsdError, UsageError
 DEVICES = ("cpu", "cuda")
 
 _started: dict[str, Any] = {}
+_starts = 0
 
 
 @cache
@@ -83,6 +84,13 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             log_level=ti.ERROR,
         )
     _started.update(wanted)
+    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
+    _starts += 1
+
+
+def epoch() -> int:
+    """How often Taichi was started: what was built in another epoch must be built anew."""
+    return _starts
 
 
 def ensure_taichi() -> None:

@@ -1,10 +1,9 @@
 """Mesh files: a suffix and its parser; whatever it is, it becomes a USD layer and is read as USD.
 
-obj      metres are assumed, Y up          own reader: polygons, seams and groups stay
-ply, off metres are assumed, Y up          own reader; off through trimesh
-stl      metres are assumed, Z up, as printers have it          through trimesh
-glb,gltf metres, Y up by their standard    through trimesh
-fbx      what the file says                the program usd-convert-asset
+obj, ply, off   metres are assumed, Y up; own readers: polygons and seams stay
+stl             metres are assumed, Z up, as printers have it; trimesh
+glb, gltf       metres, Y up by their standard; trimesh
+fbx             what the file says; the program usd-convert-asset
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 PARSERS = {
     ".obj": "gf_usd.assets.obj:read_obj",
     ".ply": "gf_usd.assets.ply:read_ply",
-    ".stl": "gf_usd.assets.stl_off:read_stl",
-    ".off": "gf_usd.assets.stl_off:read_off",
+    ".stl": "gf_usd.assets.stl:read_stl",
+    ".off": "gf_usd.assets.off:read_off",
     ".glb": "gf_usd.assets.gltf_scene:read_gltf",
     ".gltf": "gf_usd.assets.gltf_scene:read_gltf",
 }

@@ -82,13 +82,11 @@ class MeshSource:
             return False
         if there is None or dict(there.customLayerData.get(RECORD, {})) != self._record:
             return False
-        extracted = textures_folder(target)
-        return all((extracted / name).is_file() for name in self.textures())
+        return all(picture.is_file() for picture in self.textures(target))
 
-    def textures(self) -> tuple[str, ...]:
-        """Pictures that are written beside the layer, as paths in the folder of them."""
-        files = (p for p in self._pictures.rglob("*") if p.is_file())
-        return tuple(sorted(p.relative_to(self._pictures).as_posix() for p in files))
+    def textures(self, target: Path) -> tuple[Path, ...]:
+        """Pictures that are written beside a layer of that name."""
+        return tuple(textures_folder(target) / name for name in self._names())
 
     def write(self, target: Path) -> Path:
         """Write the layer as `target`, pictures first, each whole or not at all; returns target.
@@ -98,7 +96,7 @@ class MeshSource:
         if self.is_at(target):
             return target
         extracted = textures_folder(target)
-        for name in self.textures():
+        for name in self._names():
             _write_bytes(extracted / name, (self._pictures / name).read_bytes())
         layer = Sdf.Layer.OpenAsAnonymous(str(self._layer))
         layer.customLayerData = {**layer.customLayerData, RECORD: self._record}
@@ -123,6 +121,11 @@ class MeshSource:
         if open_already := Sdf.Layer.Find(str(target.absolute())):
             open_already.Reload(force=True)
         return target
+
+    def _names(self) -> list[str]:
+        """Pictures that came out of the file, as paths in their folder."""
+        files = (p for p in self._pictures.rglob("*") if p.is_file())
+        return sorted(p.relative_to(self._pictures).as_posix() for p in files)
 
 
 def new_folder() -> tempfile.TemporaryDirectory[str]:

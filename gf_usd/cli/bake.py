@@ -67,6 +67,27 @@ def bake(
         list[str] | None,
         typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
     ] = None,
+    meters_per_unit: Annotated[
+        float | None,
+        typer.Option(
+            help="Size of the file's unit [m], e.g. 0.01.",
+            show_default="what the file says; 1 for obj, ply, stl and off",
+        ),
+    ] = None,
+    up_axis: Annotated[
+        str | None,
+        typer.Option(
+            help="Y or Z.", show_default="what the file says; Y for obj, ply and off, Z for stl"
+        ),
+    ] = None,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="For the fill, close small holes, unify winding, drop duplicate and collapsed"
+            " faces; the mesh itself stays as it is.",
+        ),
+    ] = False,
     filter_rate: Annotated[
         float | None,
         typer.Option(help="Of the APIC filter [1/T]; inf or 0 are its limits.", show_default="10"),
@@ -118,7 +139,8 @@ def bake(
     """Make an asset soft: fill it with particles, let it fall, write layers over it.
 
     Writes NAME.MATERIAL.usda (open this one), NAME.MATERIAL.cache.usdc and
-    NAME.MATERIAL.report.json; the asset itself is left as it is.
+    NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
+    glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
     from gf_usd.bake import prepare, run
     from gf_usd.cli.talk import progress, show_plan, summarise
@@ -129,7 +151,8 @@ def bake(
         gravity=gravity, seed=seed, device=device, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress, skin=skin,
+        stress=stress, skin=skin, meters_per_unit=meters_per_unit, up_axis=up_axis,
+        repair=repair,
     )  # fmt: skip
     if dry_run:
         show_plan(plan, as_json=as_json)

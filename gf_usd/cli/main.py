@@ -15,6 +15,7 @@ import typer
 from gf_usd import __version__
 from gf_usd.cli.bake import bake
 from gf_usd.cli.check import check
+from gf_usd.cli.inspect import inspect
 from gf_usd.cli.materials import materials
 from gf_usd.cli.preview import preview
 from gf_usd.cli.schema_path import schema_path
@@ -29,6 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(bake)
+app.command()(inspect)
 app.command()(preview)
 app.command()(check)
 app.command()(materials)

@@ -36,6 +36,7 @@ def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
         f"drop        {d['drop_m']:.3g} m, "
         + (f"first contact at frame {contact}" if contact is not None else "no contact"),
         f"time        about {d['estimated_seconds']:.0f} s",
+        f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        about {_bytes(d['estimated_bytes'])}",
         *(f"would write {path}" for path in d["outputs"]),
         *(f"note: {note}" for note in d["notes"]),

@@ -16,6 +16,8 @@ from gf_usd.geometry.faces import doubled, slivers
 from gf_usd.model import Floats, Ints, Surface
 from gf_usd.topology import proper, shells, weld
 
+HOLE_LIMIT = 0.05  # a hole is small, and repair closes it, up to this share of its shell's area
+
 
 @dataclass(frozen=True, kw_only=True)
 class Hole:
@@ -187,24 +189,12 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
     return tuple(sorted(made, key=lambda hole: -hole.share))
 
 
-def tolerated(seen: Diagnosis) -> str:
-    """What the fill puts up with in a mesh, in words; "" where there is nothing to say.
-
-    The winding number judges the inside of a mesh with holes, with doubled faces or with a few
-    faces turned as a person would; whole parts that face inward inside others are taken as hollow.
-    """
-    faults = faults_of(seen)
-    if not faults:
-        return ""
-    return f"<{seen.path}> is filled as it is, with {'; '.join(faults)} (--repair mends these)"
-
-
-def faults_of(seen: Diagnosis) -> list[str]:
-    """What --repair would look at, in words."""
+def faults(seen: Diagnosis) -> list[str]:
+    """What is wrong with a mesh as a boundary, in words."""
     said = []
     if seen.holes:
         share = f"{100 * seen.hole_share:.2g} % of the closed area"
-        said.append(f"{_count(len(seen.holes), 'hole')}, {share}")
+        said.append(f"{_count(len(seen.holes), 'hole')} ({share})")
     if against := sum(shell.against for shell in seen.shells):
         said.append(f"{_count(against, 'triangle')} facing against the rest")
     if inward := seen.with_winding("inside out"):
@@ -212,6 +202,20 @@ def faults_of(seen: Diagnosis) -> list[str]:
     if seen.duplicates:
         said.append(_count(seen.duplicates, "duplicate triangle"))
     return said
+
+
+def tolerated(seen: Diagnosis) -> str:
+    """What the fill puts up with in a mesh, in words; "" where there is nothing to say.
+
+    The winding number judges the inside of a mesh with holes, with doubled faces or with a few
+    faces turned as a person would; whole parts that face inward inside others are taken as hollow.
+    """
+    said = faults(seen)
+    if not said:
+        return ""
+    small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
+    mends = "; --repair mends such things" if small or len(said) > bool(seen.holes) else ""
+    return f"<{seen.path}> is filled in spite of {', '.join(said)}{mends}"
 
 
 def _count(n: int, what: str) -> str:

@@ -1,8 +1,8 @@
 """Parts of an asset that the particles do not reach, by name.
 
 A part without particles of its own follows its surroundings stiffly.  Found are whole shells with
-too few particles or too thin for one layer, and bare regions of shells that are otherwise filled:
-an antenna, a brim, the edge of a blade.
+too few particles or too thin for one layer, and bare or thin regions of shells that are otherwise
+filled: an antenna, the brim of a hat.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part
 # of it is clearly so.
 BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
-PROBE_STEPS = 64
-PROBE_REACH = 2.0  # [spacings] inward, where the far side is looked for
+PLATE = 4.0  # [spacings] area over length of a region that is no mere edge: both sides of a strip
+PROBE_STEPS = 48
 SENSIBLE = 2_000_000  # particles: more is no advice
 
 
@@ -37,11 +37,11 @@ class Part:
 
     path: str  # prim path
     shell: int  # as in topology.shells
-    kind: str  # empty | few | thin | bare region
+    kind: str  # empty | few | thin (whole shells) | bare region | thin region
     low: Floats  # (3,) [m]
     high: Floats  # (3,) [m]
     area: float  # [m^2] of its surface
-    particles: int  # inside it
+    particles: int  # inside it; of a region, those nearest to its surface
     thickness: float  # [m] 2 V / A of a shell, the median measured inward for a region
     suggested: int | None  # total of particles that would fill it; None: more than is sensible
 
@@ -69,7 +69,7 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
         parts += found
         settled |= {(number, part.shell) for part in found}
         settled |= {(number, shell) for shell in hollow}
-    parts += _bare_regions(solid, labels, settled, particles, samples)
+    parts += _poor_regions(solid, labels, settled, particles, samples)
     return tuple(sorted(parts, key=lambda part: -part.size))
 
 
@@ -117,50 +117,56 @@ def _poor_shells(
     return found, np.flatnonzero(cavity).tolist()
 
 
-def _bare_regions(
+def _poor_regions(
     solid: Solid,
     labels: list[Ints],
     settled: set[tuple[int, int]],
     particles: Particles,
     samples: SurfaceSamples,
 ) -> list[Part]:
-    """Connected stretches of surface far from any particle."""
+    """Connected stretches of surface far from any particle, or of a plate thinner than a layer."""
     s = particles.spacing
     distance = cKDTree(particles.X).query(samples.X)[0]
-    bare = np.flatnonzero(distance > BARE * s)
-    if len(bare) == 0:
+    at = nearest(solid, samples.X)
+    thickness = _thickness(solid, samples.X, at.normal, s)
+    poor = np.flatnonzero((distance > BARE * s) | (thickness < THIN * s))
+    if len(poor) == 0:
         return []
-    X, area = samples.X[bare], samples.area[bare]
-    at = nearest(solid, X)
-    # Rows of Surface.triangles, which name the shell through the welded triangles made of them.
-    shell = np.full(len(bare), -1)
+    X, area, owner = samples.X[poor], samples.area[poor], at.surface[poor]
+    # Rows of Surface.triangles name the shell through the welded triangles made of them.
+    shell = np.full(len(poor), -1)
     for number, (label, source) in enumerate(zip(labels, solid.sources)):
-        mine = np.flatnonzero(at.surface == number)
-        shell[mine] = label[np.searchsorted(source, at.triangle[mine])]
+        mine = np.flatnonzero(owner == number)
+        shell[mine] = label[np.searchsorted(source, at.triangle[poor[mine]])]
     pairs = cKDTree(X).query_pairs(BARE * s, output_type="ndarray")
-    same = (at.surface[pairs[:, 0]] == at.surface[pairs[:, 1]]) & (
-        shell[pairs[:, 0]] == shell[pairs[:, 1]]
-    )
-    pairs = pairs[same]
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(X),) * 2)
+    one, two = pairs[(owner[pairs] == owner[pairs][:, :1]).all(1)].T
+    joined = shell[one] == shell[two]
+    graph = coo_matrix((np.ones(joined.sum()), (one[joined], two[joined])), shape=(len(X),) * 2)
     region = connected_components(graph, directed=False)[1]
-    thickness = _thickness(solid, X, at.normal, PROBE_REACH * s)
+    # A particle belongs to the region whose surface is the nearest one.
+    home = np.full(len(samples.X), -1)
+    home[poor] = region
+    nearest_sample = cKDTree(samples.X).query(particles.X)[1]
+    count = np.bincount(home[nearest_sample] + 1, minlength=region.max() + 2)[1:]
     found = []
-    for rows in winding.rows_of(region):
-        home = (int(at.surface[rows[0]]), int(shell[rows[0]]))
-        if home in settled or distance[bare[rows]].max() < CLEARLY_BARE * s:
-            continue
+    for k, rows in enumerate(winding.rows_of(region)):
         low, high = X[rows].min(0), X[rows].max(0)
-        thick = float(np.median(thickness[rows]))
+        plate = area[rows].sum() / max(float(np.linalg.norm(high - low)), s)
+        bare = distance[poor[rows]].max() > CLEARLY_BARE * s
+        if (int(owner[rows[0]]), int(shell[rows[0]])) in settled or (
+            plate < PLATE * s and not bare
+        ):
+            continue
+        thick = float(np.median(thickness[poor[rows]]))
         found.append(
             Part(
-                path=solid.surfaces[home[0]].path,
-                shell=home[1],
-                kind="bare region",
+                path=solid.surfaces[owner[rows[0]]].path,
+                shell=int(shell[rows[0]]),
+                kind="thin region" if count[k] else "bare region",
                 low=low,
                 high=high,
                 area=float(area[rows].sum()),
-                particles=0,
+                particles=int(count[k]),
                 thickness=thick,
                 suggested=_particles_for(solid, thick),
             )
@@ -169,12 +175,16 @@ def _bare_regions(
 
 
 def _thickness(solid: Solid, X: Floats, normal: Floats, reach: float) -> Floats:
-    """(n,) [m] from surface points X inward to where the solid ends, reach at most."""
+    """(n,) [m] from surface points X inward to where the solid ends, reach [m] at most.
+
+    Inward is the side of the normal where the solid goes deeper: faces may be turned.
+    """
     depth = (np.arange(PROBE_STEPS) + 0.5) / PROBE_STEPS * reach
-    probes = X[:, None, :] - depth[:, None] * normal[:, None, :]
-    inside = solid.inside(probes.reshape(-1, 3)).reshape(len(X), PROBE_STEPS)
-    out = ~inside
-    return np.where(out.any(1), depth[np.argmax(out, axis=1)], reach)
+    way = np.stack([depth, -depth])
+    probes = X[:, None, None, :] + way[None, :, :, None] * normal[:, None, None, :]
+    out = ~solid.inside(probes.reshape(-1, 3)).reshape(len(X), 2, PROBE_STEPS)
+    deep = np.where(out.any(2), depth[np.argmax(out, axis=2)], reach)
+    return deep.max(1)
 
 
 def _particles_for(solid: Solid, spacing: float) -> int | None:

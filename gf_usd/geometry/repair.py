@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from gf_usd.geometry import winding
+from gf_usd.geometry.diagnosis import HOLE_LIMIT
 from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
 from gf_usd.geometry.faces import doubled, idle, slivers
 from gf_usd.model import Asset, Floats, Ints, Surface
 from gf_usd.topology import proper, shells, triangulate, weld
-
-HOLE_LIMIT = 0.05  # a hole is small up to this share of its shell's area, all holes closed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -109,10 +109,11 @@ def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
 
 
 def sample_surface(solid: Solid, spacing: float, seed: int) -> SurfaceSamples:
-    """Contact samples about a spacing [m] apart; sharp vertices are always among them.
+    """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
-    Candidates are the vertices, then random points by area; each is kept if no kept one is nearer
-    than 0.7 spacings.  The area a sample stands for is that of the candidates nearest to it.
+    Candidates are the vertices, then random points by area; kept are some that are no nearer to
+    each other than 0.7 spacings and leave no other candidate farther than that.  The area a sample
+    stands for is that of the candidates nearest to it.
     """
     rng = np.random.default_rng(seed + 1)
     clouds, vertices = [], []
@@ -140,7 +141,20 @@ def sample_surface(solid: Solid, spacing: float, seed: int) -> SurfaceSamples:
 
 
 def thin(points: Floats, radius: float) -> Ints:
-    """Indices of a greedy subset, in order, no two nearer than radius [m]."""
+    """Indices of a subset, no two within radius [m] of each other and no point farther from it.
+
+    Of points that exclude each other the first one tends to stay.
+    """
+    kept = np.zeros(0, np.int64)
+    left = np.arange(len(points))
+    while len(left):
+        kept = np.concatenate([kept, left[_thin_once(points[left], radius)]])
+        left = left[cKDTree(points[kept]).query(points[left])[0] > radius]
+    return kept
+
+
+def _thin_once(points: Floats, radius: float) -> Ints:
+    """Indices, in order, no two within radius; may leave out points that would still fit."""
     # Points in one cell of edge radius/sqrt(3) exclude each other: drop those first, then search.
     cell = np.floor((points - points.min(0)) / (radius / np.sqrt(3.0))).astype(np.int64)
     _, first = np.unique(cell, axis=0, return_index=True)

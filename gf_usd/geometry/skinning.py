@@ -31,7 +31,9 @@ NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
 PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
 GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to stay local
-CHUNK_BYTES = 256_000  # of dense weights held at once: a core's cache, measured faster than more
+# Of dense weights held at once: they stay in a core's cache, and BLAS does not share such a product
+# out among threads, which takes several times as long where cores are busy (measured).
+CHUNK_BYTES = 200_000
 SKIN_NOTES = {
     "paper": (
         "skin paper: offsets of vertices are stretched but not turned with the body"

@@ -34,8 +34,11 @@ STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 3
 
 
 @cache
-def pack_type(real):
-    """The arguments of a body, one pack: a launch then costs the same however many arrays."""
+def pack_type(real, epoch: int):
+    """The arguments of a body, one pack: a launch then costs the same however many arrays.
+
+    epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
+    """
     reals = (
         *(
             "fx",
@@ -66,9 +69,9 @@ def pack_type(real):
 
 
 @cache
-def build(law, damped: bool, real) -> SimpleNamespace:
+def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
     """The kernels for one law, with or without viscosity, in f32 or f64."""
-    Body = pack_type(real)
+    Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
 
     @ti.kernel

@@ -98,10 +98,11 @@ class TotalLagrangian:
 
         from gf_usd.physics.kernels import build, pack_type
         from gf_usd.physics.laws import LAWS
+        from gf_usd.runtime import epoch
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
-        self.pack = pack_type(kind)(**self.arrays)
-        self.kernels = build(LAWS[law], damped, kind)
+        self.pack = pack_type(kind, epoch())(**self.arrays)
+        self.kernels = build(LAWS[law], damped, kind, epoch())
         self._vec = ti.types.vector(3, kind)
         self._cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
         self._batches = batch_particles(self.stencil)

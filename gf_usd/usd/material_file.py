@@ -13,11 +13,14 @@ from typing import Any
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.errors import InputError
+from gf_usd.materials import LAW_TOKENS
 from gf_usd.model import Material
 from gf_usd.units import StageUnits
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
 
 PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
+OURS = ("gaussianFlesh:",)
+DEFAULT_LAW = "neoHookean"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -47,7 +50,7 @@ def read_material(path: Path) -> Material:
             f"{path} has {len(found)} materials: {', '.join(f'<{p.GetPath()}>' for p in found)}",
             "make one of them the default prim",
         )
-    return _material(path, found[0], _units(stage))
+    return _material(path, found[0], _units(path, stage))
 
 
 def _open(path: Path) -> Usd.Stage:
@@ -61,16 +64,17 @@ def _open(path: Path) -> Usd.Stage:
         ) from error
 
 
-def _units(stage: Usd.Stage) -> StageUnits:
-    kilograms = (
-        stage.GetMetadata("kilogramsPerUnit")
-        if stage.HasAuthoredMetadata("kilogramsPerUnit")
-        else 1.0
-    )
+def _units(path: Path, stage: Usd.Stage) -> StageUnits:
+    sizes = {"metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage), "kilogramsPerUnit": 1.0}
+    if stage.HasAuthoredMetadata("kilogramsPerUnit"):
+        sizes["kilogramsPerUnit"] = stage.GetMetadata("kilogramsPerUnit")
+    for name, size in sizes.items():
+        if not 0.0 < size < float("inf"):
+            raise InputError(f"{path}: {name} is {size:g}", f"author a {name} above 0")
     return StageUnits(
-        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        kilograms_per_unit=float(kilograms),
-    )  # fmt: skip
+        meters_per_unit=float(sizes["metersPerUnit"]),
+        kilograms_per_unit=float(sizes["kilogramsPerUnit"]),
+    )
 
 
 def _value(prim: Usd.Prim, name: str, prefixes: tuple[str, ...] = PREFIXES) -> Any:
@@ -81,6 +85,13 @@ def _value(prim: Usd.Prim, name: str, prefixes: tuple[str, ...] = PREFIXES) -> A
     return None
 
 
+def _number(
+    prim: Usd.Prim, name: str, otherwise: float, prefixes: tuple[str, ...] = PREFIXES
+) -> float:
+    value = _value(prim, name, prefixes)
+    return otherwise if value is None else float(value)
+
+
 def _modulus(prim: Usd.Prim) -> float | None:
     return _value(prim, "youngsModulus")
 
@@ -88,10 +99,13 @@ def _modulus(prim: Usd.Prim) -> float | None:
 def _material(path: Path, prim: Usd.Prim, units: StageUnits) -> Material:
     young = float(_modulus(prim) or 0.0) * units.pressure
     nu = _value(prim, "poissonsRatio")
-    density = float(_value(prim, "density") or 0.0) * units.density
+    density = _value(prim, "density")
     where = f"{path}: <{prim.GetPath()}>"
     if nu is None:
         raise InputError(f"{where} has no Poisson's ratio", "author physics:poissonsRatio")
+    if density is None:
+        raise InputError(f"{where} has no density", "author physics:density")
+    density = float(density) * units.density
     for name, value, low, high in (
         ("Young's modulus [Pa]", young, 0.0, 1e13),
         ("Poisson's ratio", float(nu), -1.0, 0.5),
@@ -101,17 +115,28 @@ def _material(path: Path, prim: Usd.Prim, units: StageUnits) -> Material:
             raise InputError(
                 f"{where}: {name} is {value:g}", f"give a value between {low:g} and {high:g}"
             )
-    friction = _value(prim, "dynamicFriction")
-    restitution = _value(prim, "restitution")
-    law = prim.GetAttribute("gaussianFlesh:law")
-    damping = prim.GetAttribute("gaussianFlesh:dampingTime")
+    friction = _number(prim, "dynamicFriction", 0.8)
+    restitution = _number(prim, "restitution", 0.85)
+    damping = _number(prim, "dampingTime", 0.0, OURS)
+    for name, value, high in (
+        ("friction", friction, 100.0),
+        ("restitution", restitution, 1.0),
+        ("damping time [s]", damping, 1e6),
+    ):
+        if not 0.0 <= value <= high:
+            raise InputError(f"{where}: {name} is {value:g}", f"give a value from 0 to {high:g}")
+    law = _value(prim, "law", OURS) or DEFAULT_LAW
+    if law not in LAW_TOKENS:
+        raise InputError(
+            f"{where}: gaussianFlesh:law is {law!r}", f"choose one of {', '.join(LAW_TOKENS)}"
+        )
     return Material(
         name=prim.GetName(),
-        law=str(law.Get()) if law and law.HasAuthoredValue() else "neoHookean",
+        law=law,
         density=density,
         youngs_modulus=young,
         poissons_ratio=float(nu),
-        damping_time=float(damping.Get()) if damping and damping.HasAuthoredValue() else 0.0,
-        friction=0.8 if friction is None else float(friction),
-        restitution=0.85 if restitution is None else float(restitution),
+        damping_time=damping,
+        friction=friction,
+        restitution=restitution,
     )

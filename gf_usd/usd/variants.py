@@ -16,9 +16,9 @@ from pxr import Sdf, Usd
 
 from gf_usd.errors import UsageError
 from gf_usd.model import Asset, BakeInfo
+from gf_usd.output_files import SOURCE_VARIANT as NONE
 from gf_usd.usd.stage import VARIANT_SET, Home, asset_path, roots_of
 
-NONE = "none"
 DISPLAYS = ("mesh", "gaussians", "points")
 DISPLAY_SET = "display"
 

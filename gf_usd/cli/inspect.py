@@ -1,0 +1,85 @@
+"""gf-usd inspect: what would be baked, and what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gf_usd.errors import InputError
+
+
+def inspect(
+    asset: Annotated[Path, typer.Argument(help="The asset; nothing is written.")],
+    material: Annotated[
+        str, typer.Option("--material", "-m", help="As for bake; several with commas.")
+    ] = "rubber",
+    particles: Annotated[
+        int | None, typer.Option(help="About how many particles.", show_default="8000")
+    ] = None,
+    spacing: Annotated[
+        float | None, typer.Option(help="Distance of particles [stage units].")
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="How many frames.", show_default="13.6 T of the body")
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frames per second.", show_default="the asset's, else 24"),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(help="First time code.", show_default="the asset's start, else 1"),
+    ] = None,
+    drop: Annotated[
+        str | None,
+        typer.Option(
+            help="Height of the fall [stage units], or in radii of the body: 3r.",
+            show_default="3r, or 0 where the stage holds physics",
+        ),
+    ] = None,
+    prim: Annotated[
+        list[str] | None,
+        typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
+    ] = None,
+    meters_per_unit: Annotated[
+        float | None,
+        typer.Option(help="Size of the file's unit [m], e.g. 0.01.", show_default="as for bake"),
+    ] = None,
+    up_axis: Annotated[
+        str | None, typer.Option(help="Y or Z.", show_default="as for bake")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the random sampling.")] = 0,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Show what bake --repair would do.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+) -> None:  # fmt: skip
+    """Look before you bake: meshes, holes, units, thin parts, particles, time, memory, disk.
+
+    Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
+    """
+    from gf_usd.preflight import inspect as look
+
+    try:
+        seen = look(
+            asset, material=material, prims=prim or (), repair=repair,
+            meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
+            spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, seed=seed,
+        )  # fmt: skip
+    except InputError as error:
+        if as_json:
+            out = {"file": str(asset), "bakeable": False}
+            out["refusal"] = {"message": error.message, "hint": error.hint}
+            typer.echo(json.dumps(out, indent=1))
+        raise
+    if as_json:
+        typer.echo(json.dumps(seen.as_json(), indent=1))
+    else:
+        from gf_usd.cli.inspect_page import show
+
+        show(seen)
+    if seen.refusal is not None:
+        raise seen.refusal

@@ -1,0 +1,229 @@
+"""An inspection as a page to read: the verdict last, where the eye ends on a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from gf_usd.geometry.diagnosis import faults
+from gf_usd.inspection import AXIS, UNIT, origin, size
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.parts import Part
+    from gf_usd.inspection import Inspection
+
+MOST_MESHES, MOST_PARTS, MOST_LINES = 24, 8, 12  # rows shown; --json has all of them
+PLAIN_WIDTH = 10_000  # columns where the page goes to a file: a line each, for grep
+
+
+def show(seen: Inspection) -> None:
+    """Print the page on stdout."""
+    terminal = sys.stdout.isatty()
+    console = Console(width=None if terminal else PLAIN_WIDTH, highlight=False)
+    console.print(f"[bold]{escape(str(seen.asset.facts.path))}[/]")
+    _facts(console, seen)
+    _meshes(console, seen)
+    _body(console, seen)
+    _parts(console, seen)
+    _lines(console, "skipped", [f"{p}: {why}" for p, why in seen.asset.skipped])
+    _lines(console, "note", _said(seen))
+    for warning in seen.warnings:
+        console.print(f"[yellow]warning:[/] {escape(warning)}")
+    if seen.refusal is None:
+        console.print("[green]can be baked[/]")
+
+
+def _facts(console: Console, seen: Inspection) -> None:
+    f = seen.asset.facts
+    unit, axis = origin(f, UNIT), origin(f, AXIS)
+    wide = " x ".join(f"{w:.3g}" for w in size(seen.asset))
+    rate = "no frame rate" if not f.time_codes_per_second else f"{f.time_codes_per_second:g} fps"
+    span = (
+        ""
+        if f.start_time_code is None or f.end_time_code is None
+        else f", {f.start_time_code:g} to {f.end_time_code:g}"
+    )
+    console.print(
+        f"1 unit = {f.units.meters_per_unit:g} m ({_from(unit)}), {f.up_axis} up ({_from(axis)}),"
+        f" {rate}{span}; {wide} m"
+    )
+
+
+def _from(source: str) -> str:
+    return {"file": "from the file", "assumed": "[yellow]assumed[/]", "option": "as asked"}[source]
+
+
+def _meshes(console: Console, seen: Inspection) -> None:
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("mesh", overflow="fold")
+    table.add_column("points", justify="right")
+    for title in ("faces", "closed", "shells", "volume", "winding", "fill"):
+        table.add_column(title)
+    rows = seen.diagnoses[:MOST_MESHES]
+    for mesh in rows:
+        fill = seen.fill_of(mesh.path)[0]
+        table.add_row(
+            escape(mesh.path),
+            str(mesh.points),
+            _faces(mesh),
+            _closed(mesh),
+            str(len(mesh.shells)),
+            _volume(mesh.volume),
+            _winding(mesh),
+            {"filled": "filled", "refused": "[red]refused[/]"}.get(fill, f"[yellow]{fill}[/]"),
+        )
+    console.print(table)
+    if len(seen.diagnoses) > len(rows):
+        console.print(f"and {len(seen.diagnoses) - len(rows)} more meshes (--json lists all)")
+
+
+def _faces(mesh: Diagnosis) -> str:
+    named = [
+        f"{n} {what if n != 1 else what[:-1]}"
+        for what, n in mesh.face_sizes.items()
+        if n and what != "ngons"
+    ]
+    ngons = mesh.face_sizes["ngons"]
+    if ngons:
+        named.append(f"{ngons} n-gon{'' if ngons == 1 else 's'} (to {mesh.largest_face} corners)")
+    return ", ".join(named)
+
+
+def _closed(mesh: Diagnosis) -> str:
+    if not mesh.shells:
+        return "[red]no face with an area[/]"
+    if mesh.watertight:
+        return "watertight"
+    holes = len(mesh.holes)
+    share = f"{100 * mesh.hole_share:.2g} %"
+    return f"[yellow]{holes} hole{'' if holes == 1 else 's'}, {share} of the area[/]"
+
+
+def _winding(mesh: Diagnosis) -> str:
+    kinds: dict[str, int] = {}
+    for shell in mesh.shells:
+        kinds[shell.winding] = kinds.get(shell.winding, 0) + 1
+    if len(kinds) == 1:
+        return next(iter(kinds))
+    return ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items(), key=lambda kv: -kv[1]))
+
+
+def _body(console: Console, seen: Inspection) -> None:
+    plan, cost = seen.plan, seen.cost
+    if plan is None or cost is None:
+        return
+    p, s = plan.particles, plan.settings
+    contact = cost["first_contact_frame"]
+    falls = f"first contact at frame {contact}" if contact is not None else "no contact"
+    console.print(
+        f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
+        f" (a ball of radius {_length(p.radius)}); {s.frames} frames at {s.fps:g} fps,"
+        f" falls {_length(plan.drop)}, {falls}"
+    )
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("material")
+    for title in ("substeps a frame", "time about", "memory about", "disk about"):
+        table.add_column(title, justify="right")
+    for row in cost["per_material"]:
+        table.add_row(
+            escape(row["name"]), str(row["substeps_per_frame"]), _duration(row["seconds"]),
+            amount(row["memory_bytes"]), amount(row["disk_bytes"]),
+        )  # fmt: skip
+    console.print(table)
+
+
+def _parts(console: Console, seen: Inspection) -> None:
+    if not seen.parts:
+        return
+    from gf_usd.geometry.parts import suggestion
+
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("poorly filled", overflow="fold")
+    for title in ("shell", "what", "around (stage units)", "size", "thickness", "particles"):
+        table.add_column(title)
+    table.add_column("would need", justify="right")
+    unit = seen.asset.facts.units.length
+    for part in seen.parts[:MOST_PARTS]:
+        table.add_row(*_part(part, unit))
+    console.print()
+    console.print(table)
+    if len(seen.parts) > MOST_PARTS:
+        console.print(f"and {len(seen.parts) - MOST_PARTS} more (--json lists all)")
+    console.print("such parts follow what is around them stiffly", end="")
+    needed = suggestion(seen.parts)
+    which = "all but the thinnest" if any(p.suggested is None for p in seen.parts) else "them"
+    console.print(f"; --particles {needed} would fill {which}" if needed else "")
+
+
+def _part(part: Part, unit: float) -> Sequence[str]:
+    return (
+        escape(part.path), str(part.shell), f"[yellow]{part.kind}[/]",
+        ", ".join(f"{c / unit:.3g}" for c in part.centre), _length(part.size),
+        _length(part.thickness), str(part.particles),
+        "too many" if part.suggested is None else str(part.suggested),
+    )  # fmt: skip
+
+
+def _said(seen: Inspection) -> list[str]:
+    """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
+    left = {f"<{p}> is left as it is: {why}" for p, why in seen.asset.skipped}
+    said = [note for note in seen.notes if note not in left]
+    for mesh in seen.diagnoses:
+        odd = [
+            f"{n} {what}"
+            for n, what in (
+                (mesh.collapsed, "collapsed triangles"),
+                (mesh.slivers, "triangles without area"),
+                (mesh.crowded_edges, "edges shared by more than two triangles"),
+                (mesh.loose_edges, "boundary edges in no closed loop"),
+            )
+            if n
+        ]
+        if seen.plan is None and (wrong := faults(mesh)):
+            said.append(f"<{mesh.path}> has {', '.join(wrong)}")
+        elif odd:
+            said.append(f"<{mesh.path}> has {', '.join(odd)}: harmless to the fill")
+    return said
+
+
+def _lines(console: Console, what: str, lines: Sequence[str]) -> None:
+    for line in lines[:MOST_LINES]:
+        console.print(f"[dim]{what}:[/] {escape(line)}")
+    if len(lines) > MOST_LINES:
+        console.print(f"[dim]{what}:[/] and {len(lines) - MOST_LINES} more (--json lists all)")
+
+
+def _length(metres: float) -> str:
+    for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):
+        if metres < limit:
+            return f"{metres * scale:.3g} {name}"
+    return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
+
+
+def _volume(cubic_metres: float) -> str:
+    for limit, scale, name in ((1e-6, 1e9, "mm³"), (1e-2, 1e6, "cm³")):
+        if cubic_metres < limit:
+            return f"{cubic_metres * scale:.3g} {name}"
+    return f"{cubic_metres:.3g} m³"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def amount(n: Any) -> str:
+    """Bytes in words."""
+    value = float(n)
+    for unit in ("B", "kB", "MB"):
+        if value < 1000.0:
+            return f"{value:.0f} {unit}"
+        value /= 1000.0
+    return f"{value:.1f} GB"
