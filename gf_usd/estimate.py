@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 RATE = 7e6  # particle-substeps a second
 START_SECONDS = 3.0  # imports, and compiling the kernels
+PARTICLE_SECONDS = 8e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 FRAME_OVERHEAD = 0.01  # [s] a frame
 MESH_BYTES = 24  # points and velocities of a vertex, float32
@@ -39,7 +40,7 @@ def estimate(plan: Plan) -> dict[str, Any]:
     rows = []
     for material in plan.materials:
         substeps = plan.solver(material).substeps
-        seconds = START_SECONDS + VERTEX_SECONDS * vertices
+        seconds = START_SECONDS + PARTICLE_SECONDS * n + VERTEX_SECONDS * vertices
         seconds += frames * (n * substeps / RATE + FRAME_OVERHEAD)
         rows.append(
             {

@@ -32,6 +32,7 @@ class Plan:
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     converted: MeshSource | None = None  # of an asset that is not USD
+    command: str = ""  # that bakes the same again
 
     @property
     def source(self) -> Path:
@@ -41,17 +42,6 @@ class Plan:
     @property
     def version(self) -> str:
         return gf_usd.__version__
-
-    @property
-    def command(self) -> str:
-        """A command that bakes the same again."""
-        s = self.settings
-        words = ["gf-usd", "bake", self.asset.facts.path.name]
-        words += ["--material", ",".join(m.name for m in self.materials)]
-        words += ["--particles", str(len(self.particles)), "--frames", str(s.frames)]
-        words += ["--fps", f"{s.fps:g}", "--seed", str(s.seed)]
-        words += ["--skin", s.skin] if s.skin != "embed" else []
-        return shlex.join(words)
 
     def solver(self, material: Material) -> TotalLagrangian:
         """The solver of one material."""
@@ -69,6 +59,18 @@ class Plan:
     def points(self) -> dict[str, Floats]:
         """Vertices (n, 3) [m] at rest of every mesh, by prim path."""
         return {s.path: s.points for s in self.asset.surfaces}
+
+
+def command_line(source: Path, **asked: Any) -> str:
+    """The ``gf-usd bake`` that asks for this; what was left to its default is left out."""
+    words = ["gf-usd", "bake", source.name]
+    for name, value in asked.items():
+        option = f"--{name.replace('_', '-')}"
+        if value is True:
+            words.append(option)
+        elif value is not None and value is not False:
+            words += [option, f"{value:g}" if isinstance(value, float) else str(value)]
+    return shlex.join(words)
 
 
 def input_hash(plan: Plan) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from gf_usd import materials as presets
 from gf_usd.errors import InputError, UsageError
 from gf_usd.model import Asset, Material, SurfaceSamples
 from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
-from gf_usd.plan import Plan
+from gf_usd.plan import Plan, command_line
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
 from gf_usd.runtime import init_taichi
 
@@ -60,7 +61,12 @@ def prepare(
         files = replace(files, textures=converted.textures(target))
         require_source_free(files, converted.is_at(target), overwrite)
     plan = _fill(asset, request, looks, law, files, repair=repair)[0]
-    return replace(plan, converted=converted)
+    command = command_line(
+        source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
+        repair=repair, **options,
+    )  # fmt: skip
+    command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
+    return replace(plan, converted=converted, command=command)
 
 
 def inspect(

@@ -27,7 +27,7 @@ THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # of it is clearly so.
 BARE, CLEARLY_BARE = 1.5, 2.0  # [spacings]
 PLATE = 4.0  # [spacings] area over length of a region that is no mere edge: both sides of a strip
-PROBE_STEPS = 48
+COARSE_STEPS, FINE_STEPS = 4, 48  # inward
 SENSIBLE = 2_000_000  # particles: more is no advice
 
 
@@ -129,7 +129,7 @@ def _poor_regions(
     distance = cKDTree(particles.X).query(samples.X)[0]
     at = nearest(solid, samples.X)
     thickness = _thickness(solid, samples.X, at.normal, s)
-    poor = np.flatnonzero((distance > BARE * s) | (thickness < THIN * s))
+    poor = np.flatnonzero((distance > BARE * s) | np.isfinite(thickness))
     if len(poor) == 0:
         return []
     X, area, owner = samples.X[poor], samples.area[poor], at.surface[poor]
@@ -157,7 +157,8 @@ def _poor_regions(
             plate < PLATE * s and not bare
         ):
             continue
-        thick = float(np.median(thickness[poor[rows]]))
+        # Far from any particle but not thin by the probes: as thin as a bare region must be.
+        thick = float(np.median(np.minimum(thickness[poor[rows]], THIN * s)))
         found.append(
             Part(
                 path=solid.surfaces[owner[rows[0]]].path,
@@ -174,17 +175,25 @@ def _poor_regions(
     return found
 
 
-def _thickness(solid: Solid, X: Floats, normal: Floats, reach: float) -> Floats:
-    """(n,) [m] from surface points X inward to where the solid ends, reach [m] at most.
+def _thickness(solid: Solid, X: Floats, normal: Floats, spacing: float) -> Floats:
+    """(n,) [m] from surface points X inward to where the solid ends; inf from `THIN` spacings on.
 
     Inward is the side of the normal where the solid goes deeper: faces may be turned.
     """
-    depth = (np.arange(PROBE_STEPS) + 0.5) / PROBE_STEPS * reach
-    way = np.stack([depth, -depth])
+    out = np.full(len(X), np.inf)
+    coarse = (np.arange(COARSE_STEPS) + 0.5) / COARSE_STEPS * THIN * spacing
+    thin = np.flatnonzero(np.isfinite(_depth(solid, X, normal, coarse)))
+    fine = (np.arange(FINE_STEPS) + 0.5) / FINE_STEPS * THIN * spacing
+    out[thin] = _depth(solid, X[thin], normal[thin], fine)
+    return out
+
+
+def _depth(solid: Solid, X: Floats, normal: Floats, steps: Floats) -> Floats:
+    """(n,) the first of the steps [m] that leaves the solid, to whichever side that is later."""
+    way = np.stack([steps, -steps])
     probes = X[:, None, None, :] + way[None, :, :, None] * normal[:, None, None, :]
-    out = ~solid.inside(probes.reshape(-1, 3)).reshape(len(X), 2, PROBE_STEPS)
-    deep = np.where(out.any(2), depth[np.argmax(out, axis=2)], reach)
-    return deep.max(1)
+    gone = ~solid.inside(probes.reshape(-1, 3)).reshape(len(X), 2, len(steps))
+    return np.where(gone.any(2), steps[np.argmax(gone, axis=2)], np.inf).max(1)
 
 
 def _particles_for(solid: Solid, spacing: float) -> int | None:

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -127,13 +128,18 @@ def python_files(folder: Path) -> list[Path]:
     return found
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a file, read once for all rules."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_package_keeps_the_rule(rule: Rule) -> None:
     broken = []
     for path in python_files(PACKAGE):
         file = path.relative_to(PACKAGE)
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        broken += [f"gf_usd/{file} {fault}" for fault in rule(file, tree)]
+        broken += [f"gf_usd/{file} {fault}" for fault in rule(file, parsed(path))]
     assert broken == [], rule.__doc__
 
 

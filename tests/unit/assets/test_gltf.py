@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from pxr import Sdf
 
 from gf_usd.assets import convert, read_asset
 from gf_usd.errors import InputError
@@ -74,8 +75,9 @@ def test_text_files_name_their_pictures_where_they_are(tmp_path):
     # v is counted from the top in glTF, from the bottom in USD
     np.testing.assert_allclose(cube.triangle_uvs[..., 1], 1.0 - CORNERS[TRIANGLES][..., 1])
     assert not (tmp_path / "out" / "thing.textures").exists()
-    text = (tmp_path / "out" / "thing.source.usdc").read_bytes()
-    assert b"../my skin.png" in text
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out" / "thing.source.usdc"))
+    file = "/thing/Materials/material/diffuseColor_texture.inputs:file"
+    assert layer.GetAttributeAtPath(file).default.path == "../my skin.png"
     (tmp_path / "my skin.png").unlink()
     source = convert(tmp_path / "thing.gltf")
     assert any("my%20skin.png, which cannot be read" in note for note in source.notes)

@@ -1,0 +1,100 @@
+"""gf-usd bake on mesh files: the result is USD over NAME.source.usdc."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+SIZES = ["--particles", "300", "--frames", "2", "-q"]
+
+
+def gf_usd(folder, *arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def glb(tmp_path):
+    """A box with a red and blue picture, turned and lifted by its node."""
+    box = trimesh.creation.box((0.2, 0.4, 0.6))
+    pixels = np.zeros((4, 8, 3), np.uint8)
+    pixels[:2], pixels[2:] = (250, 0, 0), (0, 0, 250)
+    material = trimesh.visual.material.PBRMaterial(
+        name="skin", baseColorTexture=Image.fromarray(pixels), metallicFactor=0.0
+    )
+    uv = box.vertices[:, :2] * [1.0, 1.5] + 0.5
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    scene = trimesh.Scene()
+    matrix = trimesh.transformations.rotation_matrix(0.5, (0, 0, 1), (1.0, 0, 0))
+    scene.add_geometry(box, node_name="box", transform=matrix)
+    path = tmp_path / "toy.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    return path
+
+
+def test_a_textured_glb_from_file_to_layers(glb, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    dry = gf_usd(out, "bake", glb, *SIZES[:4], "--dry-run", "--json")
+    assert dry.returncode == 0, dry.stderr
+    assert list(out.iterdir()) == []
+    planned = json.loads(dry.stdout)["outputs"]
+    done = gf_usd(out, "bake", glb, *SIZES)
+    assert done.returncode == 0, done.stderr
+    written = sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file())
+    assert written == sorted(planned)
+    assert "toy.source.usdc" in written
+    report = json.loads((out / "toy.rubber.report.json").read_text())
+    assert report["check"] == []
+    stage = Usd.Stage.Open(str(out / "toy.rubber.usda"))
+    (mesh,) = (UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+    assert mesh.GetPointsAttr().GetTimeSamples() == [1.0, 2.0]
+    material = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()[0]
+    texture = stage.GetPrimAtPath(material.GetPath().AppendChild("diffuseColor_texture"))
+    file = texture.GetAttribute("inputs:file").Get()
+    assert file.resolvedPath.startswith(str(out / "toy.textures"))
+    gaussians = stage.GetPrimAtPath(f"{stage.GetDefaultPrim().GetPath()}/GaussianFlesh/Points")
+    colours = np.array(UsdGeom.PrimvarsAPI(gaussians).GetPrimvar("displayColor").Get())
+    # the picture reaches the particles: each is red or blue, hardly one in between
+    assert colours[:, 1].max() < 0.01
+    assert (colours[:, 0] > 0.5).mean() > 0.3
+    assert (colours[:, 2] > 0.5).mean() > 0.3
+
+
+def test_bakes_of_one_file_share_its_layer(tmp_path):
+    path = tmp_path / "box.obj"
+    path.write_text(trimesh.creation.box((0.2, 0.4, 0.6)).export(file_type="obj"))
+    assert gf_usd(tmp_path, "bake", path, *SIZES, "--meters-per-unit", "0.5").returncode == 0
+    source = tmp_path / "box.source.usdc"
+    before = source.read_bytes()
+    again = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "jelly", "--meters-per-unit", "0.5")
+    assert again.returncode == 0, again.stderr
+    assert source.read_bytes() == before
+    stage = Usd.Stage.Open(str(tmp_path / "box.jelly.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
+    other = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "metal", "--up-axis", "Z")
+    assert other.returncode == 2
+    assert "box.source.usdc exists already, and was not made of this file" in other.stderr
+    assert not (tmp_path / "box.metal.usda").exists()
+    forced = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "metal", "--up-axis", "Z", "--overwrite")
+    assert forced.returncode == 0, forced.stderr
+    # this process has the earlier layer open and would show that
+    assert Sdf.Layer.OpenAsAnonymous(str(source)).pseudoRoot.GetInfo("upAxis") == "Z"
+
+
+def test_a_refused_file_leaves_nothing(tmp_path):
+    path = tmp_path / "broken.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")
+    refused = gf_usd(tmp_path, "bake", path, *SIZES)
+    assert refused.returncode == 3
+    assert "broken.obj, line 4: the face names v 4, and there are 3" in refused.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["broken.obj"]
