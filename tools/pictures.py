@@ -42,7 +42,8 @@ def bake(look: str, folder: Path) -> tuple[Path, list[int]]:
     length = ("--fps", str(FPS), "--frames", str(FRAMES))
     out = gf_usd("bake", DUCK, "--material", look, *length, "-o", f"{folder}/", "--json")
     result = json.loads(out)
-    frames = json.loads(Path(result["report"]).read_text("utf-8"))["per_frame"]
+    report = json.loads(Path(result["report"]).read_text("utf-8"))
+    frames = report["bakes"][0]["per_frame"]
     return Path(result["root"]), [1 + index for index in moments(frames)]
 
 

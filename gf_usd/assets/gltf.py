@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from gf_usd.assets.gltf_schema import require_types
 from gf_usd.assets.mesh_data import REPAIR, refuse_pointer
 from gf_usd.errors import InputError
 
@@ -37,21 +38,18 @@ class Gltf:
 
     def rows(self, key: str) -> list[dict[str, Any]]:
         """One of the lists of the file: nodes, meshes, materials and so on."""
-        rows = self.tree.get(key, [])
-        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise InputError(f"{self.path}: '{key}' is not a list of objects", REPAIR)
-        return rows
+        return self.tree.get(key, [])
 
-    def row(self, key: str, index: Any) -> dict[str, Any]:
-        """One of them by its number."""
+    def row(self, key: str, index: int | None) -> dict[str, Any]:
+        """One of them by its number; InputError where there is none."""
         rows = self.rows(key)
-        if not isinstance(index, int) or not 0 <= index < len(rows):
+        if index is None or index >= len(rows):
             raise InputError(
                 f"{self.path}: it names number {index!r} of its {len(rows)} {key}", REPAIR
             )
         return rows[index]
 
-    def view(self, index: Any) -> bytes:
+    def view(self, index: int | None) -> bytes:
         """The bytes of a buffer view."""
         view = self.row("bufferViews", index)
         self.row("buffers", view.get("buffer"))
@@ -81,7 +79,8 @@ def open_gltf(path: Path) -> Gltf:
         raise InputError(f"{path} is not a glTF file: its JSON: {error}", REPAIR) from error
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
         raise InputError(f"{path} is not a glTF file: it has no 'asset'", "check what it really is")
-    version = str(tree["asset"].get("version", ""))
+    require_types(path, tree)
+    version = tree["asset"].get("version", "")
     if not version.startswith("2."):
         raise InputError(f"{path} is glTF {version or 'without a version'}", "export it as glTF 2")
     _require_understood(path, tree)
@@ -90,11 +89,11 @@ def open_gltf(path: Path) -> Gltf:
     for number, row in enumerate(found.rows("buffers")):
         uri = row.get("uri")
         content = chunk
-        if isinstance(uri, str):
+        if uri is not None:
             content, file = resolve(path, uri)
             inputs += [file] if file else []
         length = row.get("byteLength", 0)
-        if not isinstance(length, int) or len(content) < length:
+        if len(content) < length:
             raise InputError(
                 f"{path}: buffer {number} holds {len(content)} bytes of {length}",
                 "it was cut off or altered: " + REPAIR,
@@ -150,9 +149,7 @@ def _unpack(path: Path, data: bytes) -> tuple[bytes, bytes]:
 
 def _require_understood(path: Path, tree: dict[str, Any]) -> None:
     required = tree.get("extensionsRequired", [])
-    strange = [
-        name for name in required if name not in UNDERSTOOD and not str(name).startswith(LOOKS)
-    ]
+    strange = [name for name in required if name not in UNDERSTOOD and not name.startswith(LOOKS)]
     if strange:
         raise InputError(
             f"{path} can only be read with the extension {strange[0]}",

@@ -15,9 +15,8 @@ import numpy as np
 from gf_usd.assets.gltf import Gltf
 from gf_usd.assets.gltf_image import GltfImages
 from gf_usd.assets.gltf_mesh import Primitive
-from gf_usd.assets.mesh_data import REPAIR, FileMaterial, Slot
+from gf_usd.assets.mesh_data import FileMaterial, Slot
 from gf_usd.assets.notes import Notes
-from gf_usd.errors import InputError
 from gf_usd.model import Floats
 
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
@@ -90,13 +89,13 @@ class GltfMaterials:
     def _material(self, row: dict[str, Any], mesh_colours: bool) -> FileMaterial:
         factor, base = _base(row)
         pbr = row.get("pbrMetallicRoughness", {})
-        r, g, b = self._triple(factor, row)
+        r, g, b = factor[:3]
         values: dict[str, float | tuple[float, float, float]] = {"diffuseColor": (r, g, b)}
         glossy = GLOSSY in row.get("extensions", {}) and not pbr
         metal = 0.0 if glossy else float(pbr.get("metallicFactor", 1.0))
         rough = 0.5 if glossy else float(pbr.get("roughnessFactor", 1.0))
         values["metallic"], values["roughness"] = metal, rough
-        glow = self._triple(row.get("emissiveFactor", (0.0, 0.0, 0.0)), row)
+        glow = tuple(row.get("emissiveFactor", (0.0, 0.0, 0.0)))
         if any(glow):
             values["emissiveColor"] = glow
         surface = pbr.get("metallicRoughnessTexture", {})
@@ -122,15 +121,6 @@ class GltfMaterials:
             mesh_colours=mesh_colours,
             double_sided=bool(row.get("doubleSided")),
         )
-
-    def _triple(self, values: Any, row: dict[str, Any]) -> tuple[float, float, float]:
-        try:
-            r, g, b = (float(value) for value in values[:3])
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"{self._gltf.path}: material '{_name(row)}' has the colour {values!r}", REPAIR
-            ) from error
-        return (r, g, b)
 
     def _slot(
         self,

@@ -23,6 +23,10 @@ from gf_usd.model import Floats, Ints
 TRIANGLES, STRIP = 4, 5
 # what a whole number stands for where its accessor is normalised: componentType -> largest
 WHOLE = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
+# fewest and most numbers in a row of an attribute
+WIDTHS = {"NORMAL": (3, 3), "TEXCOORD": (2, 2), "COLOR": (3, 4), "JOINTS": (4, 4)} | {
+    "WEIGHTS": (4, 4)
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +48,7 @@ def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive
     rows = [
         (m, p, primitive)
         for m, mesh in enumerate(gltf.rows("meshes"))
-        for p, primitive in enumerate(_list(gltf, mesh, "primitives"))
+        for p, primitive in enumerate(mesh.get("primitives", []))
         if _is_surface(primitive, m, notes)
     ]
     if not rows:
@@ -69,13 +73,6 @@ def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive
         (m, p): _primitive(gltf, f"mesh {m}, primitive {p}", row, loaded.get(f"{m}.{p}"))
         for m, p, row in rows
     }
-
-
-def _list(gltf: Gltf, row: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    values = row.get(key, [])
-    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise InputError(f"{gltf.path}: '{key}' of a mesh is not a list of objects", REPAIR)
-    return values
 
 
 def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
@@ -117,6 +114,8 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any], mesh: Any) -> Primit
         if f"_{key}" in raw
     }
     points = attributes.pop("POSITION")
+    if points.shape[1] != 3:
+        raise InputError(f"{gltf.path}: {where}: POSITION is no triple of numbers", REPAIR)
     if len(points) and not np.ptp(points, axis=0).any():
         compressed = DRACO in row.get("extensions", {})
         raise InputError(
@@ -127,23 +126,26 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any], mesh: Any) -> Primit
             else REPAIR,
         )
     for key, values in attributes.items():
-        if len(values) != len(points):
+        wanted = WIDTHS.get(key.split("_")[0], (1, 4))
+        if len(values) != len(points) or not wanted[0] <= values.shape[1] <= wanted[1]:
             raise InputError(
-                f"{gltf.path}: {where} has {len(values)} of {key} for {len(points)} points", REPAIR
+                f"{gltf.path}: {where}: {key} holds {len(values)} rows of {values.shape[1]} for "
+                f"{len(points)} points",
+                REPAIR,
             )
-    material = row.get("material")
     return Primitive(
         points=points,
-        triangles=np.asarray(mesh.faces, np.int64),
+        triangles=np.asarray(mesh.faces, np.int64).reshape(-1, 3),
         attributes=attributes,
-        material=material if isinstance(material, int) else None,
+        material=row.get("material"),
     )
 
 
 def _numbers(gltf: Gltf, index: int, values: np.ndarray) -> Floats:
     """(n, k) of an accessor; whole numbers that stand for fractions become those."""
     accessor = gltf.row("accessors", index)
-    numbers = values.astype(np.float64).reshape(len(values), -1)
+    width = int(np.prod(values.shape[1:]))
+    numbers = values.astype(np.float64).reshape(len(values), width)
     if not accessor.get("normalized") or values.dtype.kind == "f":
         return numbers
     return np.maximum(numbers / WHOLE.get(accessor.get("componentType", 0), 1.0), -1.0)

@@ -89,9 +89,7 @@ class _Scene:
             mesh = None
         if mesh is None and not children:
             return None
-        return FileNode(
-            name=name, matrix=local_matrix(self._gltf, row), mesh=mesh, children=children
-        )
+        return FileNode(name=name, matrix=local_matrix(row), mesh=mesh, children=children)
 
     def _of_mesh(self, number: Any) -> list[Primitive]:
         self._gltf.row("meshes", number)

@@ -96,7 +96,7 @@ class Skins:
         matrix, above = np.eye(4), 0
         at: int | None = index
         while at is not None and above < 1000:
-            local = local_matrix(self._gltf, self._gltf.row("nodes", at))
+            local = local_matrix(self._gltf.row("nodes", at))
             matrix = matrix if local is None else matrix @ local
             at, above = self._parents.get(at), above + 1
         return matrix

@@ -79,10 +79,12 @@ class _Files:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Without trimesh's log on the screen: what it warns of is checked and said here."""
-    log = logging.getLogger("trimesh")
-    before = log.disabled
-    log.disabled = True
+    log, sink = logging.getLogger("trimesh"), logging.NullHandler()
+    before = log.propagate
+    log.addHandler(sink)
+    log.propagate = False
     try:
         yield
     finally:
-        log.disabled = before
+        log.propagate = before
+        log.removeHandler(sink)

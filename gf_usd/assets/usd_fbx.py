@@ -12,7 +12,7 @@ from pathlib import Path
 from pxr import Tf, Usd
 
 from gf_usd.assets.mesh_data import refuse_pointer
-from gf_usd.assets.usd_source import TEXTURES, MeshSource, new_folder, record_of
+from gf_usd.assets.usd_source import Folder, MeshSource, record_of
 from gf_usd.errors import InputError
 
 PROGRAM = "usd-convert-asset"
@@ -38,11 +38,10 @@ def convert_fbx(
         raise InputError(
             f"{path}: FBX is only read by way of {PROGRAM}, which is not on PATH", HINT
         )
-    folder = new_folder()
-    home = Path(folder.name).resolve()
-    inside = home / TEXTURES  # the program puts pictures somewhere below
-    inside.mkdir()
-    made = inside / "converted.usdc"
+    folder = Folder()
+    folder.pictures.mkdir()
+    # The program puts pictures somewhere below its result.
+    made = folder.pictures / "converted.usdc"
     command = [program, "-i", str(path.absolute()), "-o", str(made), "--preview-surface"]
     try:
         done = subprocess.run(
@@ -57,9 +56,8 @@ def convert_fbx(
             + (f": {said[-1]}" if said else ""),
             "check that the file opens elsewhere; or export the asset as glb or obj",
         )
-    layer = home / "source.usdc"
-    notes = _flatten(path, made, layer, meters_per_unit, up_axis)
-    return MeshSource(path, layer, folder, record_of(path, [path], meters_per_unit, up_axis), notes)
+    notes = _flatten(path, made, folder.layer, meters_per_unit, up_axis)
+    return MeshSource(path, folder, record_of(path, [path], meters_per_unit, up_axis), notes)
 
 
 def _flatten(

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import tempfile
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +25,25 @@ from gf_usd.model import Asset
 from gf_usd.publish import partial_path, publish
 
 RECORD = "convertedFrom"  # in customLayerData
-TEXTURES = "textures"  # subfolder of the temporary folder
+
+
+class Folder:
+    """A temporary folder that goes when the object does, or at the end of the program."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="gf-usd-")).resolve()
+        # Windows will not remove a file that USD still maps.
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+    @property
+    def layer(self) -> Path:
+        """The USD form of a file."""
+        return self.path / "source.usdc"
+
+    @property
+    def pictures(self) -> Path:
+        """What was inside the file, or came out of it."""
+        return self.path / "textures"
 
 
 class MeshSource:
@@ -32,8 +52,7 @@ class MeshSource:
     Parameters
     ----------
     path : the file as the user named it.
-    layer : its USD form, in a folder that lives as long as `folder`.
-    folder : holds the layer and what is to be extracted beside it.
+    folder : holds its USD form and what is to be extracted beside that.
     record : what the layer was made of, to be found again in it.
     notes : what was assumed or left out on the way.
     """
@@ -41,16 +60,13 @@ class MeshSource:
     def __init__(
         self,
         path: Path,
-        layer: Path,
-        folder: tempfile.TemporaryDirectory[str],
+        folder: Folder,
         record: dict[str, str],
         notes: tuple[str, ...],
     ) -> None:
         self.path = path
         self.notes = notes
-        self._layer = layer
-        self._folder = folder  # removed with this object
-        self._pictures = Path(folder.name).resolve() / TEXTURES
+        self._folder = folder
         self._record = record
 
     @classmethod
@@ -58,18 +74,16 @@ class MeshSource:
         cls, file: MeshFile, *, meters_per_unit: float, up_axis: str, notes: tuple[str, ...]
     ) -> MeshSource:
         """Make the layer of a mesh file."""
-        folder = new_folder()
-        inside = Path(folder.name).resolve()
-        layer = inside / "source.usdc"
+        folder = Folder()
         write_layer(
-            file, layer, inside / TEXTURES, meters_per_unit=meters_per_unit, up_axis=up_axis
+            file, folder.layer, folder.pictures, meters_per_unit=meters_per_unit, up_axis=up_axis
         )
         record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
-        return cls(file.path, layer, folder, record, notes)
+        return cls(file.path, folder, record, notes)
 
     def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
         """The surfaces and facts; `facts.path` is the original.  See `gf_usd.assets.read_asset`."""
-        asset = read_usd(self._layer, prims=prims, time_code=time_code, named=self.path)
+        asset = read_usd(self._folder.layer, prims=prims, time_code=time_code, named=self.path)
         return replace(asset, facts=replace(asset.facts, notes=(*self.notes, *asset.facts.notes)))
 
     def is_at(self, target: Path) -> bool:
@@ -97,16 +111,16 @@ class MeshSource:
             return target
         extracted = textures_folder(target)
         for name in self._names():
-            _write_bytes(extracted / name, (self._pictures / name).read_bytes())
-        layer = Sdf.Layer.OpenAsAnonymous(str(self._layer))
+            _write_bytes(extracted / name, (self._folder.pictures / name).read_bytes())
+        layer = Sdf.Layer.OpenAsAnonymous(str(self._folder.layer))
         layer.customLayerData = {**layer.customLayerData, RECORD: self._record}
 
         def moved(path: str) -> str:
             file = Path(path)
             if not file.is_absolute():
                 return path
-            if file.is_relative_to(self._pictures):
-                file = extracted / file.relative_to(self._pictures)
+            if file.is_relative_to(self._folder.pictures):
+                file = extracted / file.relative_to(self._folder.pictures)
             return _relative(file, target.parent)
 
         UsdUtils.ModifyAssetPaths(layer, moved)
@@ -124,14 +138,8 @@ class MeshSource:
 
     def _names(self) -> list[str]:
         """Pictures that came out of the file, as paths in their folder."""
-        files = (p for p in self._pictures.rglob("*") if p.is_file())
-        return sorted(p.relative_to(self._pictures).as_posix() for p in files)
-
-
-def new_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that goes when the object does."""
-    # Windows will not remove a file that USD still maps.
-    return tempfile.TemporaryDirectory(prefix="gf-usd-", ignore_cleanup_errors=True)
+        files = (p for p in self._folder.pictures.rglob("*") if p.is_file())
+        return sorted(p.relative_to(self._folder.pictures).as_posix() for p in files)
 
 
 def record_of(

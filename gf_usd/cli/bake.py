@@ -142,7 +142,7 @@ def bake(
     NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
     glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
-    from gf_usd.bake import prepare, run
+    from gf_usd.baking import prepare, run
     from gf_usd.cli.talk import progress, show_plan, summarise
 
     plan = prepare(

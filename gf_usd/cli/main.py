@@ -21,6 +21,8 @@ from gf_usd.cli.preview import preview
 from gf_usd.cli.schema_path import schema_path
 from gf_usd.errors import GfUsdError
 
+STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+
 app = typer.Typer(
     name="gf-usd",
     help="Make any USD or mesh asset soft, without touching it.",
@@ -55,18 +57,17 @@ def _main(
 
 def run() -> NoReturn:
     """Run the command line; an expected error ends in words on stderr, never in a traceback."""
-    signal.signal(signal.SIGTERM, _terminate)
+    for number in STOPPED:
+        signal.signal(number, _stop)
     try:
         app(standalone_mode=True)
     except GfUsdError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(error.exit_status)
-    except KeyboardInterrupt:
-        typer.echo("interrupted; only *.partial.* files remain", err=True)
-        sys.exit(130)
     sys.exit(0)
 
 
-def _terminate(number: int, frame: object) -> NoReturn:
-    typer.echo("terminated; only *.partial.* files remain", err=True)
-    sys.exit(143)
+def _stop(number: int, frame: object) -> NoReturn:
+    # typer ends a KeyboardInterrupt without a word
+    typer.echo(f"{STOPPED[number]}; only *.partial.* files remain", err=True)
+    sys.exit(128 + number)

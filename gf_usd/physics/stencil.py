@@ -30,6 +30,7 @@ from gf_usd.model import Floats, Ints
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
 FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
 FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 
 
@@ -150,7 +151,8 @@ def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
     around = np.where((gap > FIT_REACH)[:, None], free[closest], ijk)
     distance, near = tree.query(around, k=k)
     distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
-    B = np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2))
+    # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
+    B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
     B /= B.sum(1, keepdims=True)
     centre = np.einsum("nk,nka->na", B, free[near])
     P = free[near] - centre[:, None, :]

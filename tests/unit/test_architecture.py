@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "gf_usd"
 ROOMS = ("assets", "geometry", "physics", "usd", "view")
 # The street: the files that may know several rooms, and that no room may know.
-STREET = ("bake.py", "plan.py", "estimate.py", "preflight.py")
+STREET = ("baking.py", "plan.py", "estimate.py", "preflight.py")
 LONGEST = 300
 DYNAMIC = re.compile(r"gf_usd(\.\w+)+(:\w+)?")  # a module named in a string, to be imported later
 CATCH_ALL = {"Exception", "BaseException"}
@@ -157,8 +157,8 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         (
             rooms_do_not_know_the_street,
             "usd/a.py",
-            "from gf_usd.bake import run\nfrom gf_usd.cli import talk\nimport gf_usd.materials",
-            ["imports gf_usd.bake.run", "imports gf_usd.cli.talk"],
+            "from gf_usd.baking import run\nfrom gf_usd.cli import talk\nimport gf_usd.materials",
+            ["imports gf_usd.baking.run", "imports gf_usd.cli.talk"],
         ),
         (
             only_the_street_knows_several_rooms,
@@ -169,7 +169,7 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         (only_the_street_knows_several_rooms, "inspection.py", "import gf_usd.usd.stage", []),
         (
             only_the_street_knows_several_rooms,
-            "bake.py",
+            "baking.py",
             "import gf_usd.usd.stage\nimport gf_usd.assets.usd",
             [],
         ),
@@ -184,7 +184,7 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
         (libraries_stay_in_their_rooms, "geometry/a.py", "import taichi", ["imports taichi"]),
         (libraries_stay_in_their_rooms, "view/a.py", "import taichi.math as tm", []),
         (libraries_stay_in_their_rooms, "usd/a.py", "import typer", ["imports typer"]),
-        (only_the_command_line_prints, "bake.py", "print(1)", ["line 1 prints"]),
+        (only_the_command_line_prints, "baking.py", "print(1)", ["line 1 prints"]),
         (only_the_command_line_prints, "usd/a.py", "sys.stdout.write('')", ["line 1 prints"]),
         (only_the_command_line_prints, "cli/talk.py", "print(1)", []),
         *(

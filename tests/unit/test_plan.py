@@ -15,7 +15,15 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 import gf_usd
 from gf_usd.model import Settings
 from gf_usd.output_files import outputs
-from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash, settings_json
+from gf_usd.plan import (
+    BakeResult,
+    LookResult,
+    Plan,
+    command_line,
+    describe,
+    input_hash,
+    settings_json,
+)
 
 PATH = "/World/Ball"
 
@@ -99,17 +107,15 @@ def test_a_description_answers_what_a_dry_run_is_asked(plan: Plan, source: Path)
     assert d["notes"] == ["a note"]
 
 
-def test_the_command_is_one_for_a_shell(plan: Plan) -> None:
-    words = shlex.split(plan.command)
-    assert words[:3] == ["gf-usd", "bake", "my ball.usda"]
-    options = dict(zip(words[3::2], words[4::2]))
-    assert options["--material"] == "rubber,jelly"
-    assert options["--frames"] == "5"
-    assert float(options["--fps"]) == 30.0
-    assert options["--seed"] == "3"
-    assert "--skin" not in options
-    idw = replace(plan, settings=replace(plan.settings, skin="idw"))
-    assert shlex.split(idw.command)[-2:] == ["--skin", "idw"]
+def test_the_command_is_one_for_a_shell() -> None:
+    command = command_line(
+        Path("a folder/my ball.usda"), material="rubber,jelly", frames=5, fps=30.0, drop=None,
+        stress=True, repair=False, time_scale="auto", gravity="0,-1.5,0",
+    )  # fmt: skip
+    assert shlex.split(command) == [
+        *("gf-usd", "bake", "my ball.usda", "--material", "rubber,jelly", "--frames", "5"),
+        *("--fps", "30", "--stress", "--time-scale", "auto", "--gravity", "0,-1.5,0"),
+    ]
 
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:

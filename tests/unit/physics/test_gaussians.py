@@ -96,14 +96,16 @@ def track_through(gradients: list[np.ndarray], q: np.ndarray, scale: np.ndarray)
 
 
 @pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [1.0, 2.0, -0.5]])
-def test_a_full_spin_is_followed_step_by_step(axis):
-    # 360 degrees in 36 steps of a squashed body: each Gaussian turns 10 degrees a frame, no more.
-    n, step = 40, np.radians(10.0)
+@pytest.mark.parametrize("degrees", [10.0, 60.0, 120.0])
+def test_a_full_spin_is_followed_step_by_step(axis, degrees):
+    # Each Gaussian turns with the squashed body, beyond 45 degrees a frame too, where the nearest
+    # axes are others than its own.
+    n, step = 40, np.radians(degrees)
     axis = np.array(axis) / np.linalg.norm(axis)
     squash = np.diag([1.2, 0.7, 1.0])
     spin = [
         np.tile(Rotation.from_rotvec(k * step * axis).as_matrix() @ squash, (n, 1, 1))
-        for k in range(37)
+        for k in range(round(360.0 / degrees) + 1)
     ]
     q = quaternions(n, 6)
     turn, change, last = track_through(spin, q, np.tile(DISC, (n, 1)))

@@ -1,0 +1,103 @@
+"""Parts that the particles do not reach, on bodies made to have them, and none on those without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from solids import cube, fill, solid, sphere, surface
+
+from gf_usd.geometry.parts import FEW, poor_parts, suggestion
+
+
+def parts_of(*surfaces, particles):
+    body = solid(*surfaces)
+    return poor_parts(body, *fill(body, particles))
+
+
+def shells_of(*surfaces, path="/Body"):
+    first = np.cumsum([0, *(len(s.points) for s in surfaces)])
+    triangles = [s.triangles + o for s, o in zip(surfaces, first)]
+    return surface(np.concatenate([s.points for s in surfaces]), np.concatenate(triangles), path)
+
+
+def hat():
+    """A bowl with a brim 0.12 thick, in one shell."""
+    profile = [[0, -1], [0.9, -0.5], [1, -0.06], [2.5, -0.06], [2.5, 0.06], [1, 0.06], [0.9, 0.5],
+               [0, 1]]  # fmt: skip
+    mesh = trimesh.creation.revolve(np.array(profile, float), sections=48)
+    mesh.fix_normals()
+    return surface(mesh.vertices, mesh.faces, "/Hat")
+
+
+@pytest.mark.parametrize("particles", [300, 2000, 8000])
+@pytest.mark.parametrize("body", [sphere(), cube()], ids=["ball", "box"])
+def test_a_body_without_thin_parts_has_none(body, particles):
+    assert parts_of(body, particles=particles) == ()
+
+
+def test_shells_with_no_or_few_particles_are_named():
+    plate = cube(low=(3.0, 0.0, 0.0), edge=(0.5, 0.5, 0.001))
+    crumb = cube(low=(0.0, 3.0, 0.0), edge=0.12)
+    found = parts_of(sphere(path="/Ball"), shells_of(plate, crumb, path="/Bits"), particles=8000)
+    assert [(p.path, p.shell) for p in found] == [("/Bits", 0), ("/Bits", 1)]
+    assert [p.kind for p in found] == ["empty", "few"]
+    flat, small = found
+    assert (flat.particles, flat.suggested) == (0, None)  # a layer in it takes 4e9 particles
+    assert flat.thickness == pytest.approx(0.001, rel=0.01)
+    np.testing.assert_allclose(flat.centre, [3.25, 0.25, 0.0005])
+    assert 0 < small.particles < FEW
+    # Thickness 2 V / A = edge / 3 of a box bounds the spacing here.
+    assert small.suggested == pytest.approx(solid(sphere()).volume / 0.04**3, rel=0.1)
+    assert suggestion(found) == small.suggested
+
+
+def test_the_suggested_number_fills_the_part():
+    crumb = cube(low=(0.0, 3.0, 0.0), edge=0.12, path="/Crumb")
+    (found,) = parts_of(sphere(), crumb, particles=8000)
+    assert parts_of(sphere(), crumb, particles=found.suggested) == ()
+
+
+def test_a_thin_region_of_a_filled_shell_is_found():
+    (brim,) = parts_of(hat(), particles=500)
+    assert (brim.path, brim.shell, brim.kind) == ("/Hat", 0, "thin region")
+    # Probes step by 0.75 spacings / 48, 3 mm here.
+    assert brim.thickness == pytest.approx(0.12, abs=0.004)
+    # The brim runs around from 1 to 2.5; samples lie within two spacings, 0.4, of its rim.
+    np.testing.assert_allclose(np.sort(brim.high - brim.low), [0.12, 5.0, 5.0], atol=0.4)
+    assert parts_of(hat(), particles=brim.suggested) == ()
+
+
+def test_a_region_without_a_particle_is_bare():
+    # A ball of which one vertex is drawn out to a spike.
+    ball = sphere()
+    points = ball.points.copy()
+    top = int(np.argmax(points[:, 2]))
+    points[top] = [0.0, 0.0, 3.0]
+    (spike,) = parts_of(surface(points, ball.triangles), particles=2000)
+    assert (spike.kind, spike.particles) == ("bare region", 0)
+    # The last sample lies within two spacings, 0.26, of the tip.
+    assert 2.74 < spike.high[2] <= 3.0
+    assert spike.low[2] > 1.0
+
+
+def test_a_cavity_is_no_empty_part():
+    inner = sphere(radius=0.5)
+    hollow = shells_of(sphere(), surface(inner.points, inner.triangles[:, ::-1]))
+    assert parts_of(hollow, particles=4000) == ()
+
+
+def test_a_shell_inside_another_shares_its_particles():
+    eye = sphere(radius=0.3, centre=(0.5, 0.0, 0.0), path="/Eye")
+    assert parts_of(sphere(path="/Head"), eye, particles=4000) == ()
+
+
+def test_turned_faces_do_not_look_thin():
+    body = sphere()
+    triangles = body.triangles.copy()
+    triangles[:60] = triangles[:60, ::-1]
+    assert parts_of(surface(body.points, triangles), particles=2000) == ()
+
+
+def test_nothing_is_suggested_where_nothing_is_missing():
+    assert suggestion(()) is None
