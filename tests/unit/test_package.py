@@ -13,13 +13,13 @@ import gf_usd
 @pytest.mark.parametrize(
     "code",
     [
-        "import gf_usd; gf_usd.baking; made = gf_usd.baking",
+        "import gf_usd; gf_usd.bake; made = gf_usd.bake",
         "from gf_usd import bake as made",
-        "import gf_usd.cli.bake, gf_usd.plan; from gf_usd.baking import run; made = gf_usd.baking",
-        "import gf_usd.baking; made = gf_usd.baking",
+        "import gf_usd.cli.bake, gf_usd.plan; from gf_usd.baking import run; made = gf_usd.bake",
+        "import gf_usd.baking; made = gf_usd.bake",
     ],
 )
-def test_bake_is_the_function_though_a_module_has_its_name(code: str) -> None:
+def test_bake_is_the_function_whatever_is_imported_first(code: str) -> None:
     # Importing a submodule binds it to its package: in a process of its own, for each order.
     code += "; print(made.__module__, made.__qualname__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
