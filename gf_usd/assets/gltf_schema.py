@@ -102,7 +102,6 @@ METALLIC = table(
 )
 GLOSSY = table(diffuseFactor=numbers(4, 3), diffuseTexture=TEXTURE_INFO)
 MATERIAL = table(
-    name=text,
     pbrMetallicRoughness=METALLIC,
     normalTexture=TEXTURE_INFO,
     occlusionTexture=TEXTURE_INFO,
@@ -113,7 +112,6 @@ MATERIAL = table(
 DRACO = table(KHR_draco_mesh_compression=table(bufferView=index, attributes=_indices))
 PRIMITIVE = table(attributes=_indices, indices=index, mode=index, material=index, extensions=DRACO)
 NODE = table(
-    name=text,
     children=rows(index),
     mesh=index,
     skin=index,
@@ -126,14 +124,14 @@ FILE = table(
     scene=index,
     scenes=rows(table(nodes=rows(index))),
     nodes=rows(NODE),
-    meshes=rows(table(name=text, primitives=rows(PRIMITIVE))),
+    meshes=rows(table(primitives=rows(PRIMITIVE))),
     skins=rows(table(joints=rows(index), inverseBindMatrices=index)),
     materials=rows(MATERIAL),
     textures=rows(
         table(source=index, sampler=index, extensions=table(EXT_texture_webp=table(source=index)))
     ),
     samplers=rows(table(wrapS=index, wrapT=index)),
-    images=rows(table(uri=text, bufferView=index, name=text)),
+    images=rows(table(uri=text, bufferView=index)),
     accessors=rows(
         table(
             bufferView=index,

@@ -28,6 +28,7 @@ app = typer.Typer(
     help="Make any USD or mesh asset soft, without touching it.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
