@@ -18,6 +18,7 @@ from gf_usd.geometry.sampling import (
     sample_surface,
     thin,
 )  # fmt: skip
+from gf_usd.geometry.surface import nearest
 from gf_usd.physics.stencil import build_stencil
 
 
@@ -170,6 +171,13 @@ def test_contact_samples_are_spread_and_leave_no_gap():
     on = d / np.linalg.norm(d, axis=1, keepdims=True)
     assert tree.query(on)[0].max() < 1.25 * spacing
     assert (np.abs(np.linalg.norm(samples.X, axis=1) - 1.0) < 0.02).all()
+
+
+def test_contact_samples_lie_on_the_surface():
+    # Facets of an icosahedron: what lies off a triangle lies off the surface by up to .2 r.
+    body = solid(sphere(subdivisions=0))
+    samples = sample_surface(body, 0.2, seed=0)
+    assert nearest(body, samples.X).distance.max() < 1e-12
 
 
 def test_sharp_corners_feel_the_floor():

@@ -1,0 +1,109 @@
+"""gf-usd check: findings in words and in JSON, and the exit status that a script asks for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from conftest import names
+
+# A triangle that leads to a fourth point which is not there.
+BROKEN = """#usda 1.0
+(
+    defaultPrim = "Shard"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Mesh "Shard"
+{
+    float3[] extent = [(0, 0, 0), (1, 1, 0)]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0)]
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 3]
+}
+"""
+KEYS = ["file", "ok", "rules", "prims", "layers", "findings", "skipped"]
+
+
+@pytest.fixture
+def broken(here: Path) -> str:
+    (here / "shard.usda").write_text(BROKEN)
+    return "shard.usda"
+
+
+@pytest.fixture
+def mild(here: Path, broken: str) -> str:
+    """Without an extent, which USD computes where it has to: a warning."""
+    lines = BROKEN.replace("[0, 1, 3]", "[0, 1, 2]").splitlines()
+    text = "\n".join(line for line in lines if "extent" not in line)
+    (here / "mild.usda").write_text(text + "\n")
+    return "mild.usda"
+
+
+def test_a_sound_file(gf_usd, block: Path) -> None:
+    done = gf_usd("check", block)
+    assert (done.status, done.err) == (0, "")
+    assert done.out.startswith(f"{block}: 0 errors, 0 warnings (")
+    assert done.out.count("\n") == 1
+
+
+def test_a_broken_file(gf_usd, broken: str) -> None:
+    done = gf_usd("check", broken)
+    assert (done.status, done.err) == (1, "")
+    assert "error: mesh-topology </Shard>\n" in done.out
+    lines = done.out.splitlines()
+    finding = lines.index("error: mesh-topology </Shard>")
+    assert lines[finding + 1].startswith("  ")
+    assert lines[finding + 2].startswith("  fix: ")
+    assert lines[-1].startswith("shard.usda: ")
+    assert " 0 errors" not in lines[-1]
+
+
+def test_warnings_do_not_count(gf_usd, mild: str) -> None:
+    done = gf_usd("check", mild)
+    assert done.status == 0
+    assert "warning: extent </Shard>\n" in done.out
+    assert "mild.usda: 0 errors, 1 warnings (" in done.out
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_json(gf_usd, block: Path, broken: str, sound: bool) -> None:
+    file = str(block) if sound else broken
+    done = gf_usd("check", file, "--json")
+    assert (done.status, done.err) == (0 if sound else 1, "")
+    told = json.loads(done.out)
+    assert list(told) == KEYS
+    assert (told["file"], told["ok"]) == (file, sound)
+    assert (told["layers"], told["skipped"]) == (2, [])  # the file and the session's
+    assert told["prims"] == (2 if sound else 1)
+    assert told["rules"] > 10
+    for finding in told["findings"]:
+        assert set(finding) == {"rule", "severity", "prim_path", "message", "fix"}
+    found = {(f["rule"], f["prim_path"]) for f in told["findings"]}
+    assert found == set() if sound else ("mesh-topology", "/Shard") in found
+
+
+def test_a_bake_passes(gf_usd, here: Path, block: Path) -> None:
+    assert gf_usd("bake", block, "--particles", "100", "--frames", "2", "-q").status == 0
+    done = gf_usd("check", "block.rubber.usda")
+    assert done.status == 0, done.out
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("no.usda", "no.usda is no file."),
+        ("notes.txt", "notes.txt is not USD, as far as its name says."),
+        ("text.usda", "text.usda cannot be opened as USD: "),
+    ],
+)
+def test_what_is_no_usd_file(gf_usd, here: Path, file: str, message: str) -> None:
+    for name in ("notes.txt", "text.usda"):
+        (here / name).write_text("rubber, please\n")
+    done = gf_usd("check", file)
+    assert (done.status, done.out) == (3, "")
+    assert done.err.startswith(f"error: {message}")
+    assert "\n\nhint: " in done.err
+    assert "Traceback" not in done.err
+    assert names(here) == ["notes.txt", "text.usda"]

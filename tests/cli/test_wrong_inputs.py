@@ -1,0 +1,104 @@
+"""Five inputs that a new user gets wrong: refused in words, quickly, and without a file."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BALL = """#usda 1.0
+(
+    defaultPrim = "Ball"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Sphere "Ball" {
+    double radius = 0.5
+}
+"""
+SHEET = """#usda 1.0
+(
+    defaultPrim = "Cloth"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Mesh "Cloth" {
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+}
+"""
+
+
+def unwritable(folder: Path) -> Path:
+    """A folder without write permission; for the superuser, one of the kernel's."""
+    folder.mkdir()
+    folder.chmod(0o555)
+    if not os.access(folder, os.W_OK):
+        return folder
+    kernel = Path("/proc/self")
+    if not kernel.is_dir():
+        pytest.skip("every folder of this system can be written to")
+    return kernel
+
+
+def child_seconds() -> float:
+    """Processor time [s] of all commands run so far."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message", "hint"),
+    [
+        (["gone.usda"], 3, "gone.usda does not exist", "did you mean"),
+        (["text.usda"], 3, "text.usda is not a USD file", "check what the file really is"),
+        (["sheet.usda"], 3, "/Cloth: the surface is open", "give the mesh thickness"),
+        (["ball.usda", "-m", "granite"], 2, "there is no material 'granite'", "choose one of"),
+        (["ball.usda", "-o", "SEALED/"], 2, "cannot be written to", "choose another folder"),
+    ],
+    ids=["missing file", "text file", "no volume", "unknown material", "unwritable folder"],
+)
+def test_refused_in_words_and_without_a_file(
+    tmp_path: Path, words: list[str], status: int, message: str, hint: str
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    for name, text in (("ball", BALL), ("sheet", SHEET), ("text", "Dear artist,\nhello.\n")):
+        (here / f"{name}.usda").write_text(text, encoding="utf-8")
+    if words[-1] == "SEALED/":
+        words = [*words[:-1], f"{unwritable(tmp_path / 'sealed')}/"]
+    before, began = files(tmp_path), child_seconds()
+    done = subprocess.run(
+        [sys.executable, "-m", "gf_usd", "bake", *words],
+        cwd=here, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    # What people are promised, in seconds of the processor: a busy machine proves nothing.
+    assert child_seconds() - began < 5.0
+    assert done.returncode == status
+    assert done.stdout == ""
+    said, _, advice = done.stderr.partition("\n\nhint: ")
+    assert said.startswith("error: ")
+    assert message in said
+    assert hint in advice
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr) < 1000  # short: a screen's third
+    assert files(tmp_path) == before
+
+
+def test_an_option_that_does_not_parse_is_a_matter_of_usage(tmp_path: Path) -> None:
+    (tmp_path / "ball.usda").write_text(BALL, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "gf_usd", "bake", "ball.usda", "--frames", "many"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "--frames" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["ball.usda"]
