@@ -72,6 +72,8 @@ def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
             raise UsageError(
                 f"{path} is the asset itself, which is never written to", "choose another -o"
             )
+        if files.all.count(path) > 1:
+            raise UsageError(f"two results would be named {path}", "choose another -o")
     return files
 
 

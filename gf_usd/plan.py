@@ -69,7 +69,7 @@ def command_line(source: Path, **asked: Any) -> str:
         if value is True:
             words.append(option)
         elif value is not None and value is not False:
-            words += [option, f"{value:g}" if isinstance(value, float) else str(value)]
+            words += [option, str(value).removesuffix(".0")]
     return shlex.join(words)
 
 

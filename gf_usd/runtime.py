@@ -26,6 +26,7 @@ def import_taichi() -> ModuleType:
     """
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
+    os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
     try:
         return importlib.import_module("taichi")
     except ImportError as error:

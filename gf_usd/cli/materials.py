@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def materials(
@@ -26,22 +30,49 @@ def materials(
         typer.echo(json.dumps(out, indent=1))
         return
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table("look", "mu [rho g0 r]", "lambda [rho g0 r]", "density [kg/m^3]",
-                  "damping [T]", "friction", "restitution", "what it does")  # fmt: skip
+    console = Console(markup=False, highlight=False)
+    looks = (
+        (m.name, m.mu, m.lam, m.density, m.damping, m.friction, m.restitution)
+        for m in LOOKS.values()
+    )
+    console.print(
+        _table(
+            "look", "mu\n[rho g0 r]", "lambda\n[rho g0 r]", "density\n[kg/m^3]", "damping\n[T]",
+            "friction", "restitution", rows=looks,
+        )
+    )  # fmt: skip
+    console.print()
     for look in LOOKS.values():
-        table.add_row(
-            look.name, f"{look.mu:g}", f"{look.lam:g}", f"{look.density:g}",
-            f"{look.damping:g}", f"{look.friction:g}", f"{look.restitution:g}", look.note,
-        )  # fmt: skip
-    absolute = Table("physical", "E [Pa]", "nu", "density [kg/m^3]", "damping [s]", "source")
+        console.print(f"{look.name}: {look.note}")
+    console.print()
+    physical = (
+        (m.name, m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time, m.friction,
+         m.restitution)
+        for m in PHYSICAL.values()
+    )  # fmt: skip
+    console.print(
+        _table(
+            "physical", "E\n[Pa]", "nu", "density\n[kg/m^3]", "damping\n[s]", "friction",
+            "restitution", rows=physical,
+        )
+    )  # fmt: skip
+    console.print()
     for p in PHYSICAL.values():
-        absolute.add_row(
-            p.name, f"{p.youngs_modulus:.3g}", f"{p.poissons_ratio:g}", f"{p.density:g}",
-            f"{p.damping_time:g}", p.source,
-        )  # fmt: skip
-    console = Console()
-    console.print(table)
-    console.print(absolute)
+        console.print(f"{p.name}: {p.source}")
+    console.print()
     console.print(f"laws: {', '.join(LAW_TOKENS)} (--law)")
+
+
+def _table(*heads: str, rows: Iterable[tuple[str | float, ...]]) -> Table:
+    """A table of a name and numbers, narrow enough for a terminal of 80 columns."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for head in heads:
+        # As Text: rich takes a unit in brackets for a style, and leaves it out.
+        table.add_column(Text(head), no_wrap=True, justify="left" if head == heads[0] else "right")
+    for row in rows:
+        table.add_row(*(value if isinstance(value, str) else f"{value:.4g}" for value in row))
+    return table

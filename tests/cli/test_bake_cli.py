@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,32 @@ def test_a_dry_run_says_and_writes_nothing_else(gf_usd, here: Path, block: Path)
     assert plan["volume_m3"] == pytest.approx(0.012, rel=1e-6)
     assert plan["substeps_per_frame"]["rubber"] >= 1
     assert names(here) == []
+
+
+def test_the_recorded_command_bakes_the_same_again(gf_usd, here: Path, block: Path) -> None:
+    first = gf_usd(
+        "bake", block, "--spacing", "3.7654321", "--frames", "3", "-m", "jelly", "--seed", "5",
+        "--drop", "1r", "--stress", "--friction", "0.30000001", "-o", "first/", "-q",
+    )  # fmt: skip
+    assert first.status == 0, first.err
+    command = strict((here / "first/block.jelly.report.json").read_text())["command"]
+    program, *words = shlex.split(command)
+    assert program == "gf-usd"
+    again = gf_usd(*(str(block) if w == "block.usda" else w for w in words), "-o", "again/", "-q")
+    assert again.status == 0, again.err
+    caches = [(here / n / "block.jelly.cache.usdc").read_bytes() for n in ("first", "again")]
+    assert caches[0] == caches[1]
+
+
+def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path) -> None:
+    plan = strict(gf_usd("bake", block, *SMALL, "--dry-run", "--json", "-o", "new/").out)
+    assert names(here) == []
+    done = strict(gf_usd("bake", block, *SMALL, "--json", "-o", "new/").out)
+    assert sorted(plan["outputs"]) == sorted(f"new/{name}" for name in names(here / "new"))
+    assert (plan["particles"], plan["frames"]) == (done["particles"], done["frames"])
+    assert plan["materials"] == [done["bakes"][0]["material"]]
+    # In free flight nothing makes the solver halve its step: five frames of motion.
+    assert done["bakes"][0]["health"]["substeps"] == 5 * plan["substeps_per_frame"]["rubber"]
 
 
 def test_results_are_replaced_only_when_asked(gf_usd, here: Path, block: Path) -> None:

@@ -1,4 +1,4 @@
-"""How gf-usd bake ends when it cannot: words, exit status, and what is left on the disk."""
+"""How gf-usd bake ends where an option or a file does not do, or a signal stops it."""
 
 from __future__ import annotations
 
@@ -7,42 +7,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from conftest import names
 
 SMALL = ("--particles", "300", "--frames", "3")
-SHEET = """#usda 1.0
-(
-    defaultPrim = "Cloth"
-    metersPerUnit = 1
-    upAxis = "Y"
-)
-def Mesh "Cloth"
-{
-    point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)]
-    int[] faceVertexCounts = [4]
-    int[] faceVertexIndices = [0, 1, 2, 3]
-}
-"""
-
-
-@pytest.fixture
-def sealed(tmp_path: Path) -> Iterator[Path]:
-    """A folder that nobody may write to; for root, who may write anywhere, one of the kernel's."""
-    folder = tmp_path / "sealed"
-    folder.mkdir()
-    folder.chmod(0o555)
-    kernel = Path("/proc/self")
-    if not os.access(folder, os.W_OK):
-        yield folder
-    elif kernel.is_dir():
-        yield kernel
-    else:
-        pytest.skip("every folder of this system can be written to")
-    folder.chmod(0o755)
 
 
 def refused(done, status: int, message: str, hint: str) -> None:
@@ -56,36 +26,9 @@ def refused(done, status: int, message: str, hint: str) -> None:
     assert len(done.err) < 1000
 
 
-def test_a_missing_file(gf_usd, here: Path) -> None:
-    done = gf_usd("bake", "duck.usda")
-    refused(done, 3, "duck.usda does not exist", "give a file that ends in ")
-    assert names(here) == []
-
-
-def test_a_text_file_named_usda(gf_usd, here: Path) -> None:
-    (here / "text.usda").write_text("Dear artist, this is not a stage.\n")
-    done = gf_usd("bake", "text.usda")
-    refused(done, 3, "text.usda is not a USD file", "check what the file really is")
-    assert names(here) == ["text.usda"]
-
-
-def test_a_mesh_without_volume(gf_usd, here: Path) -> None:
-    (here / "sheet.usda").write_text(SHEET)
-    done = gf_usd("bake", "sheet.usda")
-    refused(done, 3, "", "thickness")
-    assert "/Cloth" in done.err
-    assert names(here) == ["sheet.usda"]
-
-
 def test_an_unknown_material(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, "-m", "rubber,ruber")
-    refused(done, 2, "there is no material 'ruber'\n", "did you mean rubber? choose one of ")
-    assert names(here) == []
-
-
-def test_a_folder_that_cannot_be_written(gf_usd, here: Path, block: Path, sealed: Path) -> None:
-    done = gf_usd("bake", block, "-o", f"{sealed}/")
-    refused(done, 2, f"{sealed} cannot be written to: ", "choose another folder with -o, or change")
+    refused(done, 2, "there is no material 'ruber'", "did you mean rubber? choose one of ")
     assert names(here) == []
 
 
@@ -137,20 +80,10 @@ def test_too_few_particles(gf_usd, here: Path, block: Path) -> None:
 
 
 def test_words_that_are_no_option(gf_usd, here: Path, block: Path) -> None:
-    for words in (("--frames", "many"), ("--speed", "1"), ("more",)):
+    for words, named in ((("--frames", "x"), "--frames"), (("--speed",), "--speed"), (("b",), "b")):
         done = gf_usd("bake", block, *words)
         assert (done.status, done.out) == (2, "")
-        assert words[-2] in done.err or words[-1] in done.err
-    assert names(here) == []
-
-
-def test_a_process_of_its_own_ends_the_same_way(here: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "gf_usd", "bake", "duck.usda"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.startswith("error: duck.usda does not exist\n\nhint: ")
+        assert named in done.err
     assert names(here) == []
 
 

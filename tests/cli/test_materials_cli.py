@@ -12,24 +12,43 @@ import gf_usd as package
 from gf_usd.materials import LAW_TOKENS, LOOKS, PHYSICAL, presets
 
 
-def test_every_preset_is_listed_with_its_source(gf_usd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
+def numbers(row: str) -> list[float]:
+    """What stands after the name."""
+    return [float(word) for word in row.split()[1:]]
+
+
+def test_every_preset_is_listed_with_its_numbers_and_source(gf_usd) -> None:
     done = gf_usd("materials")
     assert (done.status, done.err) == (0, "")
-    rows = [line.replace("│", "|") for line in done.out.splitlines()]
-    for name in presets():
-        assert any(f"| {name} " in row for row in rows), name
-    for look in LOOKS.values():
-        assert f"{look.mu:g}" in done.out
-        assert look.note in done.out
-    assert "laws: corotated, neoHookean (--law)" in done.out
+    rows = {line.split()[0]: line for line in done.out.splitlines() if line.strip()}
+    for m in LOOKS.values():
+        values = [m.mu, m.lam, m.density, m.damping, m.friction, m.restitution]
+        assert numbers(rows[m.name]) == pytest.approx(values, rel=1e-3)
+        assert f"{m.name}: {m.note}" in done.out
+    for m in PHYSICAL.values():
+        values = [m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time]
+        values += [m.friction, m.restitution]
+        assert numbers(rows[m.name]) == pytest.approx(values, rel=1e-3)
+        assert f"{m.name}: {m.source}" in done.out.replace("\n", " ").replace("  ", " ")
+    assert done.out.endswith("laws: corotated, neoHookean (--law)\n")
 
 
-def test_nothing_is_cut_off_on_a_narrow_terminal(gf_usd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
+def test_every_number_has_its_unit(gf_usd) -> None:
+    # rich reads brackets as markup unless it is told not to.
+    done = gf_usd("materials")
+    assert done.out.count("[rho g0 r]") == 2
+    assert done.out.count("[kg/m^3]") == 2
+    for unit in ("[T]", "[Pa]", "[s]"):
+        assert unit in done.out
+
+
+@pytest.mark.parametrize("columns", [80, 200])
+def test_nothing_is_cut_off(gf_usd, monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
     done = gf_usd("materials")
     assert "…" not in done.out
-    assert max(len(line) for line in done.out.splitlines()) <= 80
+    assert max(len(line) for line in done.out.splitlines()) <= columns
+    assert all(name in done.out for name in presets())
 
 
 def test_json(gf_usd) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gf_usd.errors import UsageError
-from gf_usd.output_files import Outputs, claim, outputs, require_free
+from gf_usd.output_files import Outputs, claim, outputs, require_free, require_source_free
 
 DUCK = Path("models/duck.usda")
 
@@ -147,6 +148,41 @@ def test_a_folder_that_cannot_be_written_to(sealed: Path) -> None:
         f"{sealed} cannot be written to: No such file or directory",
     )
     assert hint == "choose another folder with -o, or change its permissions"
+
+
+def test_a_mesh_file_becomes_a_layer_beside_the_root() -> None:
+    files = outputs(Path("models/toy.OBJ"), ["rubber"], "out/")
+    assert files.source == Path("out/toy.source.usdc")
+    assert files.own == (files.root, *files.caches, files.report)
+    assert files.all == (*files.own, files.source)
+    assert outputs(Path("toy.USDZ"), ["rubber"], None).source is None
+
+
+def test_results_have_different_names() -> None:
+    assert refusal(outputs, Path("toy.obj"), ["rubber"], "toy.source.usdc") == (
+        "two results would be named toy.source.usdc",
+        "choose another -o",
+    )
+
+
+def test_the_layer_of_a_mesh_file_is_shared_by_its_bakes(tmp_path: Path) -> None:
+    files = outputs(Path("toy.obj"), ["rubber"], f"{tmp_path}/")
+    files = replace(files, textures=(tmp_path / "toy.textures" / "skin.png",))
+    require_source_free(files, False, False)
+    layer, texture = tmp_path / "toy.source.usdc", files.textures[0]
+    texture.parent.mkdir()
+    for there in (texture, layer):
+        there.write_text("earlier")
+        # What another bake may lie over is no reason to refuse a free name,
+        require_free(files, False)
+        # nor is a layer that was made of the same file in the same way.
+        require_source_free(files, True, False)
+        require_source_free(files, False, True)
+        assert refusal(require_source_free, files, False, False) == (
+            f"{there} exists already, and was not made of this file in this way",
+            "add --overwrite to replace it (other bakes may lie over it), or choose another -o",
+        )
+    require_source_free(outputs(DUCK, ["rubber"], f"{tmp_path}/"), False, False)
 
 
 def test_folders_are_made_when_the_bake_begins(tmp_path: Path) -> None:

@@ -118,6 +118,14 @@ def test_the_command_is_one_for_a_shell() -> None:
     ]
 
 
+def test_the_command_has_every_digit() -> None:
+    # Six digits of a spacing are another number of particles.
+    asked = {"spacing": 0.123456789, "fps": 24000 / 1001, "drag": 0.0, "filter_rate": math.inf}
+    words = shlex.split(command_line(Path("a.usda"), **asked))
+    assert words[3::2] == ["--spacing", "--fps", "--drag", "--filter-rate"]
+    assert [float(word) for word in words[4::2]] == list(asked.values())
+
+
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
     solver = plan.solver(plan.materials[1])
     assert solver.riders.keys() == plan.points.keys() == {PATH}

@@ -71,8 +71,10 @@ def test_the_same_arguments_start_it_once_and_others_anew(monkeypatch):
     assert starts[-1]["cpu_max_num_threads"] == 2
 
 
-def test_starting_says_nothing_on_the_way():
+@pytest.mark.parametrize("stdout", ["sys.__stdout__", "io.StringIO()"], ids=["own", "notebook"])
+def test_starting_says_nothing_on_the_way(stdout):
     code = "from gf_usd.runtime import init_taichi; init_taichi()"
+    code = f"import io, sys; sys.stdout = {stdout}; {code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""
     assert done.stderr == ""
