@@ -146,7 +146,8 @@ def bake(
     from gf_usd.cli.talk import progress, show_plan, summarise
 
     plan = prepare(
-        asset, material=material, output=output, law=law, prims=prim or (), overwrite=overwrite or dry_run,
+        asset, material=material, output=output, law=law, prims=prim or (),
+        overwrite=overwrite or dry_run,  # a dry run replaces nothing
         particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
         gravity=gravity, seed=seed, device=device, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,

@@ -185,11 +185,11 @@ def _thin(solid: Solid, X: Floats, normal: Floats, spacing: float) -> winding.Fl
     way = np.stack([depth, -depth])
     probes = X[:, None, None, :] + way[None, :, :, None] * normal[:, None, None, :]
     inside = solid.inside(probes.reshape(-1, 3)).reshape(len(X), 2, STEPS)
-    return ~inside.all(2).any(1)
+    return inside.sum(axis=2).max(axis=1) < STEPS
 
 
 def _volume_where(
-    solid: Solid, low: Floats, high: Floats, belongs: Callable[[Floats], Floats]
+    solid: Solid, low: Floats, high: Floats, belongs: Callable[[Floats], winding.Flags]
 ) -> float:
     """[m^3] of the solid in a box, of points (n, 3) -> (n,) that belong; by random points."""
     X = np.random.default_rng(0).uniform(low, high, (VOLUME_POINTS, 3))

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import names
+from small_bakes import names
 
 SMALL = ("--particles", "300", "--frames", "3")
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import names
+from small_bakes import names
 
 # A triangle that leads to a fourth point which is not there.
 BROKEN = """#usda 1.0

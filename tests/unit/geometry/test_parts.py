@@ -61,8 +61,8 @@ def test_the_suggested_number_fills_the_part():
 def test_a_thin_region_of_a_filled_shell_is_found():
     (brim,) = parts_of(hat(), particles=500)
     assert (brim.path, brim.shell, brim.kind) == ("/Hat", 0, "thin region")
-    # Probes step by 0.75 spacings / 48, 3 mm here.
-    assert brim.thickness == pytest.approx(0.12, abs=0.004)
+    # By some thousand random points (3 %), and where it ends at the bowl is a spacing's choice.
+    assert brim.thickness == pytest.approx(0.12, rel=0.1)
     # The brim runs around from 1 to 2.5; samples lie within two spacings, 0.4, of its rim.
     np.testing.assert_allclose(np.sort(brim.high - brim.low), [0.12, 5.0, 5.0], atol=0.4)
     assert parts_of(hat(), particles=brim.suggested) == ()
