@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import io
 import os
@@ -73,6 +74,8 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
     _started.clear()
+    # An array that dies after the restart would free, by its address, one that is alive then.
+    gc.collect()
     # ti.init prints the architecture on stdout, which belongs to the data of --json
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(
