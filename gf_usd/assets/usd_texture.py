@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pxr import Ar, Sdf
 
+from gf_usd.colour import linear_to_srgb, srgb_to_linear
 from gf_usd.model import Texture
 
 # What Pillow raises on files that are damaged, truncated, huge or of a format it does not know.
@@ -103,9 +104,9 @@ def _adjusted(
 ) -> NDArray[np.uint8]:
     """scale * linear + bias, clipped and encoded as the pixels were."""
     level = np.arange(256) / 255.0
-    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
-    table = np.clip((linear if srgb else level)[:, None] * scale + bias, 0.0, 1.0)
+    linear = srgb_to_linear(level) if srgb else level
+    table = np.clip(linear[:, None] * scale + bias, 0.0, 1.0)
     if srgb:
-        table = np.where(table <= 0.0031308, 12.92 * table, 1.055 * table ** (1.0 / 2.4) - 0.055)
+        table = linear_to_srgb(table)
     table = np.round(255.0 * table).astype(np.uint8)
     return np.stack([table[pixels[:, :, c], c] for c in range(3)], axis=2)

@@ -82,13 +82,13 @@ def largest_step(
 def arrays(
     particles: Particles,
     stencil: Stencil,
+    batches: layout.Batches,
     contact: FloorContact | None,
     settings: Settings,
     per: dict[str, Floats],
     velocity: Floats,
 ) -> dict[str, Floats]:
     """Every array of the kernels' pack, flat; velocity (M, 3) [m/s] on the nodes."""
-    batches = layout.batch_particles(stencil)
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
     slot_start, slot = layout.node_slots(stencil)

@@ -88,8 +88,10 @@ class TotalLagrangian:
         self.done = 0  # substeps since the start
         v = velocity(self.stencil.node_X) if callable(velocity) else velocity
         v = np.broadcast_to(np.asarray(v, float), (self.stencil.node_count, 3))
+        self._batches = batch_particles(self.stencil)
         self.arrays = setup.to_device(
-            setup.arrays(particles, self.stencil, self.contact, settings, per, v), real
+            setup.arrays(particles, self.stencil, self._batches, self.contact, settings, per, v),
+            real,
         )
         self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
 
@@ -105,7 +107,6 @@ class TotalLagrangian:
         self.kernels = build(LAWS[law], damped, kind, epoch())
         self._vec = ti.types.vector(3, kind)
         self._cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
-        self._batches = batch_particles(self.stencil)
         self._lane_stress = ti.ndarray(kind, self._batches.source.size)
 
     @property
