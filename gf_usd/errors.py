@@ -39,3 +39,14 @@ class BakeError(GfUsdError):
     """The bake failed while running (exit status 1); only ``*.partial.*`` files remain."""
 
     exit_status = 1
+
+
+class SolverError(BakeError):
+    """The simulation could not go on.
+
+    frame : the first frame that could not be had; particle : the one where it went wrong, or -1.
+    """
+
+    def __init__(self, message: str, hint: str, *, frame: int, particle: int = -1) -> None:
+        super().__init__(message, hint)
+        self.frame, self.particle = frame, particle

@@ -7,7 +7,7 @@ stage positions times metersPerUnit).  Shapes and units stand beside each field.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -159,6 +159,22 @@ class SurfaceSamples:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Pin:
+    """A region whose motion is given: held where it is, or following the source's animation.
+
+    The region's anchors are points whose place is known at every frame; between them it moves by
+    an affine fit.
+    """
+
+    name: str  # as asked for, e.g. "/Duck/mesh:feet"
+    inside: Callable[[Floats], Floats]  # X (n, 3) [m] at rest -> (n,) bool: held
+    nearest: Callable[[Floats], Floats]  # X (n, 3) [m] -> (n, 3) on the boundary of the region
+    anchors: Floats  # (k, 3) [m] at rest, world
+    path: Floats  # (T, k, 3) [m] where the anchors are at each frame; T = 1: they stay
+    axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
+
+
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """Everything that decides a bake, resolved: no None is left to interpret."""
 
@@ -185,6 +201,17 @@ class Settings:
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
     skin: str = "embed"  # embed | idw | paper: how meshes follow the body
+    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM
+    floor_normal: tuple[float, float, float] | None = None  # unit; None: up
+    wls: bool = False  # tl: recompute F once a frame from the positions (GaussianFlesh 3.2)
+    procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
+    clamp: tuple[float, float] | None = None  # limits of the singular values of F
+    stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit vector (3,) out of the floor."""
+        return np.asarray(self.up if self.floor_normal is None else self.floor_normal, float)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +244,9 @@ class Health:
     penetration: float = 0.0  # [m] deepest of a contact sample during the frame
     friction_capped: int = 0  # contact samples whose friction met its stability limit
     rollbacks: int = 0  # times the frame was redone with half the step
+    work: float = 0.0  # [J] done on the body by its pins during the frame
+    clamped: int = 0  # particles whose singular values of F were clipped during the frame
+    stress_capped: int = 0  # particles whose stress was cut during the frame
 
 
 @dataclass(frozen=True, kw_only=True)

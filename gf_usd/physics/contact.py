@@ -30,7 +30,8 @@ REST_DEPTH = 0.08  # of s
 class FloorContact:
     """Contact samples of one asset, ready for the kernels."""
 
-    rows: Rows
+    rows: Rows  # on the free nodes
+    constants: sparse.csr_matrix | None  # (n, followers) of their constants, where there are pins
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
     damping: Floats  # (n,) [N s/m]
@@ -82,7 +83,11 @@ def build_contact(
 
     rate : [1/s^2] stiffness per mass in place of the formula.
     """
-    rows = stencil.rows(samples.X)
+    rows, constants = stencil.rows(samples.X), None
+    if stencil.held.any:
+        free = stencil.free_count
+        constants = rows.W[:, free:]
+        rows = Rows(X=rows.X, W=rows.W[:, :free], G=rows.G)
     m = density * samples.area * spacing
     if rate is None:
         per_mass = stiffness_per_mass(
@@ -98,6 +103,7 @@ def build_contact(
     c = damping_coefficient(k, m, restitution)
     return FloorContact(
         rows=rows,
+        constants=constants,
         mass=m,
         stiffness=k,
         damping=c,

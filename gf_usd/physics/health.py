@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats, Health, Pose
+from gf_usd.physics.probes import contact_energy, elastic_energy
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -27,9 +28,9 @@ def measure(solver: TotalLagrangian, particles: Pose, u: Floats, v: Floats) -> H
     height = x - datum * np.asarray(s.up)
     return Health(
         kinetic=float(0.5 * m @ (v * v).sum(1)),
-        elastic=solver.elastic_energy(),
-        potential=float(-(m @ (height @ g))),
-        contact=solver.contact_energy(u),
+        elastic=elastic_energy(solver),
+        potential=float(-(m @ (height @ g + (x * solver.acceleration).sum(1)))),
+        contact=contact_energy(solver, u),
         mass=float(m.sum()),
         centre=_triple(m @ x / m.sum()),
         momentum=_triple(m @ v),

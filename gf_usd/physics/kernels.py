@@ -6,7 +6,7 @@ Per substep of length dt, with everything but u and v constant (physics.md secti
                                              the velocities that eq. 3 gathers
     F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
-    v_i <- (v_i + dt (f_i / m_i + g)) exp(-drag dt)
+    v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
 
 The half steps make a frame position Verlet: second order, and exact under gravity alone.
@@ -53,6 +53,7 @@ def pack_type(real, epoch: int):
             "inverse_mass",
             "node_mass",
         ),
+        *("acceleration", "anchor", "anchor_rate", "work"),
         *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
@@ -87,7 +88,7 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
                 for n in range(free):
                     drift_node(body, n, 0.5 * dt)
                 for n in range(followers):
-                    follow(body, n, free)
+                    follow(body, n, free, 0.5 * dt)
             drift = dt
             if s == substeps - 1:
                 drift = 0.5 * dt
@@ -99,17 +100,17 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
                 for n in range(free):
                     filter_node(body, n, alpha)
                 for n in range(followers):
-                    follow(body, n, free)
+                    follow(body, n, free, 0.0 * dt)
             for c in range(cells):
                 stress_cell(body, c, law, damped, ih, converged)
             for k in range(active):
                 sample_contact(body, body.sample_active[k], up, lift, dt)
             for n in range(followers):
-                follower_share(body, n, free)
+                follower_share(body, n, free, dt)
             for n in range(free):
                 move_node(body, n, active, g, dt, drift, keep)
             for n in range(followers):
-                follow(body, n, free)
+                follow(body, n, free, drift)
 
     @ti.kernel
     def parallel(
@@ -126,18 +127,18 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
         for n in range(free * filtered):
             filter_node(body, n, alpha)
         for n in range(followers * filtered):
-            follow(body, n, free)
+            follow(body, n, free, 0.0 * dt)
         for z in range(cells * STRIDE):
             if z % STRIDE == 0:
                 stress_cell(body, z // STRIDE, law, damped, ih, converged)
         for k in range(active):
             sample_contact(body, body.sample_active[k], up, lift, dt)
         for n in range(followers):
-            follower_share(body, n, free)
+            follower_share(body, n, free, dt)
         for n in range(free):
             move_node(body, n, active, g, dt, drift, keep)
         for n in range(followers):
-            follow(body, n, free)
+            follow(body, n, free, drift)
 
     @ti.kernel
     def start(body: Body, free: ti.i32, followers: ti.i32, drift: real):
@@ -145,7 +146,7 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
         for n in range(free):
             drift_node(body, n, drift)
         for n in range(followers):
-            follow(body, n, free)
+            follow(body, n, free, drift)
 
     @ti.kernel
     def energy(

@@ -1,7 +1,7 @@
 """What one node does in a substep: sum its cells' blocks in a fixed order, and move.
 
-No atomics, so the result does not depend on the number of threads.  Light nodes follow the free
-ones (see `stencil`): they pass their sums on, and take their motion back.
+No atomics, so the result does not depend on the number of threads.  Some nodes follow the free
+ones (see `followers`, `holds`): they pass their sums on, and take their motion back.
 """
 
 import taichi as ti
@@ -20,11 +20,14 @@ def block_sum(body: ti.template(), node):
 
 
 @ti.func
-def follower_share(body: ti.template(), follower, free):
-    """Keep what the cells hold for a follower, for the nodes it follows."""
+def follower_share(body: ti.template(), follower, free, dt):
+    """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works."""
     f = block_sum(body, free + follower)
+    work = body.work[follower]
     for d in ti.static(range(3)):
         body.share[3 * follower + d] = f[d]
+        work -= dt * f[d] * body.anchor_rate[3 * follower + d]
+    body.work[follower] = work
 
 
 @ti.func
@@ -46,10 +49,14 @@ def leader_sum(body: ti.template(), node):
 
 
 @ti.func
-def follow(body: ti.template(), follower, free):
-    """u_l = sum_j e_lj u_j, and v likewise."""
-    u = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    v = u
+def follow(body: ti.template(), follower, free, drift):
+    """u_l = sum_j e_lj u_j + c_l, and v likewise; c moves on by drift at its rate."""
+    a = 3 * follower
+    rate = ti.Vector([body.anchor_rate[a], body.anchor_rate[a + 1], body.anchor_rate[a + 2]])
+    u = ti.Vector([body.anchor[a], body.anchor[a + 1], body.anchor[a + 2]]) + drift * rate
+    v = rate
+    for d in ti.static(range(3)):
+        body.anchor[a + d] = u[d]
     for e in range(body.follow_start[follower], body.follow_start[follower + 1]):
         o = body.follow_node[e] * 3
         w = body.follow_weight[e]
@@ -70,12 +77,13 @@ def drift_node(body: ti.template(), node, drift):
 
 @ti.func
 def move_node(body: ti.template(), node, contact, g, dt, drift, keep):
-    """v += dt (f/m + g), u += drift v, with the forces of the cells and of the floor."""
+    """v += dt (f/m + g + b), u += drift v, with the forces of the cells and of the floor."""
     f = node_sum(body, node)
     if contact > 0:
         f += contact_force(body, node)
     a = f * body.inverse_mass[node] + g
     for d in ti.static(range(3)):
+        a[d] += body.acceleration[3 * node + d]
         v = (body.v[3 * node + d] + dt * a[d]) * keep
         body.v[3 * node + d] = v
         body.u[3 * node + d] = body.u[3 * node + d] + drift * v

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gf_usd.model import Floats, Material, Particles, Settings, SurfaceSamples
+from gf_usd.model import Floats, Ints, Material, Particles, Pin, Settings, SurfaceSamples
 from gf_usd.physics import body as layout
 from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
+from gf_usd.physics.holds import held_by
 from gf_usd.physics.stencil import Stencil
 from gf_usd.physics.timestep import StableStep, stable_step
 
@@ -20,10 +21,17 @@ PER_PARTICLE = (
 )
 
 
-def per_particle(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
-    """Material values spread over particles, (N,) each."""
+def per_particle(
+    particles: Particles, materials: Sequence[Material], held: Ints | None = None
+) -> dict[str, Floats]:
+    """Material values spread over particles, (N,) each, and the rest volume that is simulated.
+
+    held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
+    """
     table = {name: np.array([getattr(m, name) for m in materials]) for name in PER_PARTICLE}
-    return {name: values[particles.material] for name, values in table.items()}
+    per = {name: values[particles.material] for name, values in table.items()}
+    free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
+    return {**per, "V0": particles.V0 * free}
 
 
 def floor_contact(
@@ -32,12 +40,20 @@ def floor_contact(
     stencil: Stencil,
     settings: Settings,
     per: dict[str, Floats],
+    pins: Sequence[Pin] = (),
 ) -> FloorContact | None:
-    """Contact samples with the material of the nearest particle; None without a floor."""
-    if samples is None or settings.floor is None or len(samples.X) == 0:
+    """Contact samples with the material of the nearest particle; None without a floor.
+
+    What a pin holds feels no floor.
+    """
+    if samples is None or settings.floor is None:
         return None
+    free = held_by(pins, samples.X).pin < 0
+    if not free.any():
+        return None
+    samples = SurfaceSamples(X=samples.X[free], area=samples.area[free])
     near = cKDTree(particles.X).query(samples.X)[1]
-    up = np.asarray(settings.up)
+    up = settings.normal
     heights = samples.X @ up + np.dot(settings.lift, up) - settings.floor
     g = max(0.0, -float(np.dot(settings.gravity, up)))
     return build_contact(
@@ -87,19 +103,23 @@ def arrays(
     settings: Settings,
     per: dict[str, Floats],
     velocity: Floats,
+    acceleration: Floats,
 ) -> dict[str, Floats]:
-    """Every array of the kernels' pack, flat; velocity (M, 3) [m/s] on the nodes."""
+    """Every array of the kernels' pack, flat.
+
+    velocity (M, 3) [m/s] on the nodes; acceleration (free, 3) [m/s^2] of a body force.
+    """
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
     slot_start, slot = layout.node_slots(stencil)
     height = np.zeros(1)
     if contact:
-        height = contact.rows.X @ np.asarray(settings.up) - (settings.floor or 0.0)
-    followers = stencil.node_count - stencil.free_count
+        height = contact.rows.X @ settings.normal - (settings.floor or 0.0)
+    followers = max(1, stencil.node_count - stencil.free_count)
     return {
         "fx": layout.lanes(batches, fx, fill=True),
-        "V0": layout.lanes(batches, particles.V0),
-        "m": layout.lanes(batches, per["density"] * particles.V0),
+        "V0": layout.lanes(batches, per["V0"]),
+        "m": layout.lanes(batches, per["density"] * per["V0"]),
         "mu": layout.lanes(batches, per["mu"], fill=True),
         "lam": layout.lanes(batches, per["lam"], fill=True),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
@@ -108,7 +128,11 @@ def arrays(
         "v": velocity.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
         "node_mass": stencil.node_mass,
-        "share": np.zeros(3 * max(1, followers)),
+        "acceleration": acceleration.ravel(),
+        "share": np.zeros(3 * followers),
+        "anchor": np.zeros(3 * followers),
+        "anchor_rate": np.zeros(3 * followers),
+        "work": np.zeros(followers),
         "cell_batch": batches.cell_batch,
         "cell_nodes": stencil.cell_nodes.ravel(),
         "node_slot_start": slot_start,

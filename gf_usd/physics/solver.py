@@ -8,37 +8,30 @@ that a long fall costs the strain no digits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from gf_usd.errors import BakeError
 from gf_usd.materials import G0
-from gf_usd.model import (
-    Floats,
-    Frame,
-    Health,
-    Material,
-    Particles,
-    Pose,
-    Settings,
-    SurfaceSamples,
-)  # fmt: skip
+from gf_usd.model import Floats, Frame, Material, Particles, Pin, Pose, Settings, SurfaceSamples
 from gf_usd.physics import setup
 from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
-from gf_usd.physics.guard import RETRIES, Guard
+from gf_usd.physics.followers import FREE_MASS
+from gf_usd.physics.guard import Guard
 from gf_usd.physics.health import measure
-from gf_usd.physics.stencil import FREE_MASS, build_stencil
+from gf_usd.physics.holds import Holder, held_by
+from gf_usd.physics.marching import Marcher, Passage
+from gf_usd.physics.probes import von_mises
+from gf_usd.physics.stencil import Rows, build_stencil
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
 SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
 
-class TotalLagrangian:
+class TotalLagrangian(Marcher):
     """One asset in motion.
 
     Parameters
@@ -47,7 +40,11 @@ class TotalLagrangian:
     samples : surface points that feel the floor; None or no floor: no contact.
     riders : named points (n, 3) [m] that ride along; their poses come with every frame.
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start.
+    pins : regions whose motion is given.
+    acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
+
+    Raises InputError for pins that hold nothing, or everything.
     """
 
     def __init__(
@@ -59,6 +56,8 @@ class TotalLagrangian:
         samples: SurfaceSamples | None = None,
         riders: Mapping[str, Floats] | None = None,
         velocity: Any = (0.0, 0.0, 0.0),
+        pins: Sequence[Pin] = (),
+        acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
     ) -> None:
@@ -66,8 +65,10 @@ class TotalLagrangian:
 
         init_taichi(settings.device, settings.threads, f64=real is np.float64)
         self.particles, self.settings, self.real = particles, settings, real
-        per = setup.per_particle(particles, materials)
-        self.m = per["density"] * particles.V0
+        self.holder = Holder(pins, particles.X) if pins else None
+        held = self.holder.particles.pin if self.holder else None
+        per = setup.per_particle(particles, materials, held)
+        self.m = per["density"] * per["V0"]
         self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
         self.stencil = build_stencil(
             particles.X,
@@ -75,24 +76,36 @@ class TotalLagrangian:
             self.h,
             particles.corner,
             free_mass=FREE_MASS if settings.followers else 0.0,
+            holder=self.holder,
         )
+        if self.holder:
+            self.holder.check(self.stencil.held)
         self.rows = self.stencil.rows(particles.X)
         self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
-        self.up = np.asarray(settings.up, float)
+        self.held = {
+            name: held_by(pins, X) for name, X in {"": particles.X, **(riders or {})}.items()
+        }
+        self.normal = settings.normal
         self.offset = np.asarray(settings.lift, float)
-        self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per)
+        self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per, pins)
         self.step = setup.largest_step(particles, self.h, self.contact, settings, per)
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / self.step.dt)))
-        self.guard = Guard(float(self.m.sum()) * G0 * particles.radius)
+        extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
+        self.guard = Guard(float(self.m.sum()) * G0 * particles.radius, extent)
         self.time = 0.0
         self.done = 0  # substeps since the start
         v = velocity(self.stencil.node_X) if callable(velocity) else velocity
         v = np.broadcast_to(np.asarray(v, float), (self.stencil.node_count, 3))
-        self._batches = batch_particles(self.stencil)
+        b = np.zeros((self.stencil.free_count, 3))
+        self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
+        self.batches = batch_particles(self.stencil)
         self.arrays = setup.to_device(
-            setup.arrays(particles, self.stencil, self._batches, self.contact, settings, per, v),
+            setup.arrays(
+                particles, self.stencil, self.batches, self.contact, settings, per, v,
+                self.acceleration,
+            ),
             real,
-        )
+        )  # fmt: skip
         self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
 
     def _start_kernels(self, law: str, damped: bool) -> None:
@@ -106,113 +119,81 @@ class TotalLagrangian:
         self.pack = pack_type(kind, epoch())(**self.arrays)
         self.kernels = build(LAWS[law], damped, kind, epoch())
         self._vec = ti.types.vector(3, kind)
-        self._cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
-        self._lane_stress = ti.ndarray(kind, self._batches.source.size)
+        self.cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+        self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
-    @property
-    def frame_time(self) -> float:
-        """[s] of simulated time between frames."""
-        return self.settings.time_scale / self.settings.fps
+    def save(self) -> dict[str, Any]:
+        """u and v of every node, the offset, the time and the count of substeps."""
+        state = {name: self.arrays[name].to_numpy() for name in "uv"}
+        return {**state, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield `settings.frames` frames, the first at rest where the body was put."""
-        frame = self._frame(0, 0, 0.0, 0)
-        yield frame
-        for index in range(1, self.settings.frames):
-            frame = self._next(index, frame.health)
-            yield frame
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to what `save` returned."""
+        for name in "uv":
+            self.arrays[name].from_numpy(saved[name])
+        self.offset = np.asarray(saved["offset"], float).copy()
+        self.time, self.done = float(saved["time"]), int(saved["done"])
 
-    @property
-    def substeps(self) -> int:
-        """Substeps of the next frame."""
-        return self.coarse << self.guard.halvings
-
-    @property
-    def dt(self) -> float:
-        """[s] length of the next frame's substeps."""
-        return self.frame_time / self.substeps
-
-    def _next(self, index: int, last: Health) -> Frame:
-        """Move by a frame; where it fails, roll back and redo it with half the step."""
-        saved = [self.arrays[name].to_numpy() for name in "uv"], self.offset, self.time, self.done
-        for attempt in range(RETRIES + 1):
-            capped, depth = self._advance(self.substeps)
-            fault = self._not_finite()
-            if not fault:
-                frame = self._frame(index, capped, depth, attempt)
-                fault = self.guard.judge(last, frame.health)
-                if not fault:
-                    self.guard.passed()
-                    return frame
-            if attempt == RETRIES:
-                break
-            (u, v), self.offset, self.time, self.done = saved
-            self.arrays["u"].from_numpy(u)
-            self.arrays["v"].from_numpy(v)
-            self.guard.refine()
-        raise BakeError(
-            f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
-            f" halvings of the step to {self.dt:.3g} s",
-            "lower the impact (--drop), use a stiffer material or --law neoHookean;"
-            f" frames up to {index - 1} are in the partial cache",
-        )
-
-    def _not_finite(self) -> str:
-        """Where the state is not a number, in words; "" where all is well."""
+    def not_finite(self) -> tuple[int, str]:
+        """See `Marcher`."""
         u, v = self.state()
         bad = ~(np.isfinite(u).all(1) & np.isfinite(v).all(1))
         if not bad.any():
-            return ""
+            return -1, ""
         gap = np.linalg.norm(self.particles.X - self.stencil.free_X[np.argmax(bad)], axis=1)
         worst = int(gap.argmin())
-        return (
+        return worst, (
             f"{int(bad.sum())} of {len(u)} grid nodes are no longer finite, first near particle"
             f" {worst} at rest position {self.particles.X[worst].round(4).tolist()} m"
         )
 
-    def _advance(self, substeps: int) -> tuple[int, float]:
-        """Move by a frame; returns friction caps and the deepest penetration [m] on the way."""
+    def advance(self, index: int, substeps: int) -> Passage:
+        """Move by a frame; `index` is the frame that this leads to."""
         s = self.settings
-        lift = float(self.offset @ self.up)
+        dt = self.frame_time / substeps
+        self._anchor(index)
+        lift = float(self.offset @ self.normal)
         active = self._activate(lift)
-        every, alpha = self._filter()
-        keep = float(np.exp(-s.drag * self.dt))
-        g, up = self._vec(list(s.gravity)), self._vec(list(self.up))
+        every, alpha = self._filter(dt)
+        keep = float(np.exp(-s.drag * dt))
+        g, up = self._vec(list(s.gravity)), self._vec(list(self.normal))
         free = self.stencil.free_count
         counts = (len(self.stencil.cell_nodes), free, self.stencil.node_count - free, active)
-        tail = (g, up, lift, self.dt, keep, 1.0 / self.h, self._converged)
+        tail = (g, up, lift, dt, keep, 1.0 / self.h, self.converged)
         if len(self.particles) < SERIAL_BELOW:
             phase = self.done % every if every else 0
             self.kernels.serial(self.pack, *counts, substeps, every, phase, alpha, *tail)
         else:
-            self.kernels.start(self.pack, *counts[1:3], 0.5 * self.dt)
+            self.kernels.start(self.pack, *counts[1:3], 0.5 * dt)
             for k in range(substeps):
-                drift = self.dt if k < substeps - 1 else 0.5 * self.dt
+                drift = dt if k < substeps - 1 else 0.5 * dt
                 due = int(every > 0 and (self.done + k) % every == 0)
                 self.kernels.parallel(self.pack, *counts, due, alpha, *tail, drift)
         self.done += substeps
-        self.time += substeps * self.dt
+        self.time += substeps * dt
         self._recentre()
+        work = float(self.arrays["work"].to_numpy().astype(float).sum())
         if not active:
-            return 0, 0.0
-        return (
-            int(self.arrays["sample_capped"].to_numpy().sum()),
-            float(self.arrays["sample_depth"].to_numpy().max()),
+            return Passage(work=work)
+        return Passage(
+            work=work,
+            friction_capped=int(self.arrays["sample_capped"].to_numpy().sum()),
+            penetration=float(self.arrays["sample_depth"].to_numpy().max()),
         )
 
     @property
-    def _converged(self) -> float:
+    def converged(self) -> float:
         return 1e-7 if self.real is np.float32 else 1e-15
 
-    def _filter(self) -> tuple[int, float]:
+    def _filter(self, dt: float) -> tuple[int, float]:
         """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
         r = self.settings.filter_rate
         if r <= 0.0:
             return 0, 0.0
         if np.isinf(r):
             return 1, 1.0
-        every = max(1, int(FILTER_STEP / (r * self.dt)))
-        return every, float(1.0 - np.exp(-r * every * self.dt))
+        every = max(1, int(FILTER_STEP / (r * dt)))
+        return every, float(1.0 - np.exp(-r * every * dt))
 
     def _activate(self, lift: float) -> int:
         """List the samples that may meet the floor before the next frame; returns how many."""
@@ -220,10 +201,17 @@ class TotalLagrangian:
             return 0
         rows = self.contact.rows
         u, v = self.state()
-        speed = float(np.abs(v @ self.up).max())
-        g = abs(float(np.dot(self.settings.gravity, self.up)))
+        speed = float(np.abs(v @ self.normal).max())
+        g = abs(float(np.dot(self.settings.gravity, self.normal)))
         reach = 2.0 * self.frame_time * (speed + g * self.frame_time) + self.particles.spacing
-        height = self.arrays["sample_height"].to_numpy() + lift + rows.W @ (u @ self.up)
+        height = rows.X @ self.normal - (self.settings.floor or 0.0)
+        if self.contact.constants is not None:
+            c, rate = self.constants()
+            height = height + self.contact.constants @ (
+                (c + 0.5 * self.frame_time * rate) @ self.normal
+            )
+            self.arrays["sample_height"].from_numpy(height.astype(self.real))
+        height = height + lift + rows.W @ (u @ self.normal)
         near = np.flatnonzero(height < reach)
         active = np.zeros(len(height), np.int32)
         active[: len(near)] = near
@@ -233,7 +221,9 @@ class TotalLagrangian:
         return len(near)
 
     def _recentre(self) -> None:
-        """Move the mean displacement from u to the offset."""
+        """Move the mean displacement from u to the offset; a pinned body stays where it is."""
+        if self.holder:
+            return
         u = self.arrays["u"].to_numpy().astype(float).reshape(-1, 3)
         mean = self.stencil.mass @ u[: self.stencil.free_count] / self.stencil.mass.sum()
         self.offset = self.offset + mean
@@ -244,54 +234,50 @@ class TotalLagrangian:
         u, v = (self.arrays[name].to_numpy().astype(float).reshape(-1, 3) for name in "uv")
         return u[: self.stencil.free_count], v[: self.stencil.free_count]
 
-    def _frame(self, index: int, capped: int, depth: float, rollbacks: int) -> Frame:
+    def read(self, index: int) -> Frame:
+        """See `Marcher`."""
         u, v = self.state()
-        particles = pose(self.rows, u, v, self.offset)
-        health = replace(
-            measure(self, particles, u, v),
-            substeps=self.substeps if index else 0,
-            penetration=depth,
-            friction_capped=capped,
-            rollbacks=rollbacks,
-        )
-        riders: dict[str, Pose] = {
-            name: pose(rows, u, v, self.offset) for name, rows in self.riders.items()
-        }
+        everything = {"": self.rows, **self.riders}
+        poses = {name: self._pose(name, rows, u, v, index) for name, rows in everything.items()}
+        particles = poses.pop("")
         return Frame(
             index=index,
             time=self.time,
             particles=particles,
-            riders=riders,
-            stress=self.von_mises() if self.settings.stress else None,
-            health=health,
+            riders=poses,
+            stress=von_mises(self) if self.settings.stress else None,
+            health=measure(self, particles, u, v),
         )
 
-    def elastic_energy(self) -> float:
-        """sum_p V0 psi(F_p) [J]."""
-        self.kernels.energy(
-            self.pack,
-            len(self.stencil.cell_nodes),
-            self._cell_energy,
-            1.0 / self.h,
-            self._converged,
+    def _pose(self, name: str, rows: Rows, u: Floats, v: Floats, index: int) -> Pose:
+        if self.holder is None:
+            return pose(rows, u, v, self.offset)
+        c, rate = self.constants()
+        free = pose(rows, np.concatenate([u, c]), np.concatenate([v, rate]), self.offset)
+        held = self.held[name]
+        return self.holder.override(held, rows.X, free, index, self.frame_time, self.offset)
+
+    def constants(self) -> tuple[Floats, Floats]:
+        """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
+        c, rate = (
+            self.arrays[name].to_numpy().astype(float).reshape(-1, 3)
+            for name in ("anchor", "anchor_rate")
         )
-        return float(self._cell_energy.to_numpy().astype(float).sum())
+        count = self.stencil.node_count - self.stencil.free_count
+        return c[:count], rate[:count]
 
-    def von_mises(self) -> Floats:
-        """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
-        cells = len(self.stencil.cell_nodes)
-        self.kernels.stress(self.pack, cells, self._lane_stress, 1.0 / self.h, self._converged)
-        out = np.empty(len(self.particles))
-        lanes = self._lane_stress.to_numpy().astype(float)
-        filled = self._batches.filled.ravel() > 0.0
-        out[self._batches.source.ravel()[filled]] = lanes[filled]
-        return out
-
-    def contact_energy(self, u: Floats) -> float:
-        """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""
-        if self.contact is None:
-            return 0.0
-        rows = self.contact.rows
-        height = (rows.X + self.offset + rows.W @ u) @ self.up - (self.settings.floor or 0.0)
-        depth = np.maximum(0.0, -height)
-        return float(0.5 * self.contact.stiffness @ depth**2)
+    def _anchor(self, index: int) -> None:
+        """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
+        self.arrays["work"].fill(0)
+        if self.holder is None or not self.holder.moving:
+            return
+        free, nodes = self.stencil.free_count, self.stencil
+        start, end = (
+            self.holder.constants(
+                nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
+            )
+            for frame in (index - 1, index)
+        )
+        self.arrays["anchor"].from_numpy(start.astype(self.real).ravel())
+        rate = (end - start) / self.frame_time
+        self.arrays["anchor_rate"].from_numpy(rate.astype(self.real).ravel())

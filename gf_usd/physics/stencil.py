@@ -7,12 +7,7 @@ section 1).  A point at X touches the 27 nodes of its cell with
 
 and everything the solver and the skin do is built from those numbers.
 
-Nodes that hardly any particle reaches have next to no mass and stiffness: left free they wander by
-hundreds of cells (measured) and spoil F of the particles at the surface.  They are not unknowns: a
-light node follows the free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and
-sum e X_j = X_l, and hands its force and mass on by the same numbers, which keeps linear and
-angular momentum exact.  Nodes that no particle reaches at all are read the same way by whatever
-rides there.
+Some nodes are no unknowns and follow the others (`followers`).
 """
 
 from __future__ import annotations
@@ -21,17 +16,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints
+from gf_usd.physics.followers import FREE_MASS, affine_fit, split_nodes
+from gf_usd.physics.holds import Held, Holder, held_by, mirror_points
 
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
-FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
-FIT_NEIGHBOURS = 24  # free nodes in an affine fit
-FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
-FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 
 
 def bspline(f: Floats) -> tuple[Floats, Floats]:
@@ -48,7 +39,10 @@ def bspline(f: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Rows of W and G for a set of points: x = X + W u, F = I + sum_b (G_b u) e_b."""
+    """Rows of W and G for a set of points: x = X + W u, F = I + sum_b (G_b u) e_b.
+
+    u stacks the free nodes' displacement and, where there are pins, the followers' constants c.
+    """
 
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
@@ -69,6 +63,8 @@ class Stencil:
     mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
     node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
     follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
+    held: Held  # which followers a pin holds, and all nodes
+    mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
     dims: Ints = field(repr=False)  # (3,) of the key space
@@ -101,7 +97,7 @@ class Stencil:
         return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
 
     def rows(self, X: Floats) -> Rows:
-        """W and G of any points (n, 3) on the free nodes."""
+        """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c."""
         base, fx = self.base(X)
         ijk = base[:, None, :] + OFFSETS
         at = self.locate(ijk)
@@ -116,6 +112,11 @@ class Stencil:
             ],
             format="csr",
         )
+        if self.held.any:
+            constants = sparse.eye(
+                extend.shape[0], self.node_count - self.free_count, -self.free_count
+            )
+            extend = sparse.hstack([extend, constants], format="csr")
         shape = (len(X), extend.shape[0])
         index = (np.repeat(np.arange(len(X)), 27), at.ravel())
         w, g = weights(fx, self.h)
@@ -131,37 +132,6 @@ class Stencil:
     def base(self, X: Floats) -> tuple[Ints, Floats]:
         """Base node (n, 3) and distance from it in cells (n, 3), in [0.5, 1.5)."""
         return base_node((X - self.origin) / self.h)
-
-
-def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
-    """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
-
-    Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
-    e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
-    sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
-    across it.
-    ijk : (n, 3), free : (m, 3) grid indices.
-    """
-    if len(ijk) == 0:
-        return sparse.csr_matrix((0, len(free)))
-    k = min(FIT_NEIGHBOURS, len(free))
-    tree = cKDTree(free)
-    gap, closest = tree.query(ijk)
-    # From afar the nearest nodes may all lie in one flat face: take those around the nearest one.
-    around = np.where((gap > FIT_REACH)[:, None], free[closest], ijk)
-    distance, near = tree.query(around, k=k)
-    distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
-    # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
-    B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
-    B /= B.sum(1, keepdims=True)
-    centre = np.einsum("nk,nka->na", B, free[near])
-    P = free[near] - centre[:, None, :]
-    M = np.einsum("nka,nk,nkb->nab", P, B, P)
-    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
-    e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
-    return sparse.csr_matrix(
-        (e.ravel(), (np.repeat(np.arange(len(ijk)), k), near.ravel())), shape=(len(ijk), len(free))
-    )
 
 
 def base_node(cells: Floats) -> tuple[Ints, Floats]:
@@ -185,13 +155,20 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
 
 
 def build_stencil(
-    X: Floats, m: Floats, h: float, corner_at: Floats, *, free_mass: float = FREE_MASS
+    X: Floats,
+    m: Floats,
+    h: float,
+    corner_at: Floats,
+    *,
+    free_mass: float = FREE_MASS,
+    holder: Holder | None = None,
 ) -> Stencil:
     """Sort particles by cell and number the nodes they reach.
 
-    X : (N, 3) [m]; m : (N,) [kg]; h : [m]; corner_at : (3,) [m] a corner where cells meet, so that
-    strata of the sampling lattice fall whole into cells.
+    X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
+    corner where cells meet, so that strata of the sampling lattice fall whole into cells.
     free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
+    holder : the pins.
     """
     # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
     origin = np.asarray(corner_at, float) - 0.5 * h
@@ -211,9 +188,15 @@ def build_stencil(
     nodes = np.repeat(cell_nodes, np.diff(cell_start), axis=0)
     mass = np.bincount(nodes.ravel(), (w * m[order, None]).ravel(), minlength=len(sorted_keys))
     node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
-    free, follow, lumped = split_nodes(node_ijk, mass, free_mass)
+    node_X = origin + h * node_ijk
+    held = held_by(holder.pins if holder else (), node_X)
+    mirror = mirror_points(holder.pins if holder else (), held, node_X, h)
+    free, follow, lumped = split_nodes(
+        node_ijk, mass, free_mass, held=held.pin >= 0, mirror=(mirror - origin) / h
+    )
+    ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
-    renumber[np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])] = np.arange(len(mass))
+    renumber[ordered] = np.arange(len(mass))
     return Stencil(
         origin=origin,
         h=h,
@@ -221,30 +204,14 @@ def build_stencil(
         cell_start=cell_start,
         cell_nodes=renumber[cell_nodes],
         fx=fx,
-        node_ijk=np.concatenate([node_ijk[free], node_ijk[~free]]),
+        node_ijk=node_ijk[ordered],
         mass=lumped,
-        node_mass=np.concatenate([mass[free], mass[~free]]),
+        node_mass=mass[ordered],
         follow=follow,
+        held=Held(pin=held.pin[ordered]),
+        mirror=mirror[ordered],
         sorted_keys=sorted_keys,
         sorted_node=renumber,
         dims=dims,
         corner=corner,
     )
-
-
-def split_nodes(
-    ijk: Ints, mass: Floats, free_mass: float = FREE_MASS
-) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
-    """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
-
-    A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
-    """
-    least = free_mass * np.median(mass)
-    free = mass >= least
-    while True:
-        follow = affine_fit(ijk[~free], ijk[free])
-        lumped = mass[free] + follow.T @ mass[~free]
-        sound = lumped >= 0.5 * least
-        if sound.all():
-            return free, follow, lumped
-        free[np.flatnonzero(free)[~sound]] = False

@@ -41,7 +41,7 @@ def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, to
     solver = TotalLagrangian(particles, [made], s, real=real)
     u = solver.stencil.node_X @ (A - np.eye(3)).T
     solver.arrays["u"].from_numpy(u.astype(real).ravel())
-    solver._advance(1)  # from rest, the kick of one step is the force of the patch
+    solver.advance(1, 1)  # from rest, the kick of one step is the force of the patch
     force = solver.stencil.mass[:, None] * solver.state()[1] / DT
     X, h = solver.stencil.free_X, solver.h
     inside = (np.abs(X - 0.5) < 0.5 - 1.4 * h).all(1)  # a spline reaches 1.5 h, nodes are h apart

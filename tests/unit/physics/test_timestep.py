@@ -8,7 +8,8 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh
 from solids import ball
 
-from gf_usd.physics.stencil import FREE_MASS, build_stencil
+from gf_usd.physics.followers import FREE_MASS
+from gf_usd.physics.stencil import build_stencil
 from gf_usd.physics.timestep import GRID_FREQUENCY, StableStep, grid_frequency, stable_step
 
 GRID = {"wave_speed": 3.0, "h": 0.1, "per_cell": 8.0}

@@ -1,0 +1,107 @@
+"""Nodes that are no unknowns: they follow the others.
+
+Nodes that hardly any particle reaches have next to no mass and stiffness: left free they wander by
+hundreds of cells (measured) and spoil F of the particles at the surface.  A light node follows the
+free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l, and hands its
+force and mass on by the same numbers, which keeps linear and angular momentum exact.  Nodes that no
+particle reaches at all are read the same way by whatever rides there.  Nodes that a pin holds
+follow its motion (`holds`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from gf_usd.model import Floats, Ints
+from gf_usd.physics.holds import interpolation
+
+FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
+FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
+FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
+
+
+def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
+    """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
+
+    Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
+    e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
+    sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
+    across it.
+    ijk : (n, 3), free : (m, 3) grid indices.
+    """
+    if len(ijk) == 0:
+        return sparse.csr_matrix((0, len(free)))
+    k = min(FIT_NEIGHBOURS, len(free))
+    tree = cKDTree(free)
+    gap, closest = tree.query(ijk)
+    # From afar the nearest nodes may all lie in one flat face: take those around the nearest one.
+    around = np.where((gap > FIT_REACH)[:, None], free[closest], ijk)
+    distance, near = tree.query(around, k=k)
+    distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
+    # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
+    B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
+    B /= B.sum(1, keepdims=True)
+    centre = np.einsum("nk,nka->na", B, free[near])
+    P = free[near] - centre[:, None, :]
+    M = np.einsum("nka,nk,nkb->nab", P, B, P)
+    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
+    e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
+    return sparse.csr_matrix(
+        (e.ravel(), (np.repeat(np.arange(len(ijk)), k), near.ravel())), shape=(len(ijk), len(free))
+    )
+
+
+def split_nodes(
+    ijk: Ints,
+    mass: Floats,
+    free_mass: float = FREE_MASS,
+    *,
+    held: NDArray[np.bool_] | None = None,
+    mirror: Floats | None = None,
+) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
+    """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
+
+    A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
+    held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
+    A mirrored node hands on |e| of its mass: u^2 does not know the sign.
+    """
+    held = np.zeros(len(mass), bool) if held is None else held
+    least = free_mass * np.median(mass[~held & (mass > 0.0)])
+    free = (mass >= least) & ~held
+    ghosts = sparse.csr_matrix((0, 0))
+    while True:
+        light = ~free & ~held
+        follow = affine_fit(ijk[light], ijk[free])
+        lumped = mass[free] + follow.T @ mass[light]
+        if held.any():
+            ghosts = mirrored(held, mirror, ijk[free])
+            lumped = lumped + abs(ghosts).T @ mass[held]
+        sound = lumped >= 0.5 * least
+        if sound.all():
+            break
+        free[np.flatnonzero(free)[~sound]] = False
+    if held.any():
+        rows = sparse.vstack([follow, ghosts], format="csr")
+        back = np.empty(rows.shape[0], np.int64)
+        back[np.concatenate([np.flatnonzero(light[~free]), np.flatnonzero(held[~free])])] = (
+            np.arange(rows.shape[0])
+        )
+        follow = sparse.csr_matrix(rows)[back]
+    return free, follow, lumped
+
+
+def mirrored(held: NDArray[np.bool_], mirror: Floats | None, free: Ints) -> sparse.csr_matrix:
+    """Rows (held, free) of held nodes: minus the field at the mirror point; 0 where deep."""
+    count = int(held.sum())
+    if mirror is None:
+        return sparse.csr_matrix((count, len(free)))
+    at = mirror[held]
+    near = np.flatnonzero(np.isfinite(at).all(1))
+    put = sparse.csr_matrix(
+        (np.ones(len(near)), (near, np.arange(len(near)))), shape=(count, len(near))
+    )
+    return (put @ -interpolation(at[near], free)).tocsr()

@@ -1,0 +1,158 @@
+"""Pins: nodes whose displacement is given.
+
+A pin is a region of the rest body with a motion g(X, t).  Nodes inside it are no unknowns.  One
+that lies deep follows the motion, u_l = g(X_l).  One within reach of the particles outside mirrors
+what is across the region's boundary, as a ghost node does in finite differences,
+
+    u_l - g(X_l) = -(u - g)(X'_l),      X'_l = 2 b(X_l) - X_l,  b the boundary's nearest point
+
+so that u = g on the boundary to second order in h, and uniform strain up to there is exact.
+(Setting u_l = g alone would clamp the body up to half a cell away from where it was asked to be.)
+Both are rows of the same kind as those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces go
+back through the same numbers.  Particles inside a pin move as given and carry no stress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from gf_usd.errors import InputError
+from gf_usd.model import Floats, Ints, Pin, Pose
+from gf_usd.physics.motion import Motion
+
+REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """Which of a set of points are held, and by which pin."""
+
+    pin: Ints  # (n,) index of the pin; -1: free
+
+    @property
+    def any(self) -> bool:
+        return bool((self.pin >= 0).any())
+
+
+def held_by(pins: Sequence[Pin], X: Floats) -> Held:
+    """The first pin that holds each point X (n, 3) [m]."""
+    out = np.full(len(X), -1)
+    for index, pin in enumerate(pins):
+        free = np.flatnonzero(out < 0)
+        out[free[np.asarray(pin.inside(X[free]), bool)]] = index
+    return Held(pin=out)
+
+
+def mirror_points(pins: Sequence[Pin], held: Held, X: Floats, h: float) -> Floats:
+    """X' (n, 3) [m] of held nodes near the boundary of their pin; nan for free and deep ones."""
+    out = np.full(X.shape, np.nan)
+    for index, pin in enumerate(pins):
+        mine = np.flatnonzero(held.pin == index)
+        if len(mine):
+            b = pin.nearest(X[mine])
+            near = np.linalg.norm(b - X[mine], axis=1) < REACH * h
+            out[mine[near]] = 2.0 * b[near] - X[mine[near]]
+    return out
+
+
+def interpolation(at: Floats, free: Ints) -> sparse.csr_matrix:
+    """Trilinear weights (n, len(free)) of a nodal field at grid positions `at` (n, 3) [cells].
+
+    Corners that are not free are left out and the others share their weight; where none is free the
+    nearest free node is taken.  `free` : (m, 3) grid indices.
+    """
+    tree = cKDTree(free)
+    base = np.floor(at + 1e-9).astype(int)
+    f = np.clip(at - base, 0.0, 1.0)
+    rows, columns, values = [], [], []
+    for corner in np.ndindex(2, 2, 2):
+        w = np.prod(np.where(corner, f, 1.0 - f), axis=1)
+        gap, found = tree.query(base + np.array(corner))
+        use = (gap < 0.5) & (w > 1e-6)
+        rows.append(np.flatnonzero(use))
+        columns.append(found[use])
+        values.append(w[use])
+    total = np.bincount(np.concatenate(rows), np.concatenate(values), minlength=len(at))
+    alone = np.flatnonzero(total == 0.0)
+    rows.append(alone)
+    columns.append(tree.query(at[alone])[1] if len(alone) else np.zeros(0, int))
+    values.append(np.ones(len(alone)))
+    total[alone] = 1.0
+    r = np.concatenate(rows)
+    return sparse.csr_matrix(
+        (np.concatenate(values) / total[r], (r, np.concatenate(columns))),
+        shape=(len(at), len(free)),
+    )
+
+
+class Holder:
+    """The pins of one body: what they hold, and where it is at each frame.
+
+    Raises InputError where a pin holds no node, which means that it would do nothing, or all.
+    """
+
+    def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
+        self.pins = tuple(pins)
+        self.particles = held_by(self.pins, X)
+        self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
+        if (self.particles.pin >= 0).all():
+            raise InputError(
+                f"the pins {self._names()} hold all {len(X)} particles: nothing is left to move",
+                "make the regions of --pin smaller",
+            )
+
+    def _names(self) -> str:
+        return ", ".join(pin.name for pin in self.pins)
+
+    @property
+    def moving(self) -> bool:
+        """Whether any region is animated."""
+        return any(motion.moving for motion in self.motions)
+
+    def check(self, nodes: Held) -> None:
+        """Raise InputError for a pin that holds no node of the grid."""
+        for index, pin in enumerate(self.pins):
+            if not (nodes.pin == index).any():
+                raise InputError(
+                    f"--pin {pin.name} holds no node of the grid: it is smaller than a cell, or"
+                    " away from the body",
+                    "enlarge it, or use more particles (--particles) for a finer grid",
+                )
+
+    def constants(self, pin: Ints, X: Floats, mirror: Floats, frame: float) -> Floats:
+        """c (n, 3) [m] of followers at X: g(X), and where they mirror g(X) + g(X')."""
+        out = self.pose(Held(pin=pin), X, frame)[0] - X
+        ghost = np.isfinite(mirror).all(1)
+        out[ghost] += self.pose(Held(pin=pin[ghost]), mirror[ghost], frame)[0] - mirror[ghost]
+        return out
+
+    def pose(self, held: Held, X: Floats, frame: float) -> tuple[Floats, Floats]:
+        """x (n, 3) [m] and F (n, 3, 3) of held points; X and I for free ones."""
+        x, F = X.copy(), np.broadcast_to(np.eye(3), (len(X), 3, 3)).copy()
+        for index, motion in enumerate(self.motions):
+            mine = np.flatnonzero(held.pin == index)
+            if len(mine) and motion.moving:
+                x[mine], F[mine] = motion.at(X[mine], frame)
+        return x, F
+
+    def override(
+        self, held: Held, X: Floats, pose: Pose, index: int, frame_time: float, offset: Floats
+    ) -> Pose:
+        """A pose with the held points where they belong; offset (3,) [m] shifts all."""
+        mine = np.flatnonzero(held.pin >= 0)
+        if not len(mine):
+            return pose
+        part = Held(pin=held.pin[mine])
+        x, F = self.pose(part, X[mine], index)
+        before = self.pose(part, X[mine], max(index - 1, 0))[0]
+        after = self.pose(part, X[mine], index + 1)[0]
+        out_x, out_v, out_F = pose.x.copy(), pose.v.copy(), pose.F.copy()
+        out_x[mine] = x + offset
+        out_v[mine] = (after - before) / (frame_time * (2.0 if index else 1.0))
+        out_F[mine] = F
+        return Pose(x=out_x, v=out_v, F=out_F)

@@ -1,0 +1,132 @@
+"""Frame by frame, each believed only once the guard has seen it: what every solver shares.
+
+A solver is a state, a way to move it by so many substeps, and a way to read a `Frame` off it.  This
+file turns the three into frames: it chooses the number of substeps, rolls a frame that failed back
+and redoes it with half the step, and ends in words where that does not help.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gf_usd.errors import SolverError
+from gf_usd.model import Floats, Frame, Health, Particles, Settings
+from gf_usd.physics.guard import RETRIES, Guard
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passage:
+    """What was noticed between two frames, on the substeps."""
+
+    penetration: float = 0.0  # [m] deepest of a contact sample
+    friction_capped: int = 0
+    work: float = 0.0  # [J] done on the body by what holds it
+    clamped: int = 0  # particles whose singular values of F were clipped
+    stress_capped: int = 0  # particles whose stress was cut
+
+
+class Marcher(ABC):
+    """The protocol of a solver: construct it, then iterate `frames()`.
+
+    What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable
+    step) and `time` [s], and the abstract methods below.
+    """
+
+    particles: Particles
+    settings: Settings
+    guard: Guard
+    coarse: int
+    time: float
+
+    @abstractmethod
+    def save(self) -> dict[str, Any]:
+        """The whole state as arrays and numbers, from which `restore` goes on to the bit."""
+
+    @abstractmethod
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to what `save` returned."""
+
+    @abstractmethod
+    def advance(self, index: int, substeps: int) -> Passage:
+        """Move to frame `index` in so many substeps."""
+
+    @abstractmethod
+    def not_finite(self) -> tuple[int, str]:
+        """The particle nearest to what is no number, and the fault; (-1, "") where all is sound."""
+
+    @abstractmethod
+    def read(self, index: int) -> Frame:
+        """The frame of the present state; its health lacks what only the passage knows."""
+
+    @property
+    def frame_time(self) -> float:
+        """[s] of simulated time between frames."""
+        return self.settings.time_scale / self.settings.fps
+
+    @property
+    def substeps(self) -> int:
+        """Substeps of the next frame."""
+        return self.coarse << self.guard.halvings
+
+    @property
+    def dt(self) -> float:
+        """[s] length of the next frame's substeps."""
+        return self.frame_time / self.substeps
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield `settings.frames` frames, the first at rest where the body was put.
+
+        Raises SolverError where a frame cannot be had; those before it were sound.
+        """
+        frame = self.read(0)
+        yield frame
+        for index in range(1, self.settings.frames):
+            frame = self.next(index, frame.health)
+            yield frame
+
+    def next(self, index: int, last: Health) -> Frame:
+        """Move by a frame; where it fails, roll back and redo it with half the step."""
+        saved = self.save()
+        for attempt in range(RETRIES + 1):
+            substeps = self.substeps
+            passage = self.advance(index, substeps)
+            particle, fault = self.not_finite()
+            if not fault:
+                frame = self.read(index)
+                health = replace(
+                    frame.health,
+                    substeps=substeps,
+                    rollbacks=attempt,
+                    penetration=passage.penetration,
+                    friction_capped=passage.friction_capped,
+                    work=passage.work,
+                    clamped=passage.clamped,
+                    stress_capped=passage.stress_capped,
+                )
+                particle, fault = self.guard.judge(last, health, frame.particles)
+                if not fault:
+                    self.guard.passed()
+                    return replace(frame, health=health)
+            if attempt == RETRIES:
+                break
+            self.restore(saved)
+            self.guard.refine()
+        raise SolverError(
+            f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
+            f" halvings of the step to {self.dt:.3g} s",
+            "lower the impact (--drop), use a stiffer material or --law neoHookean;"
+            f" frames up to {index - 1} are in the partial cache",
+            frame=index,
+            particle=particle,
+        )
+
+
+def first_bad(values: Floats) -> int:
+    """Index of the first row that holds something that is no number; -1 where none does."""
+    bad = ~np.isfinite(values.reshape(len(values), -1)).all(1)
+    return int(np.argmax(bad)) if bad.any() else -1

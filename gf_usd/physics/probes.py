@@ -1,0 +1,48 @@
+"""What is read off a Total Lagrangian body: energies and stress."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.model import Floats
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+
+def elastic_energy(solver: TotalLagrangian) -> float:
+    """sum_p V0 psi(F_p) [J]."""
+    solver.kernels.energy(
+        solver.pack,
+        len(solver.stencil.cell_nodes),
+        solver.cell_energy,
+        1.0 / solver.h,
+        solver.converged,
+    )
+    return float(solver.cell_energy.to_numpy().astype(float).sum())
+
+
+def von_mises(solver: TotalLagrangian) -> Floats:
+    """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
+    cells = len(solver.stencil.cell_nodes)
+    solver.kernels.stress(solver.pack, cells, solver.lane_stress, 1.0 / solver.h, solver.converged)
+    out = np.empty(len(solver.particles))
+    lanes = solver.lane_stress.to_numpy().astype(float)
+    filled = solver.batches.filled.ravel() > 0.0
+    out[solver.batches.source.ravel()[filled]] = lanes[filled]
+    return out
+
+
+def contact_energy(solver: TotalLagrangian, u: Floats) -> float:
+    """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""
+    if solver.contact is None:
+        return 0.0
+    rows = solver.contact.rows
+    x = rows.X + solver.offset + rows.W @ u
+    if solver.contact.constants is not None:
+        x = x + solver.contact.constants @ solver.constants()[0]
+    height = x @ solver.normal - (solver.settings.floor or 0.0)
+    depth = np.maximum(0.0, -height)
+    return float(0.5 * solver.contact.stiffness @ depth**2)
