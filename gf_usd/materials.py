@@ -117,6 +117,11 @@ PHYSICAL: dict[str, Physical] = {
     p.name: p
     for p in (
         Physical(
+            name="gelatin", density=1020.0, youngs_modulus=1e3, poissons_ratio=0.47,
+            damping_time=2e-3, restitution=0.5,
+            source="a soft dessert gel, to an order of magnitude",
+        ),
+        Physical(
             name="soft-silicone", density=1070.0, youngs_modulus=69e3, poissons_ratio=0.47,
             source="Smooth-On technical bulletin, Ecoflex 00-30: 100 % modulus 10 psi, 1.07 g/cc",
         ),
@@ -131,6 +136,10 @@ PHYSICAL: dict[str, Physical] = {
         Physical(
             name="natural-rubber", density=925.0, youngs_modulus=1.9e6, poissons_ratio=0.47,
             source=f"{ASHBY} 1.5-2.5 MPa",
+        ),
+        Physical(
+            name="hard-rubber", density=1150.0, youngs_modulus=1e7, poissons_ratio=0.47,
+            source="a filled, hard elastomer such as a tyre's tread, to an order of magnitude",
         ),
         Physical(
             name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,

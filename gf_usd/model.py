@@ -159,6 +159,18 @@ class SurfaceSamples:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Region:
+    """A part of space that is bounded by triangles, and where its points go over the frames."""
+
+    name: str  # as asked for
+    kind: str  # "volume": what the triangles enclose; "patch": a part of a body's surface
+    points: Floats  # (V, 3) [m] at rest, world
+    triangles: Ints  # (T, 3) into points
+    path: Floats  # (F, V, 3) [m] at each frame; F = 1: they stay
+    body: str = ""  # of a patch: prim path of the mesh it is a part of
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pin:
     """A region whose motion is given: held where it is, or following the source's animation.
 
@@ -184,7 +196,7 @@ class Settings:
     start: float  # time code of the first frame
     gravity: tuple[float, float, float]  # [m/s^2], world
     up: tuple[float, float, float]  # unit
-    floor: float | None = 0.0  # height along up [m]; None: no floor
+    floor: float | None = 0.0  # distance of the floor from the origin along its normal [m]
     lift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] rigid offset of the whole asset
     seed: int = 0
     filter_rate: float = 0.0  # APIC filter rate r [1/s]; inf = TL-APIC, 0 = Lagrangian limit
@@ -207,6 +219,10 @@ class Settings:
     procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
     clamp: tuple[float, float] | None = None  # limits of the singular values of F
     stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
+
+    def time_code(self, index: int) -> float:
+        """Time code of a frame."""
+        return self.start + index * self.time_codes_per_second / self.fps
 
     @property
     def normal(self) -> NDArray[np.float64]:

@@ -6,16 +6,21 @@ import hashlib
 import math
 import shlex
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
-from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
+from gf_usd.judgement import Caution, cautions_json
+from gf_usd.model import Asset, Floats, Material, Particles, Pin, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
+from gf_usd.runtime import epoch
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
-    from gf_usd.physics.solver import TotalLagrangian
+    from gf_usd.physics.marching import Marcher
+
+KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +36,10 @@ class Plan:
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
+    pins: tuple[Pin, ...] = ()
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
+    _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
     def source(self) -> Path:
@@ -43,16 +50,30 @@ class Plan:
     def version(self) -> str:
         return gf_usd.__version__
 
-    def solver(self, material: Material) -> TotalLagrangian:
-        """The solver of one material."""
-        from gf_usd.physics.solver import TotalLagrangian
+    def substeps(self, material: Material) -> int:
+        """Substeps a frame.  The solver that knows is kept for `solver`: it is dear to build."""
+        if material.name not in self._ready:
+            solver = self.solver(material)
+            kept = len(self.particles) * (1 + len(self._ready)) <= KEPT
+            self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
+        return self._ready[material.name][0]
 
-        return TotalLagrangian(
+    def solver(self, material: Material) -> Marcher:
+        """The solver of one material, at its start."""
+        from gf_usd.physics.solvers import make_solver
+
+        substeps, solver, made = self._ready.get(material.name, (0, None, 0))
+        if solver is not None:
+            self._ready[material.name] = substeps, None, made  # it will have moved
+            if made == epoch():
+                return solver
+        return make_solver(
+            self.settings,
             self.particles,
             [material],
-            self.settings,
             samples=self.samples,
             riders=self.points if self.settings.skin == "embed" else {},
+            pins=self.pins,
         )
 
     @property
@@ -75,7 +96,17 @@ def command_line(source: Path, **asked: Any) -> str:
 
 def input_hash(plan: Plan) -> str:
     """sha256 of the source file."""
-    return hashlib.sha256(plan.asset.facts.path.read_bytes()).hexdigest()
+    path = plan.asset.facts.path
+    seen = path.stat()
+    return _sha256(path.absolute(), seen.st_mtime_ns, seen.st_size)
+
+
+@cache
+def _sha256(path: Path, changed: int, size: int) -> str:
+    """Read once, however often it is asked for, until the file's time or size is another."""
+    del changed, size
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def describe(plan: Plan) -> dict[str, Any]:
@@ -96,6 +127,7 @@ def describe(plan: Plan) -> dict[str, Any]:
         "fps": plan.settings.fps,
         "start": plan.settings.start,
         "drop_m": plan.drop,
+        "pins": [p.name for p in plan.pins],
         "outputs": [str(p) for p in plan.outputs.all],
         "notes": list(plan.notes),
     }
@@ -118,6 +150,7 @@ class LookResult:
     frames: int
     health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
+    warnings: tuple[Caution, ...] = ()
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""
@@ -143,6 +176,7 @@ class BakeResult:
     settings: Settings
     notes: tuple[str, ...] = ()
     findings: tuple[dict[str, str], ...] = ()  # faults that `check` found and the source has not
+    outputs: tuple[Path, ...] = ()  # every file, also those that bakes of a mesh file share
 
     @property
     def cache(self) -> Path:
@@ -158,6 +192,11 @@ class BakeResult:
     def frames(self) -> int:
         return self.bakes[0].frames
 
+    @property
+    def warnings(self) -> tuple[tuple[str, Caution], ...]:
+        """(look, warning) of every bake."""
+        return tuple((bake.look, caution) for bake in self.bakes for caution in bake.warnings)
+
     def as_json(self) -> dict[str, Any]:
         """Plain values, as ``bake --json`` prints them."""
         return {
@@ -168,6 +207,8 @@ class BakeResult:
             "seconds": self.seconds,
             "settings": settings_json(self.settings),
             "bakes": [b.as_json() for b in self.bakes],
+            "warnings": cautions_json(self.warnings),
+            "outputs": [str(path) for path in self.outputs],
             "notes": list(self.notes),
             "check": list(self.findings),
         }

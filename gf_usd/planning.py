@@ -14,6 +14,7 @@ DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in s
 DEFAULT_FPS = 24.0
 DEFAULT_DROP = "3r"
 SKINS = ("embed", "idw", "paper")
+SOLVERS = ("tl", "ul")  # Total and Updated Lagrangian, see physics/solvers.py
 
 # GaussianFlesh section 4, with what it leaves out as fitted in physics.md section 4: a unit sphere,
 # so that rates are given in units of 1/T with its T.
@@ -49,6 +50,9 @@ class Request:
     deformation_gradients: bool = False
     stress: bool = False
     skin: str | None = None  # one of SKINS
+    solver: str | None = None  # one of SOLVERS
+    pins: tuple[str, ...] = ()  # prim paths, or "box:x0,y0,z0,x1,y1,z1" [stage units]
+    floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -70,6 +74,7 @@ class Request:
             raise UsageError(f"there is no preset {self.preset!r}", "the only preset is paper")
         if self.skin not in (None, *SKINS):
             raise UsageError(f"there is no skin {self.skin!r}", f"choose {', '.join(SKINS)}")
+        self._check_solver()
         parse_time_scale(self.time_scale, 1.0)
         if self.particles and self.spacing:
             raise UsageError(
@@ -84,26 +89,46 @@ class Request:
             raise UsageError(f"--start is {self.start}", "give a finite time code")
         parse_length("--drop", self.drop or DEFAULT_DROP, 1.0, 1.0)
         parse_gravity(self.gravity, np.array([0.0, 1.0, 0.0]))
+        parse_floor(self.floor, np.array([0.0, 1.0, 0.0]), 1.0)
+
+    def _check_solver(self) -> None:
+        """Raise UsageError for options that the solver asked for does not know."""
+        if self.solver not in (None, *SOLVERS):
+            raise UsageError(f"there is no solver {self.solver!r}", "choose tl or ul")
+        finite = self.filter_rate is not None and np.isfinite(self.filter_rate)
+        for option, given in (("--pin", bool(self.pins)), ("--filter-rate", finite)):
+            if self.solver == "ul" and given:
+                raise UsageError(
+                    f"--solver ul does not know {option}",
+                    f"leave {option} out, or use --solver tl",
+                )
 
 
 def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
     """Settings of a bake.
 
-    radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : height of the asset's lowest point [m].
+    radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     """
     paper = request.preset == "paper"
     authored = facts.time_codes_per_second
     T = time_scale(radius)
     # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
     fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
+    floor, normal = parse_floor(request.floor, facts.up, facts.units.length)
     drop = request.drop or ("0" if facts.says_physics and not paper else DEFAULT_DROP)
     height = parse_length("--drop", drop, radius, facts.units.length)
+    # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
+    lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
+    if request.drop is None and (request.pins or floor is None):
+        lift = 0.0
+    elif floor is None:
+        lift = height
     slow = parse_time_scale(request.time_scale, T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start = request.start if request.start is not None else facts.start_time_code
     rate = request.filter_rate
     if rate is None:
-        rate = np.inf if paper else FILTER_RATE
+        rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
     drag = request.drag
     if drag is None:
         drag = PAPER_DRAG / T if paper else 0.0
@@ -113,9 +138,10 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         time_codes_per_second=authored or fps,
         start=1.0 if start is None else start,
         gravity=parse_gravity(request.gravity, facts.up),
-        up=(float(facts.up[0]), float(facts.up[1]), float(facts.up[2])),
-        floor=0.0,
-        lift=tuple(float(x) for x in (height - lowest) * facts.up),  # type: ignore[arg-type]
+        up=_triple(facts.up),
+        floor=floor,
+        floor_normal=None if np.array_equal(normal, facts.up) else _triple(normal),
+        lift=_triple(lift * facts.up),
         seed=request.seed,
         filter_rate=float(rate) / T,
         drag=drag,
@@ -130,6 +156,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         deformation_gradients=request.deformation_gradients,
         stress=request.stress,
         skin=request.skin or ("paper" if paper else "embed"),
+        solver=request.solver or "tl",
     )
 
 
@@ -154,6 +181,34 @@ def parse_length(option: str, text: str, radius: float, unit: float) -> float:
     return value * scale
 
 
+def parse_floor(text: str | None, up: Floats, unit: float) -> tuple[float | None, Floats]:
+    """Distance along the normal [m], None for no floor, and the unit normal (3,), of "none",
+    "1.5" (height in stage units), "x,y,z" (normal) or "1.5:x,y,z".
+    """
+    what = "none, a height such as 0.5 (stage units), a normal x,y,z, or both: 0.5:0.2,1,0"
+    if text is None or text == "none":
+        return (0.0 if text is None else None), up
+    height, _, direction = text.rpartition(":") if "," in text else (text, "", "")
+    normal = up
+    if direction:
+        parts = direction.split(",")
+        if len(parts) != 3:
+            raise UsageError(f"--floor is {text!r}", f"give {what}")
+        normal = np.array([_number("--floor", part, what) for part in parts])
+        length = float(np.linalg.norm(normal))
+        if length == 0.0 or normal @ up <= 0.1 * length:
+            raise UsageError(
+                f"--floor {text}: the normal {direction} does not point up", f"give {what}"
+            )
+        normal = normal / length
+    at = _number("--floor", height, what) * unit if height else 0.0
+    return at * float(normal @ up), normal
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
 def parse_gravity(text: str | None, up: Floats) -> tuple[float, float, float]:
     """[m/s^2] of "9.81" (along minus up) or "x,y,z"."""
     parts = str(G0 if text is None else text).split(",")
@@ -162,7 +217,7 @@ def parse_gravity(text: str | None, up: Floats) -> tuple[float, float, float]:
         raise UsageError(f"--gravity is {text!r}", f"give {what}")
     values = np.array([_number("--gravity", part, what) for part in parts])
     g = -values[0] * up if len(values) == 1 else values
-    return (float(g[0]) + 0.0, float(g[1]) + 0.0, float(g[2]) + 0.0)
+    return _triple(g + 0.0)
 
 
 def _number(option: str, text: str, what: str) -> float:

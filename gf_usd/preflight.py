@@ -8,12 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gf_usd import materials as presets
 from gf_usd.errors import InputError, UsageError
 from gf_usd.model import Asset, Material, SurfaceSamples
 from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
+from gf_usd.pinning import make_pins
 from gf_usd.plan import Plan, command_line
-from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, resolve
+from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
 from gf_usd.runtime import init_taichi
 
 if TYPE_CHECKING:
@@ -60,12 +63,14 @@ def prepare(
         assert target is not None
         files = replace(files, textures=converted.textures(target))
         require_source_free(files, converted.is_at(target), overwrite)
-    plan = _fill(asset, request, looks, law, files, repair=repair)[0]
+    file = source if converted is None else converted.layer
+    plan = _fill(asset, request, looks, law, files, file, repair=repair)[0]
     command = command_line(
         source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, **options,
+        repair=repair, **{k: v for k, v in options.items() if k != "pins"},
     )  # fmt: skip
     command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
+    command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
     return replace(plan, converted=converted, command=command)
 
 
@@ -107,7 +112,9 @@ def inspect(
     seen = look_at(asset, repair_asset(asset)[1] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:
-        plan, solid = _fill(asset, request, looks, law, files, repair=repair, known=seen.diagnoses)
+        plan, solid = _fill(
+            asset, request, looks, law, files, source, repair=repair, known=seen.diagnoses
+        )
     except InputError as refusal:
         warnings = [implausible_size(asset)]
         if not repair and _would_fill(repair_asset(asset)[0]):
@@ -127,12 +134,14 @@ def _fill(
     looks: Sequence[Any],
     law: str | None,
     files: Outputs,
+    file: Path,
     *,
     repair: bool,
     known: Sequence[Diagnosis] = (),
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
 
+    file : its USD form.
     known : what `diagnose` said of its surfaces, if it was asked already.
     """
     from gf_usd.geometry.diagnosis import diagnose, tolerated
@@ -164,9 +173,11 @@ def _fill(
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
         samples = sample_surface(solid, particles.spacing, request.seed)
-    lowest = min(float((s.points @ asset.facts.up).min()) for s in asset.surfaces)
+    floor, normal = parse_floor(request.floor, asset.facts.up, unit)
+    lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)
     settings = resolve(request, asset.facts, particles.radius, lowest)
-    lift = sum(a * b for a, b in zip(settings.lift, settings.up))
+    gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    pins = make_pins(request.pins, asset, solid, settings, file, rest=request.start)
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     skin = SKIN_NOTES.get(settings.skin, ())
@@ -178,7 +189,8 @@ def _fill(
         settings=settings,
         outputs=files,
         riders=solid.riders,
-        drop=lift + lowest,
+        drop=gap / float(normal @ asset.facts.up),
+        pins=pins,
         notes=(*asset.facts.notes, *mended, *ridden, *left, *skin),
     )
     return plan, solid
@@ -202,7 +214,7 @@ def _asked(material: str, law: str | None, options: dict[str, Any]) -> tuple[Req
         raise UsageError(
             f"bake() has no option {unknown[0]!r}", f"its options are {', '.join(sorted(known))}"
         )
-    request = Request(**options)
+    request = Request(**{**options, "pins": tuple(options.get("pins") or ())})
     request.check()
     if law is not None:
         presets.check_law(law)

@@ -98,6 +98,13 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     )
 
 
+def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
+    """Points (V, 3) [m] of a Mesh or implicit prim, world; errors as `read_surface`."""
+    return _placement(prim, reading).points(_polygons(prim, reading).points) * (
+        reading.meters_per_unit
+    )
+
+
 def _placement(prim: Usd.Prim, reading: Reading) -> Placement:
     posed = reading.skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
     return posed or Placement.of(reading.xforms.GetLocalToWorldTransform(prim))

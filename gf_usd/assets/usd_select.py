@@ -35,7 +35,7 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
     InputError for a prim path that does not exist.
     """
     if prims:
-        roots = [_named(stage, path, name) for name in prims]
+        roots = [named_prim(stage, path, name) for name in prims]
     elif default := stage.GetDefaultPrim():
         roots = [default]
     else:
@@ -80,7 +80,7 @@ def _why_not(prim: Usd.Prim) -> str:
     return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
 
 
-def _named(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
+def named_prim(stage: Usd.Stage, path: Path, name: str) -> Usd.Prim:
     """The prim that a user named; InputError with the nearest names where there is none."""
     if Sdf.Path.IsValidPathString(name) and (wanted := Sdf.Path(name)).IsAbsolutePath():
         if wanted == Sdf.Path.absoluteRootPath:

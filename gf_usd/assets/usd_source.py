@@ -81,6 +81,11 @@ class MeshSource:
         record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
         return cls(file.path, folder, record, notes)
 
+    @property
+    def layer(self) -> Path:
+        """The USD form, until the object goes."""
+        return self._folder.layer
+
     def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
         """The surfaces and facts; `facts.path` is the original.  See `gf_usd.assets.read_asset`."""
         asset = read_usd(self._folder.layer, prims=prims, time_code=time_code, named=self.path)

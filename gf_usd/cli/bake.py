@@ -47,12 +47,27 @@ def bake(
         str | None,
         typer.Option(
             help="Height of the fall [stage units], or in radii of the body: 3r.",
-            show_default="3r, or 0 where the stage holds physics",
+            show_default="3r; 0 where the stage holds physics; as it is with --pin or no floor",
         ),
     ] = None,
     gravity: Annotated[
         str | None,
         typer.Option(help="[m/s^2] downward, or x,y,z.", show_default="9.81"),
+    ] = None,
+    floor: Annotated[
+        str | None,
+        typer.Option(
+            help="none, its height [stage units], its normal x,y,z, or both: 0.5:0.2,1,0.",
+            show_default="0",
+        ),
+    ] = None,
+    pin: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Hold a region, moving as the asset is animated; repeatable. A GeomSubset, a mesh"
+            " or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
+            show_default="nothing",
+        ),
     ] = None,
     law: Annotated[
         str | None,
@@ -122,6 +137,13 @@ def bake(
             show_default="embed; paper with --preset paper",
         ),
     ] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(
+            help="tl (Total Lagrangian), or ul (Updated Lagrangian MLS-MPM, to compare with).",
+            show_default="tl",
+        ),
+    ] = None,
     deformation_gradients: Annotated[
         bool, typer.Option("--deformation-gradients", help="Write F of every particle.")
     ] = False,
@@ -149,10 +171,11 @@ def bake(
         asset, material=material, output=output, law=law, prims=prim or (),
         overwrite=overwrite or dry_run,  # a dry run replaces nothing
         particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
-        gravity=gravity, seed=seed, device=device, threads=threads, filter_rate=filter_rate,
+        gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
+        threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress, skin=skin, meters_per_unit=meters_per_unit, up_axis=up_axis,
+        stress=stress, skin=skin, solver=solver, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair,
     )  # fmt: skip
     if dry_run:

@@ -16,12 +16,15 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gf_usd.geometry import winding
+from gf_usd.geometry.sampling import JITTER
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid
+# [lattice edges] wherever its planes lie, a wall as thick holds one whole layer of particles
+WHOLE_LAYER = 1.0 + JITTER
 THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part
@@ -170,7 +173,7 @@ def _poor_regions(
                 area=float(area[rows].sum()),
                 particles=int(count[k]),
                 thickness=thick,
-                suggested=_particles_for(solid, thick),
+                suggested=_particles_for(solid, thick / WHOLE_LAYER),
             )
         )
     return found

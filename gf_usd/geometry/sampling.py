@@ -16,7 +16,9 @@ from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import colours, nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 
-JITTER = 0.7  # of a stratum that a particle may lie in: less is more even, more is less regular
+# Of a stratum that a particle may lie in.  Less is more accurate: of a bar 16 strata long the first
+# frequency is 1.3 % low at 0.7, 0.44 % at 0.35, 0.12 % at 0 (measured); none shows as rows.
+JITTER = 0.35
 SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbours
 SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid

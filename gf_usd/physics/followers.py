@@ -78,7 +78,9 @@ def split_nodes(
         follow = affine_fit(ijk[light], ijk[free])
         lumped = mass[free] + follow.T @ mass[light]
         if held.any():
-            ghosts = mirrored(held, mirror, ijk[free])
+            extend = sparse.vstack([sparse.identity(int(free.sum())), follow], format="csr")
+            others = np.concatenate([ijk[free], ijk[light]])
+            ghosts = (mirrored(held, mirror, others) @ extend).tocsr()
             lumped = lumped + abs(ghosts).T @ mass[held]
         sound = lumped >= 0.5 * least
         if sound.all():
@@ -94,14 +96,17 @@ def split_nodes(
     return free, follow, lumped
 
 
-def mirrored(held: NDArray[np.bool_], mirror: Floats | None, free: Ints) -> sparse.csr_matrix:
-    """Rows (held, free) of held nodes: minus the field at the mirror point; 0 where deep."""
+def mirrored(held: NDArray[np.bool_], mirror: Floats | None, others: Ints) -> sparse.csr_matrix:
+    """Rows (held, others) of held nodes: minus the field at the mirror point.
+
+    0 where the node lies deep, or where none of the others is around the mirror point.
+    """
     count = int(held.sum())
     if mirror is None:
-        return sparse.csr_matrix((count, len(free)))
+        return sparse.csr_matrix((count, len(others)))
     at = mirror[held]
     near = np.flatnonzero(np.isfinite(at).all(1))
     put = sparse.csr_matrix(
         (np.ones(len(near)), (near, np.arange(len(near)))), shape=(count, len(near))
     )
-    return (put @ -interpolation(at[near], free)).tocsr()
+    return (put @ -interpolation(at[near], others)).tocsr()

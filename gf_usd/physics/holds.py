@@ -60,13 +60,13 @@ def mirror_points(pins: Sequence[Pin], held: Held, X: Floats, h: float) -> Float
     return out
 
 
-def interpolation(at: Floats, free: Ints) -> sparse.csr_matrix:
-    """Trilinear weights (n, len(free)) of a nodal field at grid positions `at` (n, 3) [cells].
+def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
+    """Trilinear weights (n, m) of a nodal field at grid positions `at` (n, 3) [cells].
 
-    Corners that are not free are left out and the others share their weight; where none is free the
-    nearest free node is taken.  `free` : (m, 3) grid indices.
+    Corners that are not among `nodes` (m, 3) are left out and the others share their weight; where
+    none is the row is empty.
     """
-    tree = cKDTree(free)
+    tree = cKDTree(nodes)
     base = np.floor(at + 1e-9).astype(int)
     f = np.clip(at - base, 0.0, 1.0)
     rows, columns, values = [], [], []
@@ -77,17 +77,9 @@ def interpolation(at: Floats, free: Ints) -> sparse.csr_matrix:
         rows.append(np.flatnonzero(use))
         columns.append(found[use])
         values.append(w[use])
-    total = np.bincount(np.concatenate(rows), np.concatenate(values), minlength=len(at))
-    alone = np.flatnonzero(total == 0.0)
-    rows.append(alone)
-    columns.append(tree.query(at[alone])[1] if len(alone) else np.zeros(0, int))
-    values.append(np.ones(len(alone)))
-    total[alone] = 1.0
-    r = np.concatenate(rows)
-    return sparse.csr_matrix(
-        (np.concatenate(values) / total[r], (r, np.concatenate(columns))),
-        shape=(len(at), len(free)),
-    )
+    r, c, w = (np.concatenate(parts) for parts in (rows, columns, values))
+    total = np.bincount(r, w, minlength=len(at))
+    return sparse.csr_matrix((w / total[r], (r, c)), shape=(len(at), len(nodes)))
 
 
 class Holder:

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from gf_usd.model import Floats
 
 NEIGHBOURS = 24
+SAME = 1e-6  # of the region's size: a point as near to an anchor as that moves with it
 FLAT = 1e-3  # ratio of the spreads of the anchors under which they count as flat
 
 
@@ -28,6 +29,7 @@ class Motion:
         still = len(self.path) < 2 or np.array_equal(self.path, self.path[:1].repeat(len(path), 0))
         self.moving = not (still and np.array_equal(self.path[0], self.anchors))
         self._tree = cKDTree(self.anchors)
+        self._extent = float(np.linalg.norm(np.ptp(self.anchors, axis=0)))
 
     def anchors_at(self, frame: float) -> Floats:
         """(k, 3) [m], linear between frames."""
@@ -55,7 +57,10 @@ class Motion:
         solid = spread[:, 0] > FLAT * spread[:, 2]
         safe = np.where(solid[:, None, None], C, np.eye(3))
         A = np.where(solid[:, None, None], B @ np.linalg.inv(safe), kabsch(B))
-        return Qbar + np.einsum("nab,nb->na", A, X - Pbar), A
+        x = Qbar + np.einsum("nab,nb->na", A, X - Pbar)
+        known = distance[:, 0] <= SAME * self._extent
+        x[known] = now[near[known, 0]]
+        return x, A
 
 
 def kabsch(B: Floats) -> Floats:

@@ -197,6 +197,8 @@ def build_stencil(
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
     renumber[ordered] = np.arange(len(mass))
+    mirror = mirror[ordered]
+    mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
     return Stencil(
         origin=origin,
         h=h,
@@ -209,7 +211,7 @@ def build_stencil(
         node_mass=mass[ordered],
         follow=follow,
         held=Held(pin=held.pin[ordered]),
-        mirror=mirror[ordered],
+        mirror=mirror,
         sorted_keys=sorted_keys,
         sorted_node=renumber,
         dims=dims,

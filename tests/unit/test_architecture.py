@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "gf_usd"
 ROOMS = ("assets", "geometry", "physics", "usd", "view")
 # The street: the files that may know several rooms, and that no room may know.
-STREET = ("baking.py", "plan.py", "estimate.py", "preflight.py")
+STREET = ("baking.py", "pinning.py", "plan.py", "estimate.py", "preflight.py")
 LONGEST = 300
 DYNAMIC = re.compile(r"gf_usd(\.\w+)+(:\w+)?")  # a module named in a string, to be imported later
 CATCH_ALL = {"Exception", "BaseException"}
