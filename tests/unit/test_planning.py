@@ -14,6 +14,7 @@ from gf_usd.planning import (
     PAPER_FRAMES,
     PAPER_T,
     Request,
+    parse_floor,
     parse_gravity,
     parse_length,
     parse_time_scale,
@@ -202,3 +203,42 @@ def test_lengths() -> None:
     assert parse_length("--drop", "2.5", 3.0, 0.01) == pytest.approx(0.025)
     assert parse_length("--drop", "2.5r", 3.0, 0.01) == pytest.approx(7.5)
     assert parse_length("--drop", "0", 3.0, 0.01) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("text", "distance", "normal"),
+    [
+        (None, 0.0, (0, 1, 0)),
+        ("none", None, (0, 1, 0)),
+        ("1.5", 0.15, (0, 1, 0)),
+        ("0,2,0", 0.0, (0, 1, 0)),
+        ("3,4,0", 0.0, (0.6, 0.8, 0)),
+        ("-2:3,4,0", -0.16, (0.6, 0.8, 0)),  # 0.2 m below, seen along the normal
+    ],
+)
+def test_floors(text: str | None, distance: float | None, normal: tuple) -> None:
+    at, n = parse_floor(text, np.array([0.0, 1.0, 0.0]), 0.1)
+    assert at == (None if distance is None else pytest.approx(distance))
+    np.testing.assert_allclose(n, normal)
+
+
+@pytest.mark.parametrize("text", ["low", "1,2", "1,2,x", "0,0,0", "0,-1,0", "1,0.05,0", "nan"])
+def test_what_is_no_floor_is_refused(text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        Request(floor=text).check()
+    assert "--floor" in caught.value.message
+    assert caught.value.hint
+
+
+def test_a_body_falls_onto_a_tilted_floor_by_as_much_as_was_asked() -> None:
+    made = settled(floor="3,4,0", drop="2")
+    # lowest = 0 along the normal: 2 m straight down is 1.6 m along it
+    assert np.dot(made.lift, made.normal) == pytest.approx(1.6)
+    assert made.floor_normal == pytest.approx((0.6, 0.8, 0.0))
+
+
+def test_what_is_pinned_or_has_no_floor_stays_where_it_is() -> None:
+    assert settled(lowest=0.7, pins=("/A",)).lift == (0.0, 0.0, 0.0)
+    assert settled(lowest=0.7, floor="none").lift == (0.0, 0.0, 0.0)
+    assert settled(lowest=0.7, floor="none", drop="2").lift == (0.0, 2.0, 0.0)
+    assert settled(lowest=0.7, pins=("/A",), drop="2").lift == pytest.approx((0.0, 1.3, 0.0))
