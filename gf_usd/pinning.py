@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.errors import InputError
-from gf_usd.model import Asset, Pin, Settings
+from gf_usd.model import Asset, Pin, Region, Settings
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -56,21 +56,20 @@ def make_pins(
             )
         else:
             region = read([name])[0]
-        pin = make_pin(region, solid)
-        _require_hold(pin, asset)
-        pins.append(pin)
+        _require_hold(region, asset)
+        pins.append(make_pin(region, solid))
     return tuple(pins)
 
 
-def _require_hold(pin: Pin, asset: Asset) -> None:
+def _require_hold(region: Region, asset: Asset) -> None:
     """Raise InputError where a region does not even touch the asset."""
     points = np.concatenate([s.points for s in asset.surfaces])
     low, high = points.min(0), points.max(0)
-    box = pin.anchors
+    box = region.points[np.unique(region.triangles)]
     if (box.max(0) < low).any() or (box.min(0) > high).any():
         unit = asset.facts.units.length
         raise InputError(
-            f"{asset.facts.path}: --pin {pin.name} does not touch the asset, which lies between"
+            f"{asset.facts.path}: --pin {region.name} does not touch the asset, which lies between"
             f" {np.round(low / unit, 4).tolist()} and {np.round(high / unit, 4).tolist()}"
             " (stage units)",
             "give a region that overlaps it",

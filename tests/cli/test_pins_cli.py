@@ -47,7 +47,8 @@ def arm(tmp_path: Path) -> Path:
 
 def world(path: Path, time: float) -> np.ndarray:
     """Points of the bar, stage units, world."""
-    prim = Usd.Stage.Open(str(path)).GetPrimAtPath("/Arm/Bar")
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath("/Arm/Bar")
     points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(time), float)
     M = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
     return points @ M[:3, :3] + M[3, :3]
