@@ -16,7 +16,14 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from gf_usd.baking import bake
-    from gf_usd.errors import BakeError, GfUsdError, InputError, UsageError
+    from gf_usd.errors import (
+        BakeError,
+        GfUsdError,
+        InputError,
+        SolverError,
+        UnhealthyError,
+        UsageError,
+    )
     from gf_usd.model import Material, Settings
     from gf_usd.plan import BakeResult
 
@@ -29,6 +36,8 @@ _HOMES = {
     "UsageError": "gf_usd.errors",
     "InputError": "gf_usd.errors",
     "BakeError": "gf_usd.errors",
+    "SolverError": "gf_usd.errors",
+    "UnhealthyError": "gf_usd.errors",
 }
 
 __all__ = [
@@ -38,6 +47,8 @@ __all__ = [
     "InputError",
     "Material",
     "Settings",
+    "SolverError",
+    "UnhealthyError",
     "UsageError",
     "__version__",
     "bake",

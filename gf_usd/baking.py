@@ -7,14 +7,21 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from gf_usd.errors import SolverError
+from gf_usd.estimate import MAX_HOURS, require_affordable
+from gf_usd.failure import leave
+from gf_usd.judgement import judge, require_healthy
 from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
 from gf_usd.output_files import claim
-from gf_usd.plan import BakeResult, LookResult, Plan, describe, input_hash, settings_json
+from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
-from gf_usd.publish import publish, publish_text
+from gf_usd.publish import partial_path, publish, publish_text
 from gf_usd.summary import HealthLog
+
+if TYPE_CHECKING:
+    from gf_usd.usd.variants import BakedLook
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
 
@@ -30,6 +37,8 @@ def bake(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     repair: bool = False,
+    strict: bool = False,
+    max_hours: float = MAX_HOURS,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -46,6 +55,8 @@ def bake(
     overwrite : replace results of an earlier bake.
     meters_per_unit, up_axis : in place of what the file says or omits.
     repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
+    strict : raise UnhealthyError where the finished bake has warnings.
+    max_hours : refuse a bake whose estimate is longer.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
@@ -55,47 +66,57 @@ def bake(
     ------
     UsageError : the options make no sense, or the output exists or cannot be written.
     InputError : the asset was refused; nothing was written.
-    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.
+    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
+        SolverError, with the frame and the particle, where the solver could not go on.
+    UnhealthyError : strict, and there are warnings; the files are written.
     """
     plan = prepare(
         path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
         meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, **options,
     )  # fmt: skip
-    return run(plan, progress)
+    result = run(plan, progress, max_hours=max_hours)
+    if strict:
+        require_healthy(result)
+    return result
 
 
-def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
-    """Simulate and write a prepared bake."""
+def run(
+    plan: Plan, progress: Progress | None = None, *, max_hours: float = MAX_HOURS
+) -> BakeResult:
+    """Simulate and write a prepared bake.
+
+    Raises InputError where it would take longer than max_hours, SolverError where the simulation
+    failed (see `failure.leave`), BakeError where the disk did.
+    """
     from gf_usd.usd.layout import write_root
     from gf_usd.usd.review import review
-    from gf_usd.usd.variants import BakedLook
 
+    require_affordable(plan, max_hours)
     claim(plan.outputs)
     began = time.perf_counter()
     if plan.converted is not None:
         plan.converted.write(plan.source)
-    results, looks, notes = [], [], list(plan.notes)
+    results: list[LookResult] = []
+    looks: list[BakedLook] = []
+    notes = list(plan.notes)
     for number, material in enumerate(plan.materials):
-        result, info, more = _run_look(plan, number, material, progress)
+        result, look, more, error = _run_look(plan, number, material, progress)
         results.append(result)
+        looks.append(look)
         notes += more
-        looks.append(
-            BakedLook(
-                name=material.name, cache=result.cache, info=info, health=_plain(result.health)
-            )
-        )
+        if error is not None:
+            looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
+            results = [replace(result, cache=partial_path(result.cache)) for result in results]
+            seconds = time.perf_counter() - began
+            raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
+    # Nothing has its final name before all of it is there.
+    for path in plan.outputs.caches:
+        publish(path)
     root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source)
     notes += root.notes
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
-    report = {
-        **describe(plan),
-        "notes": notes,
-        "seconds": seconds,
-        "settings": settings_json(plan.settings),
-        "bakes": [r.as_json(frames=True) for r in results],
-        "check": findings,
-    }
+    report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
     publish_text(plan.outputs.report, json.dumps(report, indent=1) + "\n")
     return BakeResult(
         root=plan.outputs.root,
@@ -106,43 +127,68 @@ def run(plan: Plan, progress: Progress | None = None) -> BakeResult:
         settings=plan.settings,
         notes=tuple(notes),
         findings=tuple(findings),
+        outputs=plan.outputs.all,
     )
 
 
 def _run_look(
     plan: Plan, number: int, material: Material, progress: Progress | None
-) -> tuple[LookResult, BakeInfo, tuple[str, ...]]:
-    """Simulate one material into its cache."""
+) -> tuple[LookResult, BakedLook, tuple[str, ...], SolverError | None]:
+    """Simulate one material into its cache, which keeps its partial name.
+
+    A failure of the solver is returned with what was had before it.
+    """
     from gf_usd.usd.cache import CacheWriter
+    from gf_usd.usd.variants import BakedLook
 
     total = plan.settings.frames
     info = BakeInfo(
         look=material.name,
         materials=(material,),
-        settings=plan.settings,
+        settings=plan.settings_of(material),
         command=plan.command,
         version=plan.version,
         input_hash=input_hash(plan),
     )
-    log = HealthLog(plan.settings, plan.particles.spacing, plan.drop)
+    log = HealthLog(
+        plan.settings,
+        spacing=plan.particles.spacing,
+        drop=plan.drop,
+        radius=plan.particles.radius,
+        particles=len(plan.particles),
+        held=bool(plan.pins),
+    )
     target = plan.outputs.caches[number]
+    failure = None
     with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
-        for baked in _frames(plan, material):
-            cache.write(baked)
-            log.add(baked.health)
-            if progress:
-                progress(number * total + baked.index + 1, total * len(plan.materials))
+        try:
+            for baked in _frames(plan, material):
+                cache.write(baked)
+                log.add(baked.health)
+                if progress:
+                    progress(number * total + baked.index + 1, total * len(plan.materials))
+        except SolverError as error:
+            failure = error
         summary = cache.close()
-    publish(target)
+    health = log.summary()
     result = LookResult(
         look=material.name,
         cache=target,
         material=material,
         frames=summary.frames,
-        health=log.summary(),
+        health=health,
         per_frame=log.per_frame(),
+        warnings=judge(health),
     )
-    return result, info, summary.notes
+    look = BakedLook(
+        name=material.name,
+        cache=target,
+        info=info,
+        health=_plain(health),
+        warnings=tuple(caution.message for caution in result.warnings),
+        failure="" if failure is None else failure.message,
+    )
+    return result, look, summary.notes, failure
 
 
 def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
@@ -175,7 +221,7 @@ def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> B
     gaussians = track.advance(frame.particles)
     return BakedFrame(
         index=frame.index,
-        time_code=s.start + frame.index * s.time_codes_per_second / s.fps,
+        time_code=s.time_code(frame.index),
         meshes=meshes,
         gaussians=replace(
             gaussians,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class GfUsdError(Exception):
     """An expected failure, reported without a traceback.
@@ -50,3 +52,16 @@ class SolverError(BakeError):
     def __init__(self, message: str, hint: str, *, frame: int, particle: int = -1) -> None:
         super().__init__(message, hint)
         self.frame, self.particle = frame, particle
+
+
+class UnhealthyError(GfUsdError):
+    """The bake is complete and written, but has warnings, and --strict asks for none (status 4).
+
+    warnings : the `judgement.Caution`s; result : the `plan.BakeResult`.
+    """
+
+    exit_status = 4
+
+    def __init__(self, message: str, hint: str, *, warnings: tuple[Any, ...], result: Any) -> None:
+        super().__init__(message, hint)
+        self.warnings, self.result = warnings, result

@@ -1,47 +1,62 @@
 """What a bake will cost, before it starts.
 
-Measured with the duck and with spheres of 41k to 655k vertices, 1k to 400k particles, on two cores
-of an x86-64 server: within a factor of two of what ``/usr/bin/time -v`` says.
+Measured in CPU seconds on two cores of an x86-64 server, with the duck and balls, 300 to 100k
+particles, 1 kPa to 10 MPa, looks and physical presets: within a factor of two.  Memory is that of
+``/usr/bin/time -v``.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gf_usd.errors import InputError
+
 if TYPE_CHECKING:
     from gf_usd.plan import Plan
 
-RATE = 7e6  # particle-substeps a second
-START_SECONDS = 3.0  # imports, and compiling the kernels
-PARTICLE_SECONDS = 8e-5  # sample a particle and place it on the grid, once
+# [s] of a substep, and of each particle in it, by solver; free flight, measured
+SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7)}
+CONTACT = 1.4  # longer with the contact of a shot, in the mean
+START_SECONDS = 1.5  # imports
+LAW_SECONDS = 2.5  # load the compiled kernels of a law; the very first bake compiles them
+PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
-FRAME_OVERHEAD = 0.01  # [s] a frame
+# [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files, final check
+FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
 MESH_BYTES = 24  # points and velocities of a vertex, float32
 NORMAL_BYTES = 12
 PARTICLE_BYTES = 76  # positions, velocities, orientation, scale, and the Points twin
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
 VERTEX_MEMORY = 4400.0  # [bytes] a vertex, likewise
+# [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
+# takes hours is mostly a modulus in the wrong unit.
+MAX_HOURS = 1.0
 
 
 def estimate(plan: Plan) -> dict[str, Any]:
     """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
 
-    Materials are baked one after another: seconds and disk add up, memory does not.  The frame is
-    None where the asset touches nothing within the bake.
+    Materials are baked one after another: disk adds up, memory does not, and seconds do but for
+    what is started once.  The frame is None where the asset touches nothing within the bake.
     """
     frames, n = plan.settings.frames, len(plan.particles)
     vertices = sum(len(s.points) for s in plan.asset.surfaces)
     normals = sum(0 if s.normals is None else len(s.normals) for s in plan.asset.surfaces)
     disk = frames * (MESH_BYTES * vertices + NORMAL_BYTES * normals + PARTICLE_BYTES * n)
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n + VERTEX_MEMORY * vertices
+    fixed, each = SUBSTEP_SECONDS[plan.settings.solver]
+    substep = CONTACT * (fixed + each * n)
+    frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
+    start = START_SECONDS + VERTEX_SECONDS * vertices
     rows = []
     for material in plan.materials:
-        substeps = plan.solver(material).substeps
-        seconds = START_SECONDS + PARTICLE_SECONDS * n + VERTEX_SECONDS * vertices
-        seconds += frames * (n * substeps / RATE + FRAME_OVERHEAD)
+        substeps = plan.substeps(material)
+        seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n
+        seconds += frames * frame + (frames - 1) * substeps * substep
         rows.append(
             {
                 "name": material.name,
@@ -51,9 +66,11 @@ def estimate(plan: Plan) -> dict[str, Any]:
                 "memory_bytes": int(memory),
             }
         )
+    laws = len({material.law for material in plan.materials})
+    shared = start * (len(rows) - 1) + LAW_SECONDS * (len(rows) - laws)
     return {
         "substeps_per_frame": {row["name"]: row["substeps_per_frame"] for row in rows},
-        "estimated_seconds": sum(row["seconds"] for row in rows),
+        "estimated_seconds": sum(row["seconds"] for row in rows) - shared,
         "estimated_bytes": sum(row["disk_bytes"] for row in rows),
         "estimated_memory_bytes": int(memory),
         "first_contact_frame": _first_contact(plan),
@@ -61,11 +78,40 @@ def estimate(plan: Plan) -> dict[str, Any]:
     }
 
 
+def require_affordable(plan: Plan, max_hours: float) -> None:
+    """Raise InputError where a bake is estimated to take longer than max_hours [h]."""
+    cost = estimate(plan)
+    hours = cost["estimated_seconds"] / 3600.0
+    if hours <= max_hours:
+        return
+    row = max(cost["per_material"], key=lambda row: row["seconds"])
+    material = next(m for m in plan.materials if m.name == row["name"])
+    dt = plan.settings.time_scale / plan.settings.fps / row["substeps_per_frame"]
+    raise InputError(
+        f"{plan.asset.facts.path}: the bake would take about {duration(cost['estimated_seconds'])}:"
+        f" {len(plan.particles)} particles of {material.name} (Young's modulus"
+        f" {material.youngs_modulus:.3g} Pa, damping time {material.damping_time:.3g} s), dropped"
+        f" {plan.drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
+        f" {plan.settings.frames} frames",
+        "take a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
+        f" --max-hours {math.ceil(hours * 1.2)} lets it run",
+    )
+
+
+def duration(seconds: float) -> str:
+    """A time for reading: seconds, minutes, hours or days, in two or three digits."""
+    for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.0f} s"
+
+
 def _first_contact(plan: Plan) -> int | None:
-    """Frames of free fall from rest, sqrt(2 drop / g)."""
+    """Frames of free fall from rest, sqrt(2 drop / g), both along the floor's normal."""
     s = plan.settings
-    g = -float(np.dot(s.gravity, s.up))
-    if g <= 0.0:
+    g = -float(np.dot(s.gravity, s.normal))
+    if g <= 0.0 or s.floor is None or plan.pins:
         return None
-    frame = int(np.ceil(np.sqrt(2.0 * max(0.0, plan.drop) / g) * s.fps / s.time_scale))
+    drop = max(0.0, plan.drop) * float(np.dot(s.normal, s.up))
+    frame = int(np.ceil(np.sqrt(2.0 * drop / g) * s.fps / s.time_scale))
     return frame if frame < s.frames else None

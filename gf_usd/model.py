@@ -7,7 +7,7 @@ stage positions times metersPerUnit).  Shapes and units stand beside each field.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -159,34 +159,6 @@ class SurfaceSamples:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Region:
-    """A part of space that is bounded by triangles, and where its points go over the frames."""
-
-    name: str  # as asked for
-    kind: str  # "volume": what the triangles enclose; "patch": a part of a body's surface
-    points: Floats  # (V, 3) [m] at rest, world
-    triangles: Ints  # (T, 3) into points
-    path: Floats  # (F, V, 3) [m] at each frame; F = 1: they stay
-    body: str = ""  # of a patch: prim path of the mesh it is a part of
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pin:
-    """A region whose motion is given: held where it is, or following the source's animation.
-
-    The region's anchors are points whose place is known at every frame; between them it moves by
-    an affine fit.
-    """
-
-    name: str  # as asked for, e.g. "/Duck/mesh:feet"
-    inside: Callable[[Floats], Floats]  # X (n, 3) [m] at rest -> (n,) bool: held
-    nearest: Callable[[Floats], Floats]  # X (n, 3) [m] -> (n, 3) on the boundary of the region
-    anchors: Floats  # (k, 3) [m] at rest, world
-    path: Floats  # (T, k, 3) [m] where the anchors are at each frame; T = 1: they stay
-    axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
-
-
-@dataclass(frozen=True, kw_only=True)
 class Settings:
     """Everything that decides a bake, resolved: no None is left to interpret."""
 
@@ -263,6 +235,7 @@ class Health:
     work: float = 0.0  # [J] done on the body by its pins during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
+    injected: float = 0.0  # [J] given by WLS and the shape correction at the end of the frame
 
 
 @dataclass(frozen=True, kw_only=True)

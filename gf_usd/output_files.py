@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from gf_usd.errors import UsageError
+from gf_usd.publish import partial_path
 
 SOURCE_VARIANT = "none"  # taken: usd.variants calls the asset without a bake so
 
+REPORT = ".report.json"
 USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -64,7 +67,7 @@ def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
     files = Outputs(
         root=root,
         caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
-        report=root.with_name(f"{stem}.report.json"),
+        report=root.with_name(f"{stem}{REPORT}"),
         source=None if is_usd else root.with_name(f"{source.stem}.source.usdc"),
     )
     for path in files.all:
@@ -94,7 +97,7 @@ def _require_names(looks: Sequence[str]) -> None:
 
 def require_free(files: Outputs, overwrite: bool) -> None:
     """Raise UsageError where a result is there already, or no folder could hold one."""
-    there = [p for p in files.own if p.exists()]
+    there = [p for p in files.own if p.exists() and not tells_of_failure(p)]
     if there and not overwrite:
         raise UsageError(
             f"{there[0]} exists already", "add --overwrite to replace it, or choose another -o"
@@ -129,6 +132,37 @@ def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> N
         )
 
 
+def tells_of_failure(path: Path) -> bool:
+    """Whether a file is the report of a bake that failed, which is in nobody's way."""
+    if not path.name.endswith(REPORT):
+        return False
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(report, dict) and "failed" in report
+
+
+def report_of_failure(files: Outputs) -> Path:
+    """Where a bake that fails says so: under the report's name, unless a good one has it."""
+    good = files.report.exists() and not tells_of_failure(files.report)
+    return partial_path(files.report) if good else files.report
+
+
 def claim(files: Outputs) -> None:
-    """Make the folder of the results."""
+    """Make the folder of the results, without what a bake of these names left when it failed.
+
+    Raises UsageError where that cannot be removed.
+    """
     files.root.parent.mkdir(parents=True, exist_ok=True)
+    stale = [partial_path(path) for path in files.own]
+    if tells_of_failure(files.report):
+        stale.append(files.report)
+    for path in stale:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"{path} of an earlier bake cannot be removed: {error.strerror}",
+                "remove it, or choose another -o",
+            ) from error

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.errors import InputError
-from gf_usd.model import Asset, Pin, Region, Settings
+from gf_usd.model import Asset, Settings
+from gf_usd.pins import Pin, Region
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid

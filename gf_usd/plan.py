@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -12,14 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import gf_usd
 from gf_usd.judgement import Caution, cautions_json
-from gf_usd.model import Asset, Floats, Material, Particles, Pin, Settings, SurfaceSamples
+from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
+from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
     from gf_usd.physics.marching import Marcher
 
+TWO_WAY = ("wls",)  # flags whose "no" overrides a preset
 KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
 
 
@@ -31,12 +34,13 @@ class Plan:
     particles: Particles
     samples: SurfaceSamples
     materials: tuple[Material, ...]  # one bake and one variant each
-    settings: Settings
+    settings: Settings  # of the first material
     outputs: Outputs
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     pins: tuple[Pin, ...] = ()
+    each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
@@ -49,6 +53,11 @@ class Plan:
     @property
     def version(self) -> str:
         return gf_usd.__version__
+
+    def settings_of(self, material: Material) -> Settings:
+        """The settings of one material's bake."""
+        named = zip(self.materials, self.each)
+        return next((s for m, s in named if m.name == material.name), self.settings)
 
     def substeps(self, material: Material) -> int:
         """Substeps a frame.  The solver that knows is kept for `solver`: it is dear to build."""
@@ -68,7 +77,7 @@ class Plan:
             if made == epoch():
                 return solver
         return make_solver(
-            self.settings,
+            self.settings_of(material),
             self.particles,
             [material],
             samples=self.samples,
@@ -89,6 +98,8 @@ def command_line(source: Path, **asked: Any) -> str:
         option = f"--{name.replace('_', '-')}"
         if value is True:
             words.append(option)
+        elif value is False and name in TWO_WAY:
+            words.append(f"--no-{option[2:]}")
         elif value is not None and value is not False:
             words += [option, str(value).removesuffix(".0")]
     return shlex.join(words)
@@ -137,6 +148,27 @@ def settings_json(settings: Settings) -> dict[str, Any]:
     """Plain values; an infinite one as the word "inf", since JSON has no number for it."""
     return {
         name: str(value) if value == math.inf else value for name, value in asdict(settings).items()
+    }
+
+
+def report_json(
+    plan: Plan,
+    bakes: Sequence[LookResult],
+    *,
+    notes: Sequence[str],
+    seconds: float,
+    findings: Sequence[dict[str, str]],
+) -> dict[str, Any]:
+    """The report; its keys are documented in docs/guide.md."""
+    warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
+    return {
+        **describe(plan),
+        "notes": list(notes),
+        "seconds": seconds,
+        "settings": settings_json(plan.settings),
+        "bakes": [bake.as_json(frames=True) for bake in bakes],
+        "warnings": cautions_json(warnings),
+        "check": list(findings),
     }
 
 

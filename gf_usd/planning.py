@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gf_usd import paper_options
 from gf_usd.errors import UsageError
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
@@ -52,6 +53,10 @@ class Request:
     skin: str | None = None  # one of SKINS
     solver: str | None = None  # one of SOLVERS
     pins: tuple[str, ...] = ()  # prim paths, or "box:x0,y0,z0,x1,y1,z1" [stage units]
+    wls: bool | None = None  # F anew from the positions once a frame
+    procrustes: float | None = None  # shape correction a frame, 0 to 1
+    clamp: str | None = None  # limits of the stretches, "0.2:5", or "none"
+    stress_cap: str | None = None  # largest |P| [Pa], or "none"
     floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
 
     def check(self) -> None:
@@ -75,6 +80,7 @@ class Request:
         if self.skin not in (None, *SKINS):
             raise UsageError(f"there is no skin {self.skin!r}", f"choose {', '.join(SKINS)}")
         self._check_solver()
+        paper_options.check(self)
         parse_time_scale(self.time_scale, 1.0)
         if self.particles and self.spacing:
             raise UsageError(
@@ -105,7 +111,7 @@ class Request:
 
 
 def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
-    """Settings of a bake.
+    """Settings of a bake, but for what hangs on its material (`paper_options.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     """

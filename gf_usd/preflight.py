@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd import materials as presets
+from gf_usd import paper_options
 from gf_usd.errors import InputError, UsageError
-from gf_usd.model import Asset, Material, SurfaceSamples
+from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
 from gf_usd.pinning import make_pins
 from gf_usd.plan import Plan, command_line
@@ -63,6 +64,8 @@ def prepare(
         assert target is not None
         files = replace(files, textures=converted.textures(target))
         require_source_free(files, converted.is_at(target), overwrite)
+    from gf_usd.inspection import implausible_size
+
     file = source if converted is None else converted.layer
     plan = _fill(asset, request, looks, law, files, file, repair=repair)[0]
     command = command_line(
@@ -71,7 +74,9 @@ def prepare(
     )  # fmt: skip
     command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
-    return replace(plan, converted=converted, command=command)
+    odd = implausible_size(asset)
+    notes = (*plan.notes, odd) if odd else plan.notes
+    return replace(plan, converted=converted, command=command, notes=notes)
 
 
 def inspect(
@@ -181,19 +186,30 @@ def _fill(
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     skin = SKIN_NOTES.get(settings.skin, ())
+    made = tuple(_made(look, particles.radius, law, request) for look in looks)
+    each = tuple(paper_options.of_material(settings, request, m, particles.radius) for m in made)
     plan = Plan(
         asset=asset,
         particles=particles,
         samples=samples,
-        materials=tuple(_made(look, particles.radius, law, request) for look in looks),
-        settings=settings,
+        materials=made,
+        settings=each[0],
+        each=each,
         outputs=files,
         riders=solid.riders,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
-        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin),
+        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin, *_options(made, each)),
     )
     return plan, solid
+
+
+def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
+    """Notes on the paper's options, once where they are the same for all materials."""
+    if all(settings == each[0] for settings in each):
+        return paper_options.notes(each[0])
+    pairs = zip(materials, each)
+    return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
 
 
 def _would_fill(asset: Asset) -> bool:
@@ -241,4 +257,6 @@ def _made(look: Any, radius: float, law: str | None, request: Request) -> Materi
         for name in ("damping_time", "friction", "restitution")
         if (value := getattr(request, name)) is not None
     }
+    if request.preset == "paper":
+        own.setdefault("damping_time", 0.0)  # the paper has none
     return replace(look.material(radius, law), **own)

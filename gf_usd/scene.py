@@ -30,6 +30,7 @@ class RenderMesh:
     triangle_textures: Ints | None = None  # (T,) into textures; -1: the corner colours
     roughness: Floats  # (T,) or (): 0 mirror .. 1 matt
     metallic: Floats  # (T,) or (): 0 dielectric .. 1 metal
+    values: Floats | None = None  # (V,) of the `Quantity` in the picture; None: has none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,7 @@ class RenderSplats:
     opacities: Floats  # (N,) 0..1
     lit: bool = False  # True: colours are albedo; False: radiance as captured, shown unchanged
     harmonics: Harmonics | None = None  # where given, replaces the colours of unlit splats
+    values: Floats | None = None  # (N,) of the `Quantity` in the picture; None: has none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,20 @@ class RenderEllipsoids:
     positions: Floats  # (N, 3) [m]
     axes: Floats  # (N, 3, 3) [m]; columns are the semi-axes
     colours: Floats  # (N, 3) linear diffuse
+    values: Floats | None = None  # (N,) of the `Quantity` in the picture; None: has none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """What the values of a picture measure, and the range that colours stand for."""
+
+    title: str
+    measure: str = ""  # of several that go by the title
+    unit: str = ""  # SI; empty: a pure number
+    low: float = 0.0  # in that unit
+    high: float = 1.0
+    largest: float = 1.0  # of any particle over the whole motion
+    chosen: bool = False  # True: the range was given; False: most particles lie in it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +88,7 @@ class Camera:
     target: tuple[float, float, float]  # [m]
     up: tuple[float, float, float]
     fov: float = 30.0  # [deg] vertical
+    shift: tuple[float, float] = (0.0, 0.0)  # tangents, right and up, of the picture's middle
 
 
 @dataclass(frozen=True, kw_only=True)

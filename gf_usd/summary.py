@@ -1,20 +1,48 @@
-"""What a whole bake says of itself: one line per question a person asks of it."""
+"""What a whole bake says of itself: one line per question a person asks of it.
+
+The keys of `HealthLog.summary` are documented in docs/guide.md, and those that are attributes of
+GaussianFleshHealthAPI in docs/schema.md.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from typing import Any
 
+from gf_usd.materials import G0
 from gf_usd.model import Health, Settings
+
+REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
 
 
 class HealthLog:
-    """Collects the health of frames; a few hundred bytes a frame."""
+    """Collects the health of frames; a few hundred bytes a frame.
 
-    def __init__(self, settings: Settings, spacing: float, drop: float) -> None:
+    Parameters
+    ----------
+    settings : of the bake.
+    spacing : [m] mean distance of particles.
+    drop : [m] along the up axis that the body falls before it touches.
+    radius : [m] of a ball of the body's volume; with its weight it says what energy is little.
+    particles : how many there are; counts over frames are also given as shares of them.
+    held : the body is pinned, so that it neither falls freely nor bounces.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        spacing: float,
+        drop: float,
+        radius: float,
+        particles: int,
+        held: bool = False,
+    ) -> None:
         self._settings, self._spacing, self._drop = settings, spacing, drop
+        self._radius, self._particles, self._held = radius, particles, held
         self.frames: list[Health] = []
 
     def add(self, health: Health) -> None:
@@ -22,57 +50,173 @@ class HealthLog:
         self.frames.append(health)
 
     def summary(self) -> dict[str, Any]:
-        """Totals and extremes over the frames so far; documented in docs/guide.md."""
+        """Totals and extremes over the frames so far; None where a question has no answer."""
         h = self.frames
-        energy = [f.kinetic + f.elastic + f.potential + f.contact for f in h]
+        many = self._particles * len(h)
         return {
             "frames": len(h),
             "substeps": sum(f.substeps for f in h),
-            "restitution": restitution(h, self._settings, self._drop),
+            "substeps_max_per_frame": max(f.substeps for f in h),
+            "rollbacks": sum(f.rollbacks for f in h),
+            "restitution": None if self._held else restitution(h, self._settings, self._drop),
             "deepest_penetration_m": max(f.penetration for f in h),
             "deepest_penetration_spacings": max(f.penetration for f in h) / self._spacing,
             "penetration_at_end_spacings": h[-1].penetration / self._spacing,
+            **self._resting(),
             "first_contact_frame": next((i for i, f in enumerate(h) if f.penetration > 0.0), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
             "min_stretch": min(f.min_stretch for f in h),
             "max_stretch": max(f.max_stretch for f in h),
             "inverted_particle_frames": sum(f.inverted for f in h),
-            "rollbacks": sum(f.rollbacks for f in h),
+            "inverted_max": max(f.inverted for f in h),
+            "inverted_at_end": h[-1].inverted,
+            "first_inverted_frame": next((i for i, f in enumerate(h) if f.inverted), None),
+            "clamped_particle_frames": sum(f.clamped for f in h),
+            "clamped_share": sum(f.clamped for f in h) / many,
+            "stress_capped_particle_frames": sum(f.stress_capped for f in h),
+            "stress_capped_share": sum(f.stress_capped for f in h) / many,
             "friction_capped": sum(f.friction_capped for f in h),
-            "energy_start_J": energy[0],
-            "energy_end_J": energy[-1],
-            "energy_max_J": max(energy),
+            **self._energies(),
+            **self._momenta(),
         }
 
     def per_frame(self) -> list[dict[str, Any]]:
-        """Every frame's health as plain values."""
-        return [asdict(f) for f in self.frames]
+        """Every frame's health as plain values, with what a sum over its energies says."""
+        total = [energy(f) for f in self.frames]
+        gains = [0.0, *gain_of_frames(self.frames)]
+        return [
+            {
+                "time_code": self._settings.time_code(i),
+                **asdict(f),
+                "energy": total[i],
+                "energy_gain": gains[i],
+            }
+            for i, f in enumerate(self.frames)
+        ]
+
+    @property
+    def _scale(self) -> float:
+        """[J] what counts as much energy: the most that moved or strained, at least m g0 r."""
+        weight = self.frames[0].mass * G0 * self._radius
+        return max([weight, *(f.kinetic + f.elastic for f in self.frames)])
+
+    def _energies(self) -> dict[str, Any]:
+        h, total = self.frames, [energy(f) for f in self.frames]
+        gain = max([0.0, *gain_of_frames(h)])
+        work, injected = sum(f.work for f in h), sum(f.injected for f in h)
+        return {
+            "energy_start_J": total[0],
+            "energy_end_J": total[-1],
+            "energy_max_J": max(total),
+            "energy_scale_J": self._scale,
+            "energy_gain_max_J": gain,
+            "energy_gain_max_share": gain / self._scale if self._scale else 0.0,
+            "dissipated_J": total[0] + work + injected - total[-1],
+            "work_of_pins_J": work,
+            "injected_J": injected,
+        }
+
+    def _resting(self) -> dict[str, float | None]:
+        """Depth in the last frame, where the body has come to rest on the floor."""
+        last = self.frames[-1]
+        rests = last.penetration > 0.0 and last.kinetic <= REST * self._scale
+        return {
+            "resting_penetration_m": last.penetration if rests else None,
+            "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
+        }
+
+    def _momenta(self) -> dict[str, Any]:
+        """Departure from free flight, relative to m v and m r v with m v^2 / 2 the energy scale."""
+        flight = [] if self._held or self._settings.drag else free_flight(self.frames)
+        m = self.frames[0].mass
+        out: dict[str, Any] = {
+            "momentum_end": list(self.frames[-1].momentum),
+            "angular_momentum_end": list(self.frames[-1].angular_momentum),
+            "free_flight_frames": max(0, len(flight) - 1),
+            "momentum_drift": None,
+            "angular_momentum_drift": None,
+        }
+        if len(flight) < 2 or m <= 0.0 or self._scale <= 0.0:
+            return out
+        interval = self._settings.time_scale / self._settings.fps
+        speed = math.sqrt(2.0 * self._scale / m)
+        linear, spin = flight_drift(flight, self._settings.gravity, interval)
+        out["momentum_drift"] = linear / (m * speed)
+        out["angular_momentum_drift"] = spin / (m * self._radius * speed)
+        return out
+
+
+def energy(f: Health) -> float:
+    """Kinetic, elastic, potential and contact energy [J]."""
+    return f.kinetic + f.elastic + f.potential + f.contact
+
+
+def gain_of_frames(frames: Sequence[Health]) -> list[float]:
+    """E_i - E_(i-1) - W_i [J] of every frame but the first: what nobody accounts for.
+
+    W_i is the work of pins and what corrections of the shape gave.  Damping, friction, drag and
+    the filter only take energy, so that more than rounding and the integrator's error above zero
+    was made out of nothing.
+    """
+    return [energy(b) - energy(a) - b.work - b.injected for a, b in pairwise(frames)]
+
+
+def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
+    """The frames before anything was touched."""
+    touched = next((i for i, f in enumerate(frames) if f.penetration > 0.0), len(frames))
+    return frames[:touched]
+
+
+def flight_drift(
+    flight: Sequence[Health], gravity: Sequence[float], interval: float
+) -> tuple[float, float]:
+    """Largest |p - p0 - m g t| [kg m/s] and |L - L0| [kg m^2/s] of a body that nothing holds.
+
+    L is the angular momentum about the centre of mass, L_o - c x p, on which uniform gravity has
+    no torque.  interval : [s] between frames.
+    """
+    first = flight[0]
+    linear, spin = 0.0, 0.0
+    for i, f in enumerate(flight):
+        fallen = [p + f.mass * g * i * interval for p, g in zip(first.momentum, gravity)]
+        linear = max(linear, math.dist(f.momentum, fallen))
+        spin = max(spin, math.dist(_about_centre(f), _about_centre(first)))
+    return linear, spin
 
 
 def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> float | None:
     """Rebound over impact speed of the first bounce, v' / v, or None where there was none.
 
-    Speeds are those of the centre of mass at the height where it first touched, found from the
-    frames in free flight on either side: v_c^2 = v^2 + 2 g (y - y_c), which holds whatever part of
-    the flight a frame shows.  drop : [m] that the asset fell before touching.
+    Speeds are those of the centre of mass along the floor's normal at the height where it first
+    touched, found from the frames in free flight on either side: v_c^2 = v^2 + 2 g (y - y_c), which
+    holds whatever part of the flight a frame shows.  drop : [m] along the up axis that the asset
+    fell before touching.
     """
-    up, g = settings.up, -_dot(settings.gravity, settings.up)
+    normal = [float(n) for n in settings.normal]
+    g = -_dot(settings.gravity, normal)
     touched = next((i for i, f in enumerate(frames) if f.penetration > 0.0), None)
     if touched is None or touched == 0 or g <= 0.0:
         return None
     left = next((i for i in range(touched, len(frames)) if frames[i].penetration == 0.0), None)
     if left is None:
         return None
-    y_c = _dot(frames[0].centre, up) - drop
+    y_c = _dot(frames[0].centre, normal) - drop * _dot(normal, settings.up)
 
     def squared_speed(f: Health) -> float:
-        return (_dot(f.momentum, up) / f.mass) ** 2 + 2.0 * g * (_dot(f.centre, up) - y_c)
+        return (_dot(f.momentum, normal) / f.mass) ** 2 + 2.0 * g * (_dot(f.centre, normal) - y_c)
 
     before, after = squared_speed(frames[touched - 1]), squared_speed(frames[left])
     if before <= 0.0:
         return None
     return math.sqrt(max(0.0, after) / before)
+
+
+def _about_centre(f: Health) -> tuple[float, float, float]:
+    (a, b, c), (p, q, r) = f.centre, f.momentum
+    carried = (b * r - c * q, c * p - a * r, a * q - b * p)
+    x, y, z = (whole - part for whole, part in zip(f.angular_momentum, carried))
+    return x, y, z
 
 
 def _dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -34,7 +34,7 @@ INTRODUCTION = """\
 
 # The schema library `gaussianFlesh`
 
-Three API schemas, applied to prims of standard types, say what USD has no words for. A file that
+Four API schemas, applied to prims of standard types, say what USD has no words for. A file that
 uses them opens in every USD program: without the library its attributes stay readable, only the
 names of the APIs are unknown. `gf-usd schema-path` prints the folder to add to
 `PXR_PLUGINPATH_NAME`, which makes the library known to other programs.
@@ -98,7 +98,8 @@ def fallback(spec: Sdf.AttributeSpec) -> str:
 
 def api_section(prim: Sdf.PrimSpec) -> str:
     """The reference of one API schema."""
-    types = ", ".join(f"`{name}`" for name in prim.customData["apiSchemaCanOnlyApplyTo"])
+    names = prim.customData.get("apiSchemaCanOnlyApplyTo", ())
+    types = ", ".join(f"`{name}`" for name in names) or "any prim"
     lines = [f"## {prim.name}", "", paragraph(prim.documentation), "", f"Applies to: {types}."]
     built_in = prim.GetInfo("apiSchemas").prependedItems
     if built_in:

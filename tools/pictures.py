@@ -7,6 +7,8 @@ Bakes the sample duck into a temporary folder, draws frames with ``gf-usd previe
     duck.png     the start of the fall, the hardest squash, the top of the rebound
     looks.png    rubber, metal and jelly, each at its hardest squash in the first bounce
     displays.png one frame as mesh, Gaussians, ellipsoids and points
+    strain.png   the squash, coloured by strain
+    drop.gif     the drop as a film, five times slower than real
 """
 
 from __future__ import annotations
@@ -27,7 +29,12 @@ DUCK = ROOT / "samples" / "duck.usda"
 LOOKS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
+LARGEST_FILM = 2_000_000
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
+# The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
+# twice.  Played at 24 frames a second, a fifth of real speed.
+DROP = ("--drop", "2.5r", "--time-scale", "0.2", "--fps", "24", "--frames", "58")
+FILM = "420x420"
 FRAMES = 40  # to the top of the rebound and no further: the camera is fitted to the whole motion
 
 
@@ -37,9 +44,25 @@ def gf_usd(*words: str | Path) -> str:
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
+def film(path: Path, folder: Path) -> None:
+    """The drop as an animated picture of at most `LARGEST_FILM` bytes."""
+    stage = folder / "drop.usda"
+    gf_usd("bake", DUCK, "--material", "rubber", *DROP, "-o", stage)
+    gf_usd("preview", stage, "-o", path, "--size", FILM)
+    require(path, LARGEST_FILM)
+
+
+def require(path: Path, largest: int) -> None:
+    """Say how large a file is; SystemExit where it is larger than it may be."""
+    size = path.stat().st_size
+    if size > largest:
+        raise SystemExit(f"{path} has {size} bytes, more than {largest}: draw it smaller")
+    print(f"{path}: {size / 1e3:.0f} kB")
+
+
 def bake(look: str, folder: Path) -> tuple[Path, list[int]]:
     """Bake the duck; returns its root layer and the time codes of fall, squash and rebound."""
-    length = ("--fps", str(FPS), "--frames", str(FRAMES))
+    length = ("--fps", str(FPS), "--frames", str(FRAMES), "--deformation-gradients")
     out = gf_usd("bake", DUCK, "--material", look, *length, "-o", f"{folder}/", "--json")
     result = json.loads(out)
     report = json.loads(Path(result["report"]).read_text("utf-8"))
@@ -60,18 +83,21 @@ def moments(frames: Sequence[dict[str, Any]]) -> tuple[int, int, int]:
     return 0, squash, rebound
 
 
-def draw(stage: Path, frame: int, size: tuple[int, int], show: str = "mesh") -> Image.Image:
+def draw(
+    stage: Path, frame: int, size: tuple[int, int], show: str = "mesh", *options: str
+) -> Image.Image:
     """One frame of a bake as ``gf-usd preview`` draws it."""
     target = stage.with_name(f"{stage.stem}.{show}.{frame}.png")
     shape = f"{size[0]}x{size[1]}"
-    gf_usd("preview", stage, "-o", target, "--frame", str(frame), "--show", show, "--size", shape)
+    chosen = ("--frame", str(frame), "--show", show, "--size", shape, *options)
+    gf_usd("preview", stage, "-o", target, *chosen)
     with Image.open(target) as picture:
         return picture.convert("RGB")
 
 
 def low(picture: Image.Image) -> Image.Image:
-    """The lower half, where the duck meets the floor."""
-    return picture.crop((0, picture.height // 2, picture.width, picture.height))
+    """The band where the duck meets the floor."""
+    return picture.crop((0, int(0.46 * picture.height), picture.width, int(0.86 * picture.height)))
 
 
 def strip(pictures: Sequence[Image.Image], path: Path) -> None:
@@ -82,10 +108,7 @@ def strip(pictures: Sequence[Image.Image], path: Path) -> None:
         joined.paste(picture, (at, 0))
         at += picture.width
     joined.save(path, optimize=True)
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise SystemExit(f"{path} has {size} bytes, more than {LARGEST}: draw it smaller")
-    print(f"{path}: {joined.width}x{joined.height}, {size / 1e3:.0f} kB")
+    require(path, LARGEST)
 
 
 def main() -> None:
@@ -96,12 +119,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         baked = {look: bake(look, Path(temporary)) for look in LOOKS}
         stage, (start, squash, rebound) = baked["rubber"]
-        shot = [draw(stage, frame, (360, 480)) for frame in (start, squash, rebound)]
+        shot = [draw(stage, frame, (480, 480)) for frame in (start, squash, rebound)]
         strip(shot, out / "duck.png")
         squashed = [draw(s, times[1], (400, 560)) for s, times in baked.values()]
         strip([low(picture) for picture in squashed], out / "looks.png")
         shown = [draw(stage, squash, (320, 560), show) for show in DISPLAYS]
         strip([low(picture) for picture in shown], out / "displays.png")
+        strain = draw(stage, squash, (800, 600), "mesh", "--colour", "strain")
+        # the part that holds the legend and the duck
+        strip([strain.crop((0, 160, 800, 600))], out / "strain.png")
+        film(out / "drop.gif", Path(temporary))
 
 
 if __name__ == "__main__":

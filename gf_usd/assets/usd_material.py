@@ -44,13 +44,21 @@ class Look:
 
 
 class Looks:
-    """Materials of a stage at one time, each read once."""
+    """Materials of a stage at one time, each read once.
 
-    def __init__(self, time: Usd.TimeCode, notes: Notes) -> None:
+    `textures` may be shared by several times of one stage, so that a file is decoded once.
+    """
+
+    def __init__(
+        self,
+        time: Usd.TimeCode,
+        notes: Notes,
+        textures: dict[tuple[object, ...], Texture] | None = None,
+    ) -> None:
         self._time = time
         self._notes = notes
         self._looks: dict[Sdf.Path, Look] = {}
-        self._textures: dict[tuple[object, ...], Texture] = {}
+        self._textures = {} if textures is None else textures
 
     def bound(self, prim: Usd.Prim) -> Look | None:
         """The look bound to a mesh or subset, inherited and collection bindings included."""

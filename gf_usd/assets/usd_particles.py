@@ -24,9 +24,14 @@ def is_ours(prim: Usd.Prim) -> bool:
 
 
 def read_splats(
-    prim: Usd.Prim, time: Usd.TimeCode, place: Placement, unit: float, notes: Notes
+    prim: Usd.Prim,
+    time: Usd.TimeCode,
+    place: Placement,
+    unit: float,
+    notes: Notes,
+    measured: Floats | None = None,
 ) -> RenderSplats:
-    """The Gaussians of a ParticleField3DGaussianSplat, world, in metres.
+    """The Gaussians of a ParticleField3DGaussianSplat, world, in metres; `measured` (N,) as well.
 
     Raises LeftAlone where there are none, or where an array has another length than positions.
     """
@@ -67,6 +72,7 @@ def read_splats(
         harmonics=None
         if coefficients.shape[1] == 1
         else Harmonics(coefficients=coefficients, frame=harmonics.frame, srgb=harmonics.srgb),
+        values=None if measured is None else measured[finite],
     )
 
 
@@ -82,13 +88,19 @@ def as_ellipsoids(splats: RenderSplats) -> RenderEllipsoids:
         positions=splats.positions[keep],
         axes=(splats.axes * grown[:, None, :])[keep],
         colours=splats.colours[keep],
+        values=None if splats.values is None else splats.values[keep],
     )
 
 
 def read_points(
-    prim: Usd.Prim, time: Usd.TimeCode, place: Placement, unit: float, notes: Notes
+    prim: Usd.Prim,
+    time: Usd.TimeCode,
+    place: Placement,
+    unit: float,
+    notes: Notes,
+    measured: Floats | None = None,
 ) -> RenderEllipsoids:
-    """The Points of a prim as balls of their widths, world, in metres.
+    """The Points of a prim as balls of their widths, world, in metres; `measured` (N,) as well.
 
     Raises LeftAlone where there are none.
     """
@@ -115,6 +127,7 @@ def read_points(
         positions=place.points(positions[keep]) * unit,
         axes=linear * radius[keep, None, None],
         colours=colours[keep],
+        values=None if measured is None else measured[keep],
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,22 @@ from gf_usd.assets.usd_implicit import IMPLICIT
 from gf_usd.assets.usd_material import Looks
 from gf_usd.assets.usd_mesh import Reading, read_surface
 from gf_usd.assets.usd_particles import SPLAT_TYPE, as_ellipsoids, is_ours, read_points, read_splats
+from gf_usd.assets.usd_picture_camera import find_camera, read_camera
+from gf_usd.assets.usd_picture_values import Values
 from gf_usd.assets.usd_place import ANIMATED, LeftAlone, Placement
 from gf_usd.assets.usd_skel import Skins
 from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
 from gf_usd.errors import InputError, UsageError
-from gf_usd.scene import Bounds, Motion, RenderEllipsoids, RenderMesh, RenderSplats, Scene
+from gf_usd.model import Texture
+from gf_usd.scene import (
+    Bounds,
+    Camera,
+    Motion,
+    RenderEllipsoids,
+    RenderMesh,
+    RenderSplats,
+    Scene,
+)
 
 # what can be shown: kinds of prim, and the display variant of a bake that holds them
 SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -41,14 +53,24 @@ class PictureStage:
     path : a USD file.
     show : "mesh", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
         gaussians and points that is there.
+    camera : prim path of a camera of the stage; None: pictures bring their own.
+    colour : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
 
     Raises
     ------
-    InputError : no such file, not USD, or nothing of that kind is visible in it.
-    UsageError : an unknown `show`.
+    InputError : no such file, not USD, nothing of that kind is visible in it, no such camera, or
+        the bake does not hold the quantity.
+    UsageError : an unknown `show` or `colour`.
     """
 
-    def __init__(self, path: Path, show: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        show: str | None = None,
+        *,
+        camera: str | None = None,
+        colour: str | None = None,
+    ) -> None:
         if show is not None and show not in SHOWS:
             raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
         if not path.is_file():
@@ -64,6 +86,9 @@ class PictureStage:
             self.show = show or self._first_kind()
             self._select_display(SHOWS[self.show][1])
             self._prims = self._visible(SHOWS[self.show][0])
+            self._camera = find_camera(self._stage, path, camera) if camera else None
+            pressure = self._facts.units.pressure
+            self.values = Values(self._stage, colour, path, pressure) if colour else None
         if not self._prims:
             there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
             raise InputError(
@@ -71,6 +96,7 @@ class PictureStage:
                 f"it holds {there}: choose with --show",
             )
         self._motion: Motion | None = None
+        self._textures: dict[tuple[object, ...], Texture] = {}  # decoded once for a film
 
     @property
     def motion(self) -> Motion:
@@ -81,8 +107,9 @@ class PictureStage:
         """
         if self._motion is None:
             prims = [prim for _, prim in self._prims]
+            moving = [*prims, *([self._camera.GetPrim()] if self._camera else [])]
             with reading(self._path):
-                times = sample_times(prims)
+                times = sample_times(moving)
                 bounds = motion_bounds(prims, times, self._facts.units.length)
                 first = motion_bounds(prims, times[:1], self._facts.units.length)
             up = self._facts.up
@@ -104,17 +131,10 @@ class PictureStage:
         time = self._time(time_code)
         notes = Notes()
         with reading(self._path):
-            xforms = UsdGeom.XformCache(time)
-            context = Reading(
-                path=self._path,
-                time=time,
-                meters_per_unit=self._facts.units.length,
-                xforms=xforms,
-                skins=Skins(time, xforms, notes),
-                looks=Looks(time, notes),
-                notes=notes,
-            )
-            drawn = [item for kind, prim in self._prims if (item := _read(kind, prim, context))]
+            context = self._context(time, notes)
+            drawn = [
+                item for kind, prim in self._prims if (item := self._read(kind, prim, context))
+            ]
         if not drawn:
             raise InputError(
                 f"{self._path}: nothing can be drawn at {time}: {'; '.join(notes.lines())}",
@@ -133,10 +153,76 @@ class PictureStage:
             # that the motion is not simulated further is no news for a picture
             notes=tuple(
                 line
-                for line in (*self._stage_notes.lines(), *notes.lines())
+                for line in (*self._stage_notes.lines(), *notes.lines(), *self._value_notes())
                 if not line.endswith(ANIMATED)
             ),
         )
+
+    def require_time(self, time_code: float | None) -> None:
+        """Raise UsageError for a time code outside the motion; a still has all times."""
+        times = self.motion.time_codes
+        if time_code is not None and times and not times[0] <= time_code <= times[-1]:
+            raise UsageError(
+                f"--frame {time_code:g} is outside the motion of {self._path}.",
+                f"its time codes run from {times[0]:g} to {times[-1]:g}",
+            )
+
+    def camera(self, time_code: float | None, aspect: float) -> Camera | None:
+        """The stage's camera at a time, for pictures of a width / height; None: none was named.
+
+        Raises InputError for one that makes no picture.
+        """
+        if self._camera is None:
+            return None
+        with reading(self._path):
+            time, unit = self._time(time_code), self._facts.units.length
+            return read_camera(self._camera, time, unit, self._path, aspect)
+
+    def _value_notes(self) -> list[str]:
+        return self.values.notes if self.values else []
+
+    def _context(self, time: Usd.TimeCode, notes: Notes) -> Reading:
+        xforms = UsdGeom.XformCache(time)
+        return Reading(
+            path=self._path,
+            time=time,
+            meters_per_unit=self._facts.units.length,
+            xforms=xforms,
+            skins=Skins(time, xforms, notes),
+            looks=Looks(time, notes, self._textures),
+            notes=notes,
+        )
+
+    def _read(
+        self, kind: str, prim: Usd.Prim, context: Reading
+    ) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
+        """One prim; None, and a note, for one that holds nothing."""
+        try:
+            if kind == "mesh":
+                mesh = to_render_mesh(read_surface(prim, context), self._stage, context.time)
+                return replace(mesh, values=self._mesh_values(prim, context.time))
+            place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
+            values = self.values.of_particles(prim, context.time) if self.values else None
+            read = read_splats if kind == "gaussians" else read_points
+            unit = context.meters_per_unit
+            return read(prim, context.time, place, unit, context.notes, values)
+        except LeftAlone as reason:
+            context.notes.add(f"not drawn: {reason}", str(prim.GetPath()))
+            return None
+
+    def _mesh_values(self, prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:
+        """(V,) of the quantity at a mesh's vertices; None where it has none."""
+        where = str(prim.GetPath())
+        carrier = self.values.carrier_of(where) if self.values else None
+        if self.values is None or carrier is None:
+            return None
+        first = self._context(carrier.first, Notes())
+        if not self.values.knows(where):
+            place = Placement.of(first.xforms.GetLocalToWorldTransform(carrier.prim))
+            cloud = np.asarray(carrier.prim.GetAttribute("positions").Get(carrier.first))
+            vertices = read_surface(prim, first).points
+            self.values.learn(where, vertices, place.points(cloud) * first.meters_per_unit)
+        return self.values.of_mesh(carrier, where, time)
 
     def _time(self, time_code: float | None) -> Usd.TimeCode:
         if time_code is not None:
@@ -191,21 +277,6 @@ class PictureStage:
 def read_scene(path: Path, time_code: float | None = None, show: str | None = None) -> Scene:
     """What is visible in a stage at a time code; see `PictureStage`."""
     return PictureStage(path, show).scene(time_code)
-
-
-def _read(
-    kind: str, prim: Usd.Prim, context: Reading
-) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
-    """One prim; None, and a note, for one that holds nothing."""
-    try:
-        if kind == "mesh":
-            return to_render_mesh(read_surface(prim, context), prim.GetStage(), context.time)
-        place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
-        read = read_splats if kind == "gaussians" else read_points
-        return read(prim, context.time, place, context.meters_per_unit, context.notes)
-    except LeftAlone as reason:
-        context.notes.add(f"not drawn: {reason}", str(prim.GetPath()))
-        return None
 
 
 def _is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:

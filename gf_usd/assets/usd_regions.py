@@ -17,7 +17,8 @@ from gf_usd.assets.usd_select import PROXIES, named_prim
 from gf_usd.assets.usd_skel import Skins
 from gf_usd.assets.usd_stage import open_stage, reading
 from gf_usd.errors import InputError
-from gf_usd.model import Floats, Ints, Region, StageFacts
+from gf_usd.model import Floats, Ints, StageFacts
+from gf_usd.pins import Region
 
 
 def read_regions(

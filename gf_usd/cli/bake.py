@@ -144,6 +144,35 @@ def bake(
             show_default="tl",
         ),
     ] = None,
+    wls: Annotated[
+        bool | None,
+        typer.Option(
+            "--wls/--no-wls",
+            help="Compute F anew from the particles' places once a frame (the paper's).",
+            show_default="no; wls with --preset paper",
+        ),
+    ] = None,
+    procrustes: Annotated[
+        float | None,
+        typer.Option(
+            help="Part of the way back to the rest shape a frame, 0 to 1 (the paper's).",
+            show_default="0; 0.02 for rubber with --preset paper",
+        ),
+    ] = None,
+    clamp: Annotated[
+        str | None,
+        typer.Option(
+            help="LOW:HIGH, limits of the stretches that make stress, or none (the paper's).",
+            show_default="none; 0.2:5 with --preset paper",
+        ),
+    ] = None,
+    stress_cap: Annotated[
+        str | None,
+        typer.Option(
+            help="Largest stress |P| [Pa], or none (the paper's).",
+            show_default="none; 65 rho g r with --preset paper",
+        ),
+    ] = None,
     deformation_gradients: Annotated[
         bool, typer.Option("--deformation-gradients", help="Write F of every particle.")
     ] = False,
@@ -154,6 +183,12 @@ def bake(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
     ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Warnings about the result are an error (status 4).")
+    ] = False,
+    max_hours: Annotated[
+        float, typer.Option(min=0.0, help="Refuse a bake that is estimated to take longer [h].")
+    ] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
@@ -165,7 +200,8 @@ def bake(
     glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
     from gf_usd.baking import prepare, run
-    from gf_usd.cli.talk import progress, show_plan, summarise
+    from gf_usd.cli.talk import announce, progress, show_plan, summarise
+    from gf_usd.judgement import require_healthy
 
     plan = prepare(
         asset, material=material, output=output, law=law, prims=prim or (),
@@ -175,20 +211,24 @@ def bake(
         threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress, skin=skin, solver=solver, meters_per_unit=meters_per_unit, up_axis=up_axis,
+        stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
+        stress_cap=stress_cap, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair,
     )  # fmt: skip
     if dry_run:
-        show_plan(plan, as_json=as_json)
+        show_plan(plan, as_json=as_json, max_hours=max_hours)
         return
     if verbose:
-        show_plan(plan, err=True)
+        show_plan(plan, err=True, max_hours=max_hours)
     if quiet:
-        result = run(plan)
+        result = run(plan, max_hours=max_hours)
     else:
+        announce(plan)
         with progress(plan) as advance:
-            result = run(plan, advance)
+            result = run(plan, advance, max_hours=max_hours)
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:
         summarise(result)
+    if strict:
+        require_healthy(result)

@@ -51,6 +51,7 @@ def inspect(
     up_axis: Annotated[
         str | None, typer.Option(help="Y or Z.", show_default="as for bake")
     ] = None,
+    solver: Annotated[str | None, typer.Option(help="tl or ul.", show_default="tl")] = None,
     seed: Annotated[int, typer.Option(help="Of the random sampling.")] = 0,
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
@@ -67,7 +68,8 @@ def inspect(
         seen = look(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
-            spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, seed=seed,
+            spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,
+            seed=seed,
         )  # fmt: skip
     except InputError as error:
         if as_json:

@@ -18,7 +18,10 @@ from gf_usd.cli.check import check
 from gf_usd.cli.inspect import inspect
 from gf_usd.cli.materials import materials
 from gf_usd.cli.preview import preview
+from gf_usd.cli.report import report
 from gf_usd.cli.schema_path import schema_path
+from gf_usd.cli.verify import verify
+from gf_usd.cli.view import view
 from gf_usd.errors import GfUsdError
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -35,7 +38,10 @@ app = typer.Typer(
 app.command()(bake)
 app.command()(inspect)
 app.command()(preview)
+app.command()(report)
+app.command()(view)
 app.command()(check)
+app.command()(verify)
 app.command()(materials)
 app.command(name="schema-path")(schema_path)
 

@@ -1,25 +1,41 @@
-"""gf-usd preview: one frame of a stage as a picture."""
+"""gf-usd preview: a stage as a picture, a contact sheet or a film."""
 
 from __future__ import annotations
 
-import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gf_usd.errors import UsageError
+from gf_usd.cli.preview_options import Options, read_options, time_codes
 
 
 def preview(
     stage: Annotated[Path, typer.Argument(help="USD file: a bake, or any other stage.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="PNG file.", show_default="NAME.png in this folder"),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Picture (.png) or film (.mp4, .gif); a file of that name is replaced.",
+            show_default="NAME.png in this folder",
+        ),
     ] = None,
     frame: Annotated[
         float | None,
-        typer.Option(help="Time code to draw.", show_default="the first of the stage"),
+        typer.Option(help="Time code of a single picture.", show_default="the first of the stage"),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A:B[:STEP]",
+            help="Time codes of a film or a sheet, B included; either end may be left out.",
+            show_default="the whole motion, each frame of playback",
+        ),
     ] = None,
     show: Annotated[
         str | None,
@@ -29,58 +45,138 @@ def preview(
             show_default="the first of mesh, gaussians, points that is there",
         ),
     ] = None,
-    size: Annotated[str, typer.Option(help="Width x height in pixels.")] = "960x720",
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH",
+            help="Pixels; of one tile for --sheet.",
+            show_default="960x720; 480x360 for a gif, 320x240 for a tile",
+        ),
+    ] = None,
+    sheet: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="A contact sheet of N frames, evenly spread, as PNG."),
+    ] = None,
+    columns: Annotated[
+        int | None, typer.Option(help="Of the sheet.", show_default="about 3:2 overall")
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Frames per second of the film; fewer play it slower.", show_default="real time"
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PRIM",
+            help="Path of a camera in the stage, which may move.",
+            show_default="one that is fitted to the whole motion",
+        ),
+    ] = None,
+    colour: Annotated[
+        str,
+        typer.Option(
+            help="strain (largest |stretch - 1|), stress (von Mises; bake with --stress), or none:"
+            " the asset's own colours."
+        ),
+    ] = "none",
+    limits: Annotated[
+        str | None,
+        typer.Option(
+            "--range",
+            metavar="LOW:HIGH",
+            help="Of the colours: a pure number for strain, [Pa] for stress.",
+            show_default="0 to what 99 % of the particles stay below in every frame",
+        ),
+    ] = None,
 ) -> None:
-    """Draw one frame, on the CPU and without a window; the camera is fitted to the whole motion."""
-    width, height = parse_size(size)
-    target = output or Path(f"{stage.stem}.png")
-    if target.suffix.lower() != ".png":
-        raise UsageError(f"{target} does not end in .png.", "preview writes PNG files: -o out.png")
-    draw(stage, target, frame, show, (width, height))
-    typer.echo(f"{target}: {width}x{height}", err=True)
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """ "640x480" -> (640, 480).
-
-    Raises UsageError for anything else; the renderer holds the limits.
-    """
-    match = re.fullmatch(r"\s*(\d{1,6})\s*[xX×]\s*(\d{1,6})\s*", text)
-    if match is None or 0 in (int(match[1]), int(match[2])):
-        raise UsageError(
-            f"--size {text} is not a size.", "give width x height, e.g. --size 640x480"
-        )
-    return int(match[1]), int(match[2])
+    """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
+    quantity = None if colour == "none" else colour
+    options = read_options(
+        output or Path(f"{stage.stem}.png"),
+        size=size,
+        frame=frame,
+        frames=frames,
+        sheet=sheet,
+        columns=columns,
+        fps=fps,
+        colour=quantity,
+        limits=limits,
+    )
+    for line in draw(stage, options, show, camera, quantity):
+        typer.echo(line, err=True)
 
 
 def draw(
-    path: Path, target: Path, frame: float | None, show: str | None, size: tuple[int, int]
-) -> None:
-    """Draw a stage at a time code into a PNG file, and say on stderr what was assumed.
+    path: Path, options: Options, show: str | None, camera: str | None, colour: str | None
+) -> list[str]:
+    """Draw what was asked for; returns what to say of it.
 
     Raises
     ------
-    UsageError : a frame outside the motion, an impossible size, or a folder that cannot be written.
-    InputError : the stage cannot be read, or holds nothing to show.
+    UsageError : times outside the motion, an impossible size, or a folder that cannot be written.
+    InputError : the stage cannot be read, or does not hold what is to be shown.
     """
     # pxr and taichi take a second to import, which --help must not wait for
     from gf_usd.assets.usd_picture import PictureStage
-    from gf_usd.view.camera import fit_camera
+    from gf_usd.cli import preview_draw as drawing
     from gf_usd.view.image import write_png
-    from gf_usd.view.render import render
+    from gf_usd.view.movie import require_folder
 
-    source = PictureStage(path, show)
+    require_folder(options.target)
+    notes: list[str] = []
+    if options.target.suffix.lower() == ".mp4" and (options.size[0] % 2 or options.size[1] % 2):
+        width, height = (n + n % 2 for n in options.size)
+        options = replace(options, size=(width, height))
+        notes.append(f"note: H.264 wants even sizes: {width}x{height}")
+    source = PictureStage(path, show, camera=camera, colour=colour)
     motion = source.motion
-    times = motion.time_codes
-    if frame is not None and times and not times[0] <= frame <= times[-1]:
-        raise UsageError(
-            f"--frame {frame:g} is outside the motion of {path}.",
-            f"its time codes run from {times[0]:g} to {times[-1]:g}",
-        )
-    scene = source.scene(frame)
-    camera = None
-    if motion.bounds is not None:
-        camera = fit_camera(motion.bounds.corners, motion.up, size[0] / size[1])
-    write_png(target, render(scene, camera, size))
-    for note in scene.notes:
-        typer.echo(f"note: {note}", err=True)
+    if not options.film and options.sheet is None:
+        source.require_time(options.frame)
+        paint = drawing.Drawing(source, options.size, options.limits)
+        pixels = paint(options.frame)
+        write_png(options.target, pixels)
+        done = f"{options.target}: {pixels.shape[1]}x{pixels.shape[0]}"
+        return [*notes, done, *(f"note: {note}" for note in paint.notes)]
+
+    frame_step = motion.time_codes_per_second / motion.frames_per_second
+    codes = time_codes(options.span, motion.time_codes, frame_step, path)
+    paint = drawing.Drawing(source, options.size, options.limits)
+    if options.sheet is not None:
+        page = drawing.write_sheet(paint, codes, options)
+        write_png(options.target, page)
+        done = f"{options.target}: {page.shape[1]}x{page.shape[0]}"
+    else:
+        rate = drawing.film_rate(codes, motion.time_codes_per_second, options)
+        if options.target.suffix.lower() == ".gif":
+            total = len(codes)
+            codes, rate = drawing.thin_for_gif(codes, rate)
+            if len(codes) < total:
+                notes.append(f"note: a gif shows at most 50 frames a second: {rate:g} are kept")
+        with progress() as advance:
+            drawing.write_film(paint, codes, rate, options, advance)
+        width, height = options.size
+        done = f"{options.target}: {width}x{height}, {len(codes)} frames, {rate:g} a second"
+    return [*notes, done, *(f"note: {note}" for note in paint.notes)]
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
+    if not sys.stderr.isatty():
+
+        def plain(done: int, total: int) -> None:
+            if done % max(1, total // 10) == 0 or done == total:
+                typer.echo(f"frame {done}/{total}", err=True)
+
+        yield plain
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Left())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("drawing", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from gf_usd.plan import BakeResult, LookResult, Plan
 
 
-def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
-    """What would be done and what it would cost."""
-    from gf_usd.estimate import estimate
+def show_plan(plan: Plan, *, max_hours: float, as_json: bool = False, err: bool = False) -> None:
+    """What would be done and what it would cost; max_hours is where `run` refuses."""
+    from gf_usd.estimate import duration, estimate
     from gf_usd.plan import describe
 
     d = {**describe(plan), **estimate(plan)}
@@ -25,6 +25,7 @@ def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
         typer.echo(json.dumps(d, indent=1))
         return
     contact = d["first_contact_frame"]
+    too_long = d["estimated_seconds"] > 3600.0 * max_hours
     lines = [
         f"{d['source']}: {len(d['bodies'])} mesh(es), {d['volume_m3']:.4g} m^3,"
         f" radius {d['radius_m']:.4g} m",
@@ -35,7 +36,8 @@ def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
         + ", ".join(f"{n} a frame ({look})" for look, n in d["substeps_per_frame"].items()),
         f"drop        {d['drop_m']:.3g} m, "
         + (f"first contact at frame {contact}" if contact is not None else "no contact"),
-        f"time        about {d['estimated_seconds']:.0f} s",
+        f"time        about {duration(d['estimated_seconds'])}"
+        + (f": refused, it is more than --max-hours {max_hours:g}" if too_long else ""),
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        about {_bytes(d['estimated_bytes'])}",
         *(f"would write {path}" for path in d["outputs"]),
@@ -44,12 +46,28 @@ def show_plan(plan: Plan, *, as_json: bool = False, err: bool = False) -> None:
     typer.echo("\n".join(lines), err=err)
 
 
+def announce(plan: Plan) -> None:
+    """One line on stderr of what is about to be spent, and the notes."""
+    from gf_usd.estimate import duration, estimate
+
+    cost = estimate(plan)
+    substeps = cost["substeps_per_frame"]
+    each = ", ".join(
+        f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
+    )
+    for note in plan.notes:
+        typer.echo(f"note: {note}", err=True)
+    typer.echo(
+        f"{len(plan.particles)} particles, {plan.settings.frames} frames, {each} substeps a frame:"
+        f" about {duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}",
+        err=True,
+    )
+
+
 @contextmanager
 def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
     """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
     total = plan.settings.frames * len(plan.materials)
-    for note in plan.notes:
-        typer.echo(f"note: {note}", err=True)
     if not sys.stderr.isatty():
         step = max(1, total // 10)
 
@@ -71,11 +89,12 @@ def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
 
 def summarise(result: BakeResult) -> None:
     """Files, sizes and what was measured."""
-    files = (result.root, *(b.cache for b in result.bakes), result.report)
+    files = [path for path in result.outputs if path.exists()]
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
     lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
     for bake in result.bakes:
-        lines += _measured(bake)
+        lines.append(_measured(bake))
+        lines += [f"warning: {bake.look}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"
         for f in result.findings
@@ -83,25 +102,16 @@ def summarise(result: BakeResult) -> None:
     typer.echo("\n".join(lines))
 
 
-def _measured(bake: LookResult) -> list[str]:
+def _measured(bake: LookResult) -> str:
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
-    lines = [
-        f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps, {rebound}, deepest"
+    redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
+    return (
+        f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps{redone}, {rebound}, deepest"
         f" penetration {h['deepest_penetration_spacings']:.2f} spacings"
         f" ({h['deepest_penetration_m']:.3g} m), volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
-    ]
-    if h["inverted_particle_frames"]:
-        lines.append(
-            f"warning: {bake.look}: particles were turned inside out in"
-            f" {h['inverted_particle_frames']} particle-frames (they recover; see the report)"
-        )
-    if h["rollbacks"]:
-        lines.append(
-            f"note: {bake.look}: {h['rollbacks']} times a frame was redone with half the step"
-        )
-    return lines
+    )
 
 
 def _bytes(n: int) -> str:

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gf_usd.geometry import winding
-from gf_usd.geometry.sampling import JITTER
+from gf_usd.geometry.sampling import GAUSS, JITTER
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
@@ -24,7 +24,7 @@ from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] wherever its planes lie, a wall as thick holds one whole layer of particles
-WHOLE_LAYER = 1.0 + JITTER
+WHOLE_LAYER = 2.0 * GAUSS[1] + JITTER
 THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part

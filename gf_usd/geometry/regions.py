@@ -12,7 +12,8 @@ import numpy as np
 
 from gf_usd.errors import InputError, UsageError
 from gf_usd.geometry.solid import INSIDE, Solid
-from gf_usd.model import Floats, Ints, Pin, Region
+from gf_usd.model import Floats, Ints
+from gf_usd.pins import Pin, Region
 
 BOX = "box:"
 ON_SURFACE = 1e-6  # of the body's size: nearer than this a point lies on the patch

@@ -1,8 +1,9 @@
 """Filling a solid with particles, and its surface with contact samples.
 
-Particles are stratified: one, at a random place, in each cube of a lattice, kept if it lies inside.
-Eight cubes make a cell of the solver's grid, so that every full cell holds exactly eight particles
-(physics.md section 3).  All have the same rest volume V0 = V / N.
+Particles are stratified: one in each cube of a lattice, kept if it lies inside.  Eight cubes make a
+cell of the solver's grid, so that every full cell holds exactly eight particles (physics.md section
+3), each at a random place about one of the cell's eight Gauss points.  All have the same rest
+volume V0 = V / N.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 # Of a stratum that a particle may lie in.  Less is more accurate: of a bar 16 strata long the first
 # frequency is 1.3 % low at 0.7, 0.44 % at 0.35, 0.12 % at 0 (measured); none shows as rows.
 JITTER = 0.35
+# Of a stratum: where the two Gauss points of a cell, .289 h from its middle, lie in its two strata.
+# Bending of a bar four cells thick is 2.2 % too soft with them, 3.7 % with the strata's middles.
+GAUSS = (1.0 - 1.0 / np.sqrt(3.0), 1.0 / np.sqrt(3.0))
 SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbours
 SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid
@@ -87,7 +91,7 @@ def _strata(solid: Solid, a: float, rng: np.random.Generator) -> tuple[Floats, F
         count = np.array([min(slab, int(n[0]) - start), n[1], n[2]])
         cube = np.stack(np.unravel_index(np.arange(np.prod(count)), tuple(count)), -1)
         cube[:, 0] += start
-        place = 0.5 + JITTER * (rng.random(cube.shape) - 0.5)
+        place = np.array(GAUSS)[cube % 2] + JITTER * (rng.random(cube.shape) - 0.5)
         X = corner + a * (cube + place)
         kept.append(X[solid.inside(X)])
     return corner, np.concatenate(kept)

@@ -6,13 +6,15 @@ A cell writes to a block of its own, 27 nodes x 3, so cells never race.
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES
-from gf_usd.physics.stencil_kernel import deposit, gradient, load, spline
+from gf_usd.physics.option_kernel import clip, cut
+from gf_usd.physics.stencil_kernel import deposit, gradient, load, spline, strain
 
 
 @ti.func
 def stress_cell(
-    body: ti.template(), cell, law: ti.template(), damped: ti.template(), ih, converged
-):
+    body: ti.template(), cell, law: ti.template(), damped: ti.template(), ih, converged,
+    options: ti.template(),
+):  # fmt: skip
     """-V0 P G of one cell's particles into the cell's block."""
     for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
         first = ti.cast(b == body.cell_batch[cell], ti.i32)
@@ -21,11 +23,9 @@ def stress_cell(
         w2, d2 = spline(load(body.fx, b * 24 + 16))
         w = [w0, w1, w2]
         dw = [d0, d1, d2]
-        F = gradient(body, body.u, cell, w, dw)
-        for a in ti.static(range(9)):
-            F[a] = F[a] * ih
-        for a in ti.static(range(3)):
-            F[4 * a] = F[4 * a] + 1.0
+        F = strain(body, cell, b, w, dw, ih, options)
+        if ti.static(options.clamped):
+            clip(body, b, F, True)
         V0 = load(body.V0, b * LANES)
         P = law.pk1(F, load(body.mu, b * LANES), load(body.lam, b * LANES), converged)
         if ti.static(damped):
@@ -39,6 +39,8 @@ def stress_cell(
                     for r in ti.static(range(3)):
                         P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * s
                         P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * s
+        if ti.static(options.capped):
+            cut(body, b, P, True)
         k = (0.0 - ih) * V0
         for d in ti.static(range(3)):
             T0 = k * P[3 * d]

@@ -62,15 +62,21 @@ def split_nodes(
     *,
     held: NDArray[np.bool_] | None = None,
     mirror: Floats | None = None,
+    body: Ints | None = None,
 ) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
     """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
 
     A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
     held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
     A mirrored node hands on |e| of its mass: u^2 does not know the sign.
+    body : (M,) the body of each node: each is light by its own median.
     """
     held = np.zeros(len(mass), bool) if held is None else held
-    least = free_mass * np.median(mass[~held & (mass > 0.0)])
+    body = np.zeros(len(mass), np.int64) if body is None else body
+    counts = ~held & (mass > 0.0)
+    members = [mass[counts & (body == k)] for k in range(int(body.max()) + 1)]
+    medians = [np.median(m) if len(m) else 0.0 for m in members]
+    least = free_mass * np.array(medians)[body]
     free = (mass >= least) & ~held
     ghosts = sparse.csr_matrix((0, 0))
     while True:
@@ -82,7 +88,7 @@ def split_nodes(
             others = np.concatenate([ijk[free], ijk[light]])
             ghosts = (mirrored(held, mirror, others) @ extend).tocsr()
             lumped = lumped + abs(ghosts).T @ mass[held]
-        sound = lumped >= 0.5 * least
+        sound = lumped >= 0.5 * least[free]
         if sound.all():
             break
         free[np.flatnonzero(free)[~sound]] = False

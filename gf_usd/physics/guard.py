@@ -39,8 +39,11 @@ class Guard:
         """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
-        # Written so that an energy that is no number fails too.
-        if not after - before - now.work <= GAIN * self._scale:
+        gain = after - before - now.work - now.injected
+        # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
+        # the step.  Written so that an energy that is no number fails too.
+        limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)
+        if not (gain <= GAIN * self._scale or limited):
             return worst(particles), (
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
                 f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"

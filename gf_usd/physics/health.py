@@ -7,29 +7,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats, Health, Pose
-from gf_usd.physics.probes import contact_energy, elastic_energy
+from gf_usd.physics.probes import contact_energy, elastic_energy, potential_energy
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 
-def measure(solver: TotalLagrangian, particles: Pose, u: Floats, v: Floats) -> Health:
-    """Energies, momenta and stretches of one frame, in float64.
+def measure(solver: TotalLagrangian, u: Floats, v: Floats, stretch: Floats, J: Floats) -> Health:
+    """Energies, momenta and stretches of one frame, in float64; see `strains`.
 
     Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
     which the solver conserves; angular momentum is sum m_i x_i x v_i about the world's origin.
     """
-    s, m = solver.settings, solver.stencil.mass
+    m = solver.stencil.mass
     x = solver.stencil.free_X + solver.offset + u
-    stretch = singular_values(particles.F)
-    J = np.linalg.det(particles.F)
-    g = np.asarray(s.gravity)
-    datum = s.floor if s.floor is not None else 0.0
-    height = x - datum * np.asarray(s.up)
     return Health(
         kinetic=float(0.5 * m @ (v * v).sum(1)),
         elastic=elastic_energy(solver),
-        potential=float(-(m @ (height @ g + (x * solver.acceleration).sum(1)))),
+        potential=potential_energy(solver, u),
         contact=contact_energy(solver, u),
         mass=float(m.sum()),
         centre=_triple(m @ x / m.sum()),
@@ -41,6 +36,11 @@ def measure(solver: TotalLagrangian, particles: Pose, u: Floats, v: Floats) -> H
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
     )
+
+
+def strains(pose: Pose) -> tuple[Floats, Floats]:
+    """Singular values (N, 3), ascending, and determinants (N,) of F."""
+    return singular_values(pose.F), np.linalg.det(pose.F)
 
 
 def singular_values(F: Floats) -> Floats:

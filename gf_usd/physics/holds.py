@@ -22,8 +22,9 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from gf_usd.errors import InputError
-from gf_usd.model import Floats, Ints, Pin, Pose
+from gf_usd.model import Floats, Ints, Pose
 from gf_usd.physics.motion import Motion
+from gf_usd.pins import Pin
 
 REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
 

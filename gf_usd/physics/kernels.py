@@ -4,7 +4,7 @@ Per substep of length dt, with everything but u and v constant (physics.md secti
 
     v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
                                              the velocities that eq. 3 gathers
-    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly
+    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `reanchor`
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
     v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
@@ -28,6 +28,8 @@ from gf_usd.physics.node_kernel import (
     follower_share,
     move_node,
 )  # fmt: skip
+from gf_usd.physics.option_kernel import clip, cut
+from gf_usd.physics.options import PLAIN, Options
 from gf_usd.physics.stencil_kernel import deformation, lane_sum, load
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
@@ -57,12 +59,14 @@ def pack_type(real, epoch: int):
         *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
+        *("F0", "limits", "clip_room"),
     )
     ints = (
         *("cell_batch", "cell_nodes", "node_slot_start", "node_slot"),
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
+        *("clamped", "stress_capped"),
     )
     members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
     members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in ints}
@@ -70,8 +74,8 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
-    """The kernels for one law, with or without viscosity, in f32 or f64."""
+def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> SimpleNamespace:
+    """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
 
@@ -102,7 +106,7 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
                 for n in range(followers):
                     follow(body, n, free, 0.0 * dt)
             for c in range(cells):
-                stress_cell(body, c, law, damped, ih, converged)
+                stress_cell(body, c, law, damped, ih, converged, options)
             for k in range(active):
                 sample_contact(body, body.sample_active[k], up, lift, dt)
             for n in range(followers):
@@ -130,7 +134,7 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
             follow(body, n, free, 0.0 * dt)
         for z in range(cells * STRIDE):
             if z % STRIDE == 0:
-                stress_cell(body, z // STRIDE, law, damped, ih, converged)
+                stress_cell(body, z // STRIDE, law, damped, ih, converged, options)
         for k in range(active):
             sample_contact(body, body.sample_active[k], up, lift, dt)
         for n in range(followers):
@@ -159,7 +163,9 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
                 cell = z // STRIDE
                 total = ih * 0.0
                 for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-                    F = deformation(body, cell, b, ih)
+                    F = deformation(body, cell, b, ih, options)
+                    if ti.static(options.clamped):
+                        clip(body, b, F, False)
                     shear = load(body.mu, b * LANES)
                     psi = law.psi(F, shear, load(body.lam, b * LANES), converged)
                     total += lane_sum(load(body.V0, b * LANES) * psi)
@@ -175,9 +181,13 @@ def build(law, damped: bool, real, epoch: int) -> SimpleNamespace:
             if z % STRIDE == 0:
                 cell = z // STRIDE
                 for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-                    F = deformation(body, cell, b, ih)
+                    F = deformation(body, cell, b, ih, options)
+                    if ti.static(options.clamped):
+                        clip(body, b, F, False)
                     shear = load(body.mu, b * LANES)
                     P = law.pk1(F, shear, load(body.lam, b * LANES), converged)
+                    if ti.static(options.capped):
+                        cut(body, b, P, False)
                     value = von_mises(P, F)
                     for lane in ti.static(range(LANES)):
                         out[b * LANES + lane] = value[lane]

@@ -10,6 +10,7 @@ the moment it stands here.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import taichi as ti
 
 from gf_usd.physics.lanes import cofactor, determinant, double_dot, log, rotation
@@ -24,6 +25,8 @@ class Law:
     token: str  # the value of gaussianFlesh:law
     psi: Callable  # (F, mu, lam, converged) -> energy density
     pk1: Callable  # (F, mu, lam, converged) -> P
+    shear: float  # [mu] d^2 psi / dF^2 along the planes that keep J
+    bulk: Callable  # (J, mu, lam) -> d^2 psi / dJ^2 [Pa], in numpy
     source: str
 
 
@@ -98,6 +101,20 @@ def neo_hookean_pk1(F, mu, lam, converged):
     ]
 
 
+def corotated_bulk(J, mu, lam):
+    """d^2/dJ^2 of lam/2 (J - 1)^2."""
+    return lam * np.ones_like(J)
+
+
+def neo_hookean_bulk(J, mu, lam):
+    """d^2/dJ^2 of lam/2 g^2 - mu g: lam g'^2 + (lam g - mu) g''."""
+    t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
+    g = np.log(np.maximum(J, J_EXTENSION)) + t - 0.5 * t * t
+    slope = np.where(J >= J_EXTENSION, 1.0 / np.maximum(J, J_EXTENSION), (1.0 - t) / J_EXTENSION)
+    curvature = -1.0 / np.maximum(J, J_EXTENSION) ** 2
+    return lam * slope**2 + (lam * g - mu) * curvature
+
+
 LAWS: dict[str, Law] = {
     law.token: law
     for law in (
@@ -105,12 +122,16 @@ LAWS: dict[str, Law] = {
             token="corotated",
             psi=corotated_psi,
             pk1=corotated_pk1,
+            shear=2.0,
+            bulk=corotated_bulk,
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
         Law(
             token="neoHookean",
             psi=neo_hookean_psi,
             pk1=neo_hookean_pk1,
+            shear=1.0,
+            bulk=neo_hookean_bulk,
             source="Bonet and Wood 2008, eq. 6.28",
         ),
     )

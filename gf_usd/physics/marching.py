@@ -26,6 +26,7 @@ class Passage:
     penetration: float = 0.0  # [m] deepest of a contact sample
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
+    injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`
     clamped: int = 0  # particles whose singular values of F were clipped
     stress_capped: int = 0  # particles whose stress was cut
 
@@ -33,14 +34,16 @@ class Passage:
 class Marcher(ABC):
     """The protocol of a solver: construct it, then iterate `frames()`.
 
-    What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable
-    step) and `time` [s], and the abstract methods below.
+    What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable step
+    at rest), `strained` (those that the body as it is now asks for), `time` [s], and the abstract
+    methods below.
     """
 
     particles: Particles
     settings: Settings
     guard: Guard
     coarse: int
+    strained: int = 1
     time: float
 
     @abstractmethod
@@ -71,7 +74,7 @@ class Marcher(ABC):
     @property
     def substeps(self) -> int:
         """Substeps of the next frame."""
-        return self.coarse << self.guard.halvings
+        return max(self.coarse, self.strained) << self.guard.halvings
 
     @property
     def dt(self) -> float:
@@ -89,6 +92,12 @@ class Marcher(ABC):
             frame = self.next(index, frame.health)
             yield frame
 
+    def _hint(self) -> str:
+        """What a person may do about a frame that cannot be had."""
+        if self.settings.substeps:
+            return "this preset gives every frame the same few substeps: leave --preset out"
+        return "lower the impact (--drop), use a stiffer material or --law neoHookean"
+
     def next(self, index: int, last: Health) -> Frame:
         """Move by a frame; where it fails, roll back and redo it with half the step."""
         saved = self.save()
@@ -105,6 +114,7 @@ class Marcher(ABC):
                     penetration=passage.penetration,
                     friction_capped=passage.friction_capped,
                     work=passage.work,
+                    injected=passage.injected,
                     clamped=passage.clamped,
                     stress_capped=passage.stress_capped,
                 )
@@ -119,8 +129,7 @@ class Marcher(ABC):
         raise SolverError(
             f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
             f" halvings of the step to {self.dt:.3g} s",
-            "lower the impact (--drop), use a stiffer material or --law neoHookean;"
-            f" frames up to {index - 1} are in the partial cache",
+            self._hint() + f"; frames up to {index - 1} are in the partial cache",
             frame=index,
             particle=particle,
         )

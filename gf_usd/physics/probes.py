@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def elastic_energy(solver: TotalLagrangian) -> float:
-    """sum_p V0 psi(F_p) [J]."""
+    """sum_p V0 psi(F_p) [J]; with a clamp, of the F that the stress is taken of."""
     solver.kernels.energy(
         solver.pack,
         len(solver.stencil.cell_nodes),
@@ -33,6 +33,21 @@ def von_mises(solver: TotalLagrangian) -> Floats:
     filled = solver.batches.filled.ravel() > 0.0
     out[solver.batches.source.ravel()[filled]] = lanes[filled]
     return out
+
+
+def potential_energy(solver: TotalLagrangian, u: Floats) -> float:
+    """-sum_i m_i x_i . (g + b) [J], heights over the floor; u (M, 3) without the offset."""
+    s, m = solver.settings, solver.stencil.mass
+    x = solver.stencil.free_X + solver.offset + u
+    datum = s.floor if s.floor is not None else 0.0
+    height = x - datum * np.asarray(s.up)
+    return float(-(m @ (height @ np.asarray(s.gravity) + (x * solver.acceleration).sum(1))))
+
+
+def stored_energy(solver: TotalLagrangian) -> float:
+    """Elastic, potential and contact energy [J] of the present state."""
+    u = solver.state()[0]
+    return elastic_energy(solver) + potential_energy(solver, u) + contact_energy(solver, u)
 
 
 def contact_energy(solver: TotalLagrangian, u: Floats) -> float:

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gf_usd.model import Floats, Ints, Material, Particles, Pin, Settings, SurfaceSamples
+from gf_usd.model import Floats, Ints, Material, Particles, Settings, SurfaceSamples
 from gf_usd.physics import body as layout
+from gf_usd.physics import options
 from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.holds import held_by
 from gf_usd.physics.stencil import Stencil
 from gf_usd.physics.timestep import StableStep, stable_step
+from gf_usd.pins import Pin
 
 PER_PARTICLE = (
     *("density", "mu", "lam", "youngs_modulus", "poissons_ratio", "wave_speed"),
@@ -75,6 +77,11 @@ def floor_contact(
     )
 
 
+def per_cell(particles: Particles, h: float) -> float:
+    """Particles in a full cell of h [m]."""
+    return len(particles) * h**3 / particles.volume
+
+
 def largest_step(
     particles: Particles,
     h: float,
@@ -87,7 +94,7 @@ def largest_step(
     return stable_step(
         wave_speed=float(per["wave_speed"].max()),
         h=h,
-        per_cell=len(particles) * h**3 / particles.volume,
+        per_cell=per_cell(particles, h),
         viscous_time=float((per["damping_time"] * share).max()),
         contact_omega2=contact.omega2 if contact else 0.0,
         contact_damping=contact.damping_rate if contact else 0.0,
@@ -139,6 +146,7 @@ def arrays(
         "node_slot": slot,
         **layout.follower_arrays(stencil),
         **layout.contact_arrays(contact, height, stencil.free_count),
+        **options.arrays(batches, settings),
     }
 
 

@@ -3,28 +3,33 @@
 The state is a displacement u and a velocity v on the nodes of a grid that never moves
 (physics.md section 1).  Everything that rides on the body, particles included, is read off them:
 x = X + offset + W u, F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
-that a long fall costs the strain no digits.
+that a long fall costs the strain no digits.  The paper's options are in `options` and `reanchor`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gf_usd.materials import G0
-from gf_usd.model import Floats, Frame, Material, Particles, Pin, Pose, Settings, SurfaceSamples
-from gf_usd.physics import setup
+from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
+from gf_usd.physics import options, setup
+from gf_usd.physics.approach import watch
 from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
-from gf_usd.physics.health import measure
+from gf_usd.physics.health import measure, strains
 from gf_usd.physics.holds import Holder, held_by
 from gf_usd.physics.marching import Marcher, Passage
 from gf_usd.physics.probes import von_mises
+from gf_usd.physics.reanchor import Reanchor
 from gf_usd.physics.stencil import Rows, build_stencil
+from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
+from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
 SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
@@ -67,7 +72,7 @@ class TotalLagrangian(Marcher):
         self.particles, self.settings, self.real = particles, settings, real
         self.holder = Holder(pins, particles.X) if pins else None
         held = self.holder.particles.pin if self.holder else None
-        per = setup.per_particle(particles, materials, held)
+        self.per = per = setup.per_particle(particles, materials, held)
         self.m = per["density"] * per["V0"]
         self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
         self.stencil = build_stencil(
@@ -99,13 +104,13 @@ class TotalLagrangian(Marcher):
         b = np.zeros((self.stencil.free_count, 3))
         self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
         self.batches = batch_particles(self.stencil)
-        self.arrays = setup.to_device(
-            setup.arrays(
-                particles, self.stencil, self.batches, self.contact, settings, per, v,
-                self.acceleration,
-            ),
-            real,
+        self.options = options.options_of(settings)
+        self.reanchor = Reanchor(self)
+        values = setup.arrays(
+            particles, self.stencil, self.batches, self.contact, settings, per, v,
+            self.acceleration,
         )  # fmt: skip
+        self.arrays = setup.to_device(values | self.reanchor.start(self), real)
         self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
 
     def _start_kernels(self, law: str, damped: bool) -> None:
@@ -117,20 +122,25 @@ class TotalLagrangian(Marcher):
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
         self.pack = pack_type(kind, epoch())(**self.arrays)
-        self.kernels = build(LAWS[law], damped, kind, epoch())
+        self.law = LAWS[law]
+        self.kernels = build(self.law, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
         self.cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
     def save(self) -> dict[str, Any]:
-        """u and v of every node, the offset, the time and the count of substeps."""
+        """u and v of every node, F0, the offset, the time and the count of substeps."""
         state = {name: self.arrays[name].to_numpy() for name in "uv"}
+        if self.options.anchored:
+            state["F0"] = self.reanchor.F0.copy()
         return {**state, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Go back to what `save` returned."""
         for name in "uv":
             self.arrays[name].from_numpy(saved[name])
+        if self.options.anchored:
+            self.reanchor.put(self, saved["F0"])
         self.offset = np.asarray(saved["offset"], float).copy()
         self.time, self.done = float(saved["time"]), int(saved["done"])
 
@@ -153,7 +163,8 @@ class TotalLagrangian(Marcher):
         dt = self.frame_time / substeps
         self._anchor(index)
         lift = float(self.offset @ self.normal)
-        active = self._activate(lift)
+        active = watch(self, lift)
+        options.clear(self)
         every, alpha = self._filter(dt)
         keep = float(np.exp(-s.drag * dt))
         g, up = self._vec(list(s.gravity)), self._vec(list(self.normal))
@@ -172,11 +183,18 @@ class TotalLagrangian(Marcher):
         self.done += substeps
         self.time += substeps * dt
         self._recentre()
-        work = float(self.arrays["work"].to_numpy().astype(float).sum())
+        touched = options.touched(self)
+        clipped, injected = self.reanchor.frame(self, index)
+        passage = Passage(
+            work=float(self.arrays["work"].to_numpy().astype(float).sum()),
+            injected=injected,
+            clamped=int((touched["clamped"] | clipped).sum()),
+            stress_capped=int(touched["stress_capped"].sum()),
+        )
         if not active:
-            return Passage(work=work)
-        return Passage(
-            work=work,
+            return passage
+        return replace(
+            passage,
             friction_capped=int(self.arrays["sample_capped"].to_numpy().sum()),
             penetration=float(self.arrays["sample_depth"].to_numpy().max()),
         )
@@ -195,31 +213,6 @@ class TotalLagrangian(Marcher):
         every = max(1, int(FILTER_STEP / (r * dt)))
         return every, float(1.0 - np.exp(-r * every * dt))
 
-    def _activate(self, lift: float) -> int:
-        """List the samples that may meet the floor before the next frame; returns how many."""
-        if self.contact is None:
-            return 0
-        rows = self.contact.rows
-        u, v = self.state()
-        speed = float(np.abs(v @ self.normal).max())
-        g = abs(float(np.dot(self.settings.gravity, self.normal)))
-        reach = 2.0 * self.frame_time * (speed + g * self.frame_time) + self.particles.spacing
-        height = rows.X @ self.normal - (self.settings.floor or 0.0)
-        if self.contact.constants is not None:
-            c, rate = self.constants()
-            height = height + self.contact.constants @ (
-                (c + 0.5 * self.frame_time * rate) @ self.normal
-            )
-            self.arrays["sample_height"].from_numpy(height.astype(self.real))
-        height = height + lift + rows.W @ (u @ self.normal)
-        near = np.flatnonzero(height < reach)
-        active = np.zeros(len(height), np.int32)
-        active[: len(near)] = near
-        self.arrays["sample_active"].from_numpy(active)
-        for name in ("sample_force", "sample_depth", "sample_capped"):
-            self.arrays[name].fill(0)
-        return len(near)
-
     def _recentre(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
         if self.holder:
@@ -237,23 +230,46 @@ class TotalLagrangian(Marcher):
     def read(self, index: int) -> Frame:
         """See `Marcher`."""
         u, v = self.state()
-        everything = {"": self.rows, **self.riders}
-        poses = {name: self._pose(name, rows, u, v, index) for name, rows in everything.items()}
-        particles = poses.pop("")
+        particles, nodes = self.particle_pose(index), self._nodes()
+        stretch, J = strains(particles)
+        self.strained = self._strained(stretch, J)
         return Frame(
             index=index,
             time=self.time,
             particles=particles,
-            riders=poses,
+            riders={n: self._pose(n, rows, nodes, index) for n, rows in self.riders.items()},
             stress=von_mises(self) if self.settings.stress else None,
-            health=measure(self, particles, u, v),
+            health=measure(self, u, v, stretch, J),
         )
 
-    def _pose(self, name: str, rows: Rows, u: Floats, v: Floats, index: int) -> Pose:
+    def particle_pose(self, index: int) -> Pose:
+        """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
+        return self._pose("", self.rows, self._nodes(), index)
+
+    def _nodes(self) -> tuple[Floats, Floats]:
+        """u and v as `Rows` stack them: with pins, the followers' constants too."""
+        u, v = self.state()
         if self.holder is None:
-            return pose(rows, u, v, self.offset)
+            return u, v
         c, rate = self.constants()
-        free = pose(rows, np.concatenate([u, c]), np.concatenate([v, rate]), self.offset)
+        return np.concatenate([u, c]), np.concatenate([v, rate])
+
+    def _strained(self, stretch: Floats, J: Floats) -> int:
+        """Substeps a frame that the body as strained now asks for; none where they are given."""
+        if self.settings.substeps:
+            return 1
+        k = stiffness(self.law, stretch, J, self.per["mu"], self.per["lam"])
+        nodes = self.stencil
+        speed = wave_speed(k, self.per["density"], nodes.order, nodes.cell_start)
+        dt = strained_step(self.step, speed, self.h, setup.per_cell(self.particles, self.h))
+        return int(np.ceil(self.frame_time / dt))
+
+    def _pose(self, name: str, rows: Rows, nodes: tuple[Floats, Floats], index: int) -> Pose:
+        free = pose(rows, *nodes, self.offset)
+        if not name:
+            free = self.reanchor.anchored(free)
+        if self.holder is None:
+            return free
         held = self.held[name]
         return self.holder.override(held, rows.X, free, index, self.frame_time, self.offset)
 

@@ -22,6 +22,7 @@ from gf_usd.model import Floats, Ints
 from gf_usd.physics.followers import FREE_MASS, affine_fit, split_nodes
 from gf_usd.physics.holds import Held, Holder, held_by, mirror_points
 
+APART = 40  # [cells] between bodies on the grid: beyond any neighbour that a fit would take
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 
 
@@ -63,6 +64,8 @@ class Stencil:
     mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
     node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
     follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
+    shift: Floats  # (bodies, 3) [m] that sets the bodies apart on the grid: they share no node
+    node_body: Ints  # (M,) the body of each node
     held: Held  # which followers a pin holds, and all nodes
     mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
@@ -81,7 +84,7 @@ class Stencil:
     @cached_property
     def node_X(self) -> Floats:
         """(M, 3) [m] node positions."""
-        return self.origin + self.h * self.node_ijk
+        return self.origin + self.h * self.node_ijk - self.shift[self.node_body]
 
     @property
     def free_X(self) -> Floats:
@@ -96,9 +99,12 @@ class Stencil:
         at = np.minimum(np.searchsorted(self.sorted_keys, keys), len(self.sorted_keys) - 1)
         return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
 
-    def rows(self, X: Floats) -> Rows:
-        """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c."""
-        base, fx = self.base(X)
+    def rows(self, X: Floats, body: Ints | None = None) -> Rows:
+        """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
+
+        body : (n,) the body that each rides on; None: the first.
+        """
+        base, fx = self.base(X + self.shift[np.zeros(len(X), int) if body is None else body])
         ijk = base[:, None, :] + OFFSETS
         at = self.locate(ijk)
         missing = at < 0
@@ -154,6 +160,22 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
     return (ijk[..., 0] * dims[1] + ijk[..., 1]) * dims[2] + ijk[..., 2]
 
 
+def apart(X: Floats, body: Ints, h: float) -> Floats:
+    """Shifts (bodies, 3) [m], whole cells along x, after which no two bodies share a node.
+
+    Bodies are as far from each other then as a fit of followers could reach.
+    """
+    count = int(body.max()) + 1
+    if count == 1:
+        return np.zeros((1, 3))
+    low = np.array([X[body == k, 0].min() for k in range(count)])
+    high = np.array([X[body == k, 0].max() for k in range(count)])
+    # body k begins APART cells after body k - 1 ends
+    end = np.cumsum(high - low + APART * h) - (high - low + APART * h)
+    cells = np.ceil((low[0] + end - low) / h)
+    return np.stack([h * cells, 0.0 * cells, 0.0 * cells], -1)
+
+
 def build_stencil(
     X: Floats,
     m: Floats,
@@ -162,14 +184,18 @@ def build_stencil(
     *,
     free_mass: float = FREE_MASS,
     holder: Holder | None = None,
+    body: Ints | None = None,
 ) -> Stencil:
     """Sort particles by cell and number the nodes they reach.
 
     X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
     corner where cells meet, so that strata of the sampling lattice fall whole into cells.
     free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
-    holder : the pins.
+    holder : the pins.   body : (N,) the body of each particle; None: all are one.
     """
+    body = np.zeros(len(X), np.int64) if body is None else body
+    shift = apart(X, body, h)
+    X = X + shift[body]
     # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
     origin = np.asarray(corner_at, float) - 0.5 * h
     base, fx = base_node((X - origin) / h)
@@ -188,11 +214,19 @@ def build_stencil(
     nodes = np.repeat(cell_nodes, np.diff(cell_start), axis=0)
     mass = np.bincount(nodes.ravel(), (w * m[order, None]).ravel(), minlength=len(sorted_keys))
     node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
-    node_X = origin + h * node_ijk
+    node_body = np.empty(len(mass), np.int64)
+    node_body[cell_nodes] = body[order[first]][:, None]
+    offset = shift[node_body]
+    node_X = origin + h * node_ijk - offset
     held = held_by(holder.pins if holder else (), node_X)
     mirror = mirror_points(holder.pins if holder else (), held, node_X, h)
     free, follow, lumped = split_nodes(
-        node_ijk, mass, free_mass, held=held.pin >= 0, mirror=(mirror - origin) / h
+        node_ijk,
+        mass,
+        free_mass,
+        held=held.pin >= 0,
+        mirror=(mirror + offset - origin) / h,
+        body=node_body,
     )
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
@@ -210,6 +244,8 @@ def build_stencil(
         mass=lumped,
         node_mass=mass[ordered],
         follow=follow,
+        shift=shift,
+        node_body=node_body[ordered],
         held=Held(pin=held.pin[ordered]),
         mirror=mirror,
         sorted_keys=sorted_keys,

@@ -6,6 +6,8 @@ over the 27 are factorised by axis.
 
 import taichi as ti
 
+from gf_usd.physics.lanes import LANES
+
 
 @ti.func
 def load(A: ti.template(), o):
@@ -68,14 +70,26 @@ def deposit(body: ti.template(), o, x, first):
 
 
 @ti.func
-def deformation(body: ti.template(), cell, b, ih):
-    """F = I + sum_i u_i (x) G_ip of one batch; ih = 1/h."""
+def strain(
+    body: ti.template(), cell, b, w: ti.template(), dw: ti.template(), ih, options: ti.template()
+):
+    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
+    F = gradient(body, body.u, cell, w, dw)
+    for a in ti.static(range(9)):
+        F[a] = F[a] * ih
+    if ti.static(options.anchored):
+        for a in ti.static(range(9)):
+            F[a] = F[a] + load(body.F0, (9 * b + a) * LANES)
+    else:
+        for a in ti.static(range(3)):
+            F[4 * a] = F[4 * a] + 1.0
+    return F
+
+
+@ti.func
+def deformation(body: ti.template(), cell, b, ih, options: ti.template()):
+    """F of one batch, as `strain`."""
     w0, d0 = spline(load(body.fx, b * 24))
     w1, d1 = spline(load(body.fx, b * 24 + 8))
     w2, d2 = spline(load(body.fx, b * 24 + 16))
-    F = gradient(body, body.u, cell, [w0, w1, w2], [d0, d1, d2])
-    for a in ti.static(range(9)):
-        F[a] = F[a] * ih
-    for a in ti.static(range(3)):
-        F[4 * a] = F[4 * a] + 1.0
-    return F
+    return strain(body, cell, b, [w0, w1, w2], [d0, d1, d2], ih, options)

@@ -8,7 +8,7 @@ ratio z is stable for (Belytschko, Liu and Moran 2000, section 6.6.6)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,20 @@ class StableStep:
     dt: float  # [s] stable limit times safety
     elastic: float  # [rad/s]
     contact: float  # [rad/s]
-    damping_ratio: float
+    viscous_time: float  # [s] as scaled to the pressure wave
+    contact_damping: float  # [1/s]
+
+    @property
+    def damping_ratio(self) -> float:
+        """z of the stiffest vibration."""
+        w = np.hypot(self.elastic, self.contact)
+        return float(0.5 * (self.viscous_time * self.elastic**2 + self.contact_damping) / w)
+
+    @property
+    def limit(self) -> float:
+        """[s] (2 / w) (sqrt(1 + z^2) - z)."""
+        z = self.damping_ratio
+        return float(2.0 / np.hypot(self.elastic, self.contact) * (np.sqrt(1.0 + z * z) - z))
 
 
 def grid_frequency(per_cell: float) -> float:
@@ -48,13 +61,11 @@ def stable_step(
         the stiffest grid vibration w is then viscous_time * w^2.
     contact_omega2 : [1/s^2], contact_damping : [1/s], from `contact.build_contact`.
     """
-    elastic = grid_frequency(per_cell) * wave_speed / h
-    w = np.sqrt(elastic**2 + contact_omega2)
-    z = 0.5 * (viscous_time * elastic**2 + contact_damping) / w
-    limit = 2.0 / w * (np.sqrt(1.0 + z * z) - z)
-    return StableStep(
-        dt=float(safety * limit),
-        elastic=float(elastic),
+    step = StableStep(
+        dt=0.0,
+        elastic=float(grid_frequency(per_cell) * wave_speed / h),
         contact=float(np.sqrt(contact_omega2)),
-        damping_ratio=float(z),
+        viscous_time=viscous_time,
+        contact_damping=contact_damping,
     )
+    return replace(step, dt=safety * step.limit)

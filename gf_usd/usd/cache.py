@@ -19,6 +19,7 @@ from gf_usd.errors import BakeError
 from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
 from gf_usd.publish import partial_path
 from gf_usd.usd.bounds import block_hints, skel_bounds
+from gf_usd.usd.health import HealthTrack, bake_root
 from gf_usd.usd.meshes import MeshTrack
 from gf_usd.usd.particles import ParticleTrack
 from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
@@ -92,6 +93,7 @@ class CacheWriter:
         self._bounds = skel_bounds(self._stage, stage, tracks, time)
         root = stage.GetPrimAtPath(home.root)
         self._particles = ParticleTrack(self._stage, root, home, asset, particles, info, time)
+        self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
         self._source = stage  # the tracks read its transforms frame by frame
         save(self._layer)
 
@@ -121,6 +123,7 @@ class CacheWriter:
         for bound in self._bounds:
             bound.write(time_code)
         self._particles.write(frame.gaussians, time_code)
+        self._health.write(frame.health, time_code)
         self._time_code = time_code
         self._frames += 1
         if self._frames % self._every == 0:
@@ -177,7 +180,8 @@ class CacheWriter:
             raise self._lost
 
     def _release(self) -> None:
-        del self._meshes, self._bounds, self._particles, self._stage, self._source, self._layer
+        del self._meshes, self._bounds, self._particles, self._health
+        del self._stage, self._source, self._layer
 
 
 def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:

@@ -19,7 +19,7 @@ from pathlib import Path
 from pxr import Sdf, Usd
 
 from gf_usd.model import Asset, Material, Settings
-from gf_usd.publish import publish
+from gf_usd.publish import partial_path, publish
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
 from gf_usd.usd.retarget import repeat_edits, restore_rest
 from gf_usd.usd.stage import (
@@ -56,7 +56,7 @@ OWN = {
 
 @dataclass(frozen=True, kw_only=True)
 class RootSummary:
-    """A published root layer."""
+    """A root layer."""
 
     path: Path
     default_prim: str  # name
@@ -73,6 +73,7 @@ def write_root(
     *,
     source: Path | None = None,
     display: str = "mesh",
+    partial: bool = False,
 ) -> RootSummary:
     """Write and publish the root layer; the first bake is selected.
 
@@ -83,6 +84,7 @@ def write_root(
     bakes : one for each variant, with the names of their caches.
     source : the USD file to reference; default the asset's own.
     display : selected in every bake: mesh, gaussians or points.
+    partial : leave it under its partial name, as the root layer of a bake that failed.
 
     Raises
     ------
@@ -111,8 +113,11 @@ def write_root(
         notes = (*notes, f"the asset has a variant set {DISPLAY_SET!r}: ours is {display_set!r}")
     save(layer)
     del layer
-    publish(path)
-    refresh(path)
+    if partial:
+        path = partial_path(path)
+    else:
+        publish(path)
+        refresh(path)
     return RootSummary(
         path=path,
         default_prim=home.root.name,
@@ -168,6 +173,8 @@ def _about(bake: BakedLook) -> dict[str, object]:
         "materials": materials,
         "settings": plain(bake.info.settings),
         "health": to_metadata(bake.health),
+        **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
+        **({"failure": bake.failure} if bake.failure else {}),
     }
 
 

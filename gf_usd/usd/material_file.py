@@ -1,8 +1,6 @@
 """Materials out of a USD file: ``--material file.usda``.
 
-Moduli, density and friction are read by the names that the field uses, in this order: UsdPhysics
-and the AOUSD proposal (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).
-All are in the file's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.
+Their values are read by the names and in the order of `gf_usd.vocabulary`, in the file's own units.
 """
 
 from __future__ import annotations
@@ -13,14 +11,11 @@ from typing import Any
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.errors import InputError
-from gf_usd.materials import LAW_TOKENS
 from gf_usd.model import Material
 from gf_usd.units import StageUnits
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
+from gf_usd.vocabulary import Authored, read_words, states_modulus
 
-PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
-OURS = ("gaussianFlesh:",)
-DEFAULT_LAW = "neoHookean"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -36,7 +31,8 @@ def read_material(path: Path) -> Material:
     range.
     """
     stage = _open(path)
-    found = [p for p in stage.Traverse() if p.IsA(UsdShade.Material) and _modulus(p) is not None]
+    materials = (p for p in stage.Traverse() if p.IsA(UsdShade.Material))
+    found = [p for p in materials if states_modulus(_authored(p))]
     default = stage.GetDefaultPrim()
     if default and default in found:
         found = [default]
@@ -77,66 +73,23 @@ def _units(path: Path, stage: Usd.Stage) -> StageUnits:
     )
 
 
-def _value(prim: Usd.Prim, name: str, prefixes: tuple[str, ...] = PREFIXES) -> Any:
-    for prefix in prefixes:
-        attribute = prim.GetAttribute(prefix + name)
-        if attribute and attribute.HasAuthoredValue():
-            return attribute.Get()
-    return None
+def _authored(prim: Usd.Prim) -> Authored:
+    """Look-up of the authored attributes of a prim."""
 
+    def authored(name: str) -> Any:
+        attribute = prim.GetAttribute(name)
+        return attribute.Get() if attribute and attribute.HasAuthoredValue() else None
 
-def _number(
-    prim: Usd.Prim, name: str, otherwise: float, prefixes: tuple[str, ...] = PREFIXES
-) -> float:
-    value = _value(prim, name, prefixes)
-    return otherwise if value is None else float(value)
-
-
-def _modulus(prim: Usd.Prim) -> float | None:
-    return _value(prim, "youngsModulus")
+    return authored
 
 
 def _material(path: Path, prim: Usd.Prim, units: StageUnits) -> Material:
-    young = float(_modulus(prim) or 0.0) * units.pressure
-    nu = _value(prim, "poissonsRatio")
-    density = _value(prim, "density")
     where = f"{path}: <{prim.GetPath()}>"
-    if nu is None:
+    words = read_words(_authored(prim), str(prim.GetPath()), units, where=where)
+    if words.poissons_ratio is None:
         raise InputError(f"{where} has no Poisson's ratio", "author physics:poissonsRatio")
-    if density is None:
+    if words.density is None:
         raise InputError(f"{where} has no density", "author physics:density")
-    density = float(density) * units.density
-    for name, value, low, high in (
-        ("Young's modulus [Pa]", young, 0.0, 1e13),
-        ("Poisson's ratio", float(nu), -1.0, 0.5),
-        ("density [kg/m^3]", density, 0.0, 1e6),
-    ):
-        if not low < value < high:
-            raise InputError(
-                f"{where}: {name} is {value:g}", f"give a value between {low:g} and {high:g}"
-            )
-    friction = _number(prim, "dynamicFriction", 0.8)
-    restitution = _number(prim, "restitution", 0.85)
-    damping = _number(prim, "dampingTime", 0.0, OURS)
-    for name, value, high in (
-        ("friction", friction, 100.0),
-        ("restitution", restitution, 1.0),
-        ("damping time [s]", damping, 1e6),
-    ):
-        if not 0.0 <= value <= high:
-            raise InputError(f"{where}: {name} is {value:g}", f"give a value from 0 to {high:g}")
-    law = _value(prim, "law", OURS) or DEFAULT_LAW
-    if law not in LAW_TOKENS:
-        raise InputError(
-            f"{where}: gaussianFlesh:law is {law!r}", f"choose one of {', '.join(LAW_TOKENS)}"
-        )
-    return Material(
-        name=prim.GetName(),
-        law=law,
-        density=density,
-        youngs_modulus=young,
-        poissons_ratio=float(nu),
-        damping_time=damping,
-        friction=friction,
-        restitution=restitution,
-    )
+    material = words.whole()
+    assert material is not None  # both moduli are there
+    return material

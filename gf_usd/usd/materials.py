@@ -1,4 +1,9 @@
-"""The materials of a bake as prims: UsdShade Materials with physics attributes in stage units."""
+"""The materials of a bake as prims: UsdShade Materials with physics attributes in stage units.
+
+Each speaks three vocabularies, so that other simulators read it: UsdPhysics with the moduli of the
+AOUSD proposal for deformables (``physics:``), Newton's (``newton:mpm:``), and ours for what neither
+has words for.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,10 @@ from gf_usd.units import StageUnits
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before its APIs are applied)
 
 Types = Sdf.ValueTypeNames
+
+# API schemas of others, known by name only: usd-core has no definition of them
+VOLUME_MATERIAL_API = "PhysicsVolumeDeformableMaterialAPI"  # AOUSD proposal
+NEWTON_MATERIAL_API = "NewtonMPMMaterialAPI"
 
 
 def write_materials(
@@ -66,8 +75,16 @@ def _write(
         ("gaussianFlesh:look", Types.Token, look),
     ):
         prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)
+    for api in (VOLUME_MATERIAL_API, NEWTON_MATERIAL_API):
+        prim.AddAppliedSchema(api)
+    young = material.youngs_modulus / units.pressure
     for name, value in (
-        ("physics:youngsModulus", material.youngs_modulus / units.pressure),
+        ("physics:youngsModulus", young),
         ("physics:poissonsRatio", material.poissons_ratio),
+        ("newton:mpm:youngsModulus", young),
+        ("newton:mpm:poissonsRatio", material.poissons_ratio),
+        ("newton:mpm:elasticDamping", young * material.damping_time),
+        # Newton's fallback, 0, is a material that falls apart under tension, like sand
+        ("newton:mpm:tensileYieldRatio", 1.0),
     ):
         prim.CreateAttribute(name, Types.Float, False).Set(value)

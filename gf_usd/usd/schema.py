@@ -17,7 +17,8 @@ NAMESPACE = "gaussianFlesh"
 PARTICLES_API = "GaussianFleshParticlesAPI"
 MATERIAL_API = "GaussianFleshMaterialAPI"
 BAKE_API = "GaussianFleshBakeAPI"
-APIS = (PARTICLES_API, MATERIAL_API, BAKE_API)
+HEALTH_API = "GaussianFleshHealthAPI"
+APIS = (PARTICLES_API, MATERIAL_API, BAKE_API, HEALTH_API)
 
 DEFINITIONS = "generatedSchema.usda"
 
@@ -44,7 +45,7 @@ def schema_path() -> Path:
 
 
 def register(folder: Path) -> None:
-    """Register the library in ``folder`` and prove that USD knows its three APIs.
+    """Register the library in ``folder`` and prove that USD knows its APIs.
 
     Raises
     ------

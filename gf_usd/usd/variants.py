@@ -17,6 +17,7 @@ from pxr import Sdf, Usd
 from gf_usd.errors import UsageError
 from gf_usd.model import Asset, BakeInfo
 from gf_usd.output_files import SOURCE_VARIANT as NONE
+from gf_usd.usd.health import author_totals, bake_root
 from gf_usd.usd.stage import VARIANT_SET, Home, asset_path, roots_of
 
 DISPLAYS = ("mesh", "gaussians", "points")
@@ -30,7 +31,9 @@ class BakedLook:
     name: str  # of the variant, e.g. "rubber"
     cache: Path  # final name of its cache layer, which need not be there yet
     info: BakeInfo
-    health: Mapping[str, object] = field(default_factory=dict)  # summary for customLayerData
+    health: Mapping[str, object] = field(default_factory=dict)  # `HealthLog.summary`
+    warnings: tuple[str, ...] = ()  # of its health, in words
+    failure: str = ""  # why it ended before its last frame; "" where it did not
 
 
 def check_looks(bakes: Sequence[BakedLook], display: str) -> None:
@@ -98,6 +101,8 @@ def add_variants(
             inner = Sdf.VariantSpec(modes, mode).primSpec
             for path in _hidden(mode, root, asset, home):
                 _hide(layer, inner.path.AppendPath(path.MakeRelativePath(root)))
+        if bake_root(asset, home) == root:
+            author_totals(variant, bake.health, asset.facts.units, bake.warnings, bake.failure)
         if home.scope.HasPrefix(root):
             _name_meshes(layer, variant.path, root, asset, home)
 

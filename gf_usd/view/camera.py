@@ -27,6 +27,7 @@ class Lens:
     width: int
     height: int
     near: float  # [m]
+    centre: tuple[float, float]  # [samples] where the view axis meets the picture
     skew: float = 0.0  # [samples] see gf_usd.view.raster.sample_at
 
     def clip(self, points: Floats) -> NDArray[np.float64]:
@@ -35,13 +36,13 @@ class Lens:
         w is the depth [m]; X / w runs to the right and Y / w down, sample centres at halves.
         """
         x, y, w = self.axes @ (np.asarray(points, dtype=np.float64) - self.eye).T
-        across = self.focal * x + 0.5 * self.width * w
-        down = 0.5 * self.height * w - self.focal * y
+        across = self.focal * x + self.centre[0] * w
+        down = self.centre[1] * w - self.focal * y
         return np.ascontiguousarray(np.stack([across, down, w], axis=1))
 
     def packed(self) -> NDArray[np.float64]:
         """(17,) eye, right, up, forward, focal, centre x and y, near, skew: as the kernels read."""
-        rest = (self.focal, 0.5 * self.width, 0.5 * self.height, self.near, self.skew)
+        rest = (self.focal, *self.centre, self.near, self.skew)
         return np.concatenate([self.eye, self.axes.ravel(), rest])
 
 
@@ -62,13 +63,16 @@ def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: 
         )
     forward = forward / distance
     right = right / np.linalg.norm(right)
+    width, height = oversampling * width, oversampling * height
+    focal = 0.5 * height / float(np.tan(np.radians(camera.fov) / 2.0))
     return Lens(
         origin=np.array(origin, dtype=np.float64),
         eye=eye - origin,
         axes=np.stack([right, np.cross(right, forward), forward]),
-        focal=0.5 * oversampling * height / float(np.tan(np.radians(camera.fov) / 2.0)),
-        width=oversampling * width,
-        height=oversampling * height,
+        focal=focal,
+        width=width,
+        height=height,
+        centre=(0.5 * width - focal * camera.shift[0], 0.5 * height + focal * camera.shift[1]),
         near=NEAR * distance,
         skew=0.25 if oversampling == 2 else 0.0,
     )

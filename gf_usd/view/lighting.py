@@ -35,49 +35,74 @@ def texel_seen(depth: ti.template(), light, x, y, z):
 
 
 @ti.func
-def light_seen(p, n, frames: ti.template(), keys, depth: ti.template(), radius):
-    """Part of the key and, cosine-weighted, of the dome that p (normal n) sees.
-
-    The maps of the key are read bilinearly; those of the dome are too many and too faint to need
-    it.
-    """
+def key_seen(p, n, frames: ti.template(), keys, depth: ti.template(), radius):
+    """Part of the key's disc that p (normal n) sees, each map read bilinearly."""
     size = depth.shape[1]
     texel = 2.0 * radius / size
-    key, key_all, dome, dome_all = 0.0, 0.0, 0.0, 0.0
+    seen, count = 0.0, 0.0
     lifted = p + 1.6 * texel * n
-    for light in range(frames.shape[0]):
+    for light in range(keys):
         cosine = frames[light, 6] * n[0] + frames[light, 7] * n[1] + frames[light, 8] * n[2]
         if cosine > 0.0:
             q = to_map(frames, light, lifted, radius, size)
             z = q[2] - 0.8 * texel
-            if light < keys:
-                fx, fy = ti.floor(q[0] - 0.5), ti.floor(q[1] - 0.5)
-                s, t = q[0] - 0.5 - fx, q[1] - 0.5 - fy
-                x, y = ti.cast(fx, ti.i32), ti.cast(fy, ti.i32)
-                low = texel_seen(depth, light, x, y, z) * (1.0 - s)
-                low += texel_seen(depth, light, x + 1, y, z) * s
-                high = texel_seen(depth, light, x, y + 1, z) * (1.0 - s)
-                high += texel_seen(depth, light, x + 1, y + 1, z) * s
-                key += low * (1.0 - t) + high * t
-                key_all += 1.0
-            else:
-                x, y = ti.cast(ti.floor(q[0]), ti.i32), ti.cast(ti.floor(q[1]), ti.i32)
-                weight = cosine * frames[light, 9]
-                dome += weight * texel_seen(depth, light, x, y, z)
-                dome_all += weight
-    return key / ti.max(key_all, 1.0), dome / ti.max(dome_all, 1e-6)
+            fx, fy = ti.floor(q[0] - 0.5), ti.floor(q[1] - 0.5)
+            s, t = q[0] - 0.5 - fx, q[1] - 0.5 - fy
+            x, y = ti.cast(fx, ti.i32), ti.cast(fy, ti.i32)
+            low = texel_seen(depth, light, x, y, z) * (1.0 - s)
+            low += texel_seen(depth, light, x + 1, y, z) * s
+            high = texel_seen(depth, light, x, y + 1, z) * (1.0 - s)
+            high += texel_seen(depth, light, x + 1, y + 1, z) * s
+            seen += low * (1.0 - t) + high * t
+            count += 1.0
+    return seen / ti.max(count, 1.0)
+
+
+@ti.func
+def dome_seen(p, n, frames: ti.template(), keys, depth: ti.template(), radius):
+    """Cosine-weighted part of the dome that p (normal n) sees.
+
+    Its maps, (L - keys, S, S) depth, are too many and too faint to need more than a nearest texel.
+    """
+    size = depth.shape[1]
+    texel = 2.0 * radius / size
+    seen, count = 0.0, 0.0
+    lifted = p + 1.6 * texel * n
+    for light in range(keys, frames.shape[0]):
+        cosine = frames[light, 6] * n[0] + frames[light, 7] * n[1] + frames[light, 8] * n[2]
+        if cosine > 0.0:
+            q = to_map(frames, light, lifted, radius, size)
+            x, y = ti.cast(ti.floor(q[0]), ti.i32), ti.cast(ti.floor(q[1]), ti.i32)
+            weight = cosine * frames[light, 9]
+            seen += weight * texel_seen(depth, light - keys, x, y, q[2] - 0.8 * texel)
+            count += weight
+    return seen / ti.max(count, 1e-6)
+
+
+@ti.func
+def on_floor(look: ti.template(), x, y, size):
+    """The point of the floor at texel (x, y) of its map (MAP_O + a MAP_X + b MAP_Y)."""
+    a, b = (2.0 * x + 1.0) / size - 1.0, (2.0 * y + 1.0) / size - 1.0
+    return part(look, MAP_O) + look[MAP_HALF] * (a * part(look, MAP_X) + b * part(look, MAP_Y))
 
 
 @ti.kernel
-def shade_floor(look: F32_1, frames: F32_2, keys: ti.i32, depth: F32_3, out: F32_3):
-    """out (G, G, 2): key and dome seen by the floor, over its map (MAP_O + a MAP_X + b MAP_Y)."""
-    size = out.shape[0]
-    for y, x in ti.ndrange(size, size):
-        a, b = (2.0 * x + 1.0) / size - 1.0, (2.0 * y + 1.0) / size - 1.0
-        p = part(look, MAP_O) + look[MAP_HALF] * (a * part(look, MAP_X) + b * part(look, MAP_Y))
-        key, dome = light_seen(p, part(look, UP), frames, keys, depth, look[RADIUS])
-        out[y, x, 0] = key
-        out[y, x, 1] = dome
+def shade_floor(
+    look: F32_1,
+    frames: F32_2,
+    keys: ti.i32,
+    key_depth: F32_3,
+    dome_depth: F32_3,
+    key: F32_2,
+    dome: F32_2,
+):
+    """key (G, G) and dome (D, D): the parts of them that the floor sees, over its map."""
+    for y, x in ti.ndrange(key.shape[0], key.shape[0]):
+        p = on_floor(look, x, y, key.shape[0])
+        key[y, x] = key_seen(p, part(look, UP), frames, keys, key_depth, look[RADIUS])
+    for y, x in ti.ndrange(dome.shape[0], dome.shape[0]):
+        p = on_floor(look, x, y, dome.shape[0])
+        dome[y, x] = dome_seen(p, part(look, UP), frames, keys, dome_depth, look[RADIUS])
 
 
 @ti.kernel
@@ -85,7 +110,8 @@ def shade_points(
     look: F32_1,
     frames: F32_2,
     keys: ti.i32,
-    depth: F32_3,
+    key_depth: F32_3,
+    dome_depth: F32_3,
     floor: F32_3,
     points: F32_2,
     normals: F32_2,
@@ -94,7 +120,8 @@ def shade_points(
     """out (N, 3): diffuse light / pi at points with normals, to multiply an albedo."""
     for i in range(points.shape[0]):
         p, n = row(points, i), row(normals, i)
-        key, dome = light_seen(p, n, frames, keys, depth, look[RADIUS])
+        key = key_seen(p, n, frames, keys, key_depth, look[RADIUS])
+        dome = dome_seen(p, n, frames, keys, dome_depth, look[RADIUS])
         light = diffuse(look, floor, p, n, key, dome)
         for k in ti.static(range(3)):
             out[i, k] = light[k]

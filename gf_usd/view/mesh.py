@@ -16,9 +16,10 @@ from gf_usd.view.light import BOUNCE, SKY, Rig
 from gf_usd.view.pack import Packed
 
 OVERSAMPLING = 2  # samples a pixel, each way
-SHADOW_TEXELS = 256  # a side of each light's depth map
-FLOOR_TEXELS = 384  # a side of the floor's light map
-FLOOR_BLUR = (2.5, 2.5, 0.0)  # [texels] joins the hard shadows of the sampled lights
+KEY_TEXELS = 256  # a side of the depth map of each direction of the key
+DOME_TEXELS = 128  # ... of the dome, whose shadows are fainter
+FLOOR_TEXELS = 384  # a side of the floor's light map; half of it for the dome
+FLOOR_BLUR = 2.5  # [texels] joins the hard shadows of the sampled lights
 FAR = np.float32(3e38)
 
 BACKDROP = (0.80, 0.79, 0.775)  # linear, in the middle
@@ -31,25 +32,36 @@ class Lit:
 
     look: NDArray[np.float32]  # (LOOK_SIZE,) see gf_usd.view.lighting
     rig: Rig
-    depth: NDArray[np.float32]  # (L, S, S) [m] depth map of each light
+    key: NDArray[np.float32]  # (K, S, S) [m] depth map of each direction of the key
+    dome: NDArray[np.float32]  # (D, s, s) [m] ... of the dome
     floor: NDArray[np.float32]  # (G, G, 2) key and dome seen by the floor
 
 
 def light_up(scene: Scene, packed: Packed, rig: Rig) -> Lit:
     """Draw the depth maps of all lights and the light map of the floor."""
-    depth = np.full((len(rig.frames), SHADOW_TEXELS, SHADOW_TEXELS), FAR, dtype=np.float32)
-    if packed.n_triangles:
-        raster.shadow_triangles(packed.points, packed.triangles, rig.frames, packed.radius, depth)
-    if len(packed.blob_centres):
-        raster.shadow_blobs(
-            packed.blob_centres, packed.blob_covariances, rig.frames, packed.radius, depth
-        )
+    key = _depths(packed, rig.frames[: rig.key_samples], KEY_TEXELS)
+    dome = _depths(packed, rig.frames[rig.key_samples :], DOME_TEXELS)
     look = _look(scene, packed, rig)
     floor = np.ones((FLOOR_TEXELS, FLOOR_TEXELS, 2), dtype=np.float32)
     if scene.ground is not None:
-        lighting.shade_floor(look, rig.frames, rig.key_samples, depth, floor)
-        floor = np.asarray(gaussian_filter(floor, FLOOR_BLUR, mode="nearest"), dtype=np.float32)
-    return Lit(look=look, rig=rig, depth=depth, floor=floor)
+        half = np.empty((FLOOR_TEXELS // 2, FLOOR_TEXELS // 2), dtype=np.float32)
+        full = np.empty((FLOOR_TEXELS, FLOOR_TEXELS), dtype=np.float32)
+        lighting.shade_floor(look, rig.frames, rig.key_samples, key, dome, full, half)
+        for layer, light in enumerate((full, half.repeat(2, axis=0).repeat(2, axis=1))):
+            floor[..., layer] = gaussian_filter(light, FLOOR_BLUR, mode="nearest")
+    return Lit(look=look, rig=rig, key=key, dome=dome, floor=floor)
+
+
+def _depths(packed: Packed, frames: NDArray[np.float32], size: int) -> NDArray[np.float32]:
+    """(L, size, size) [m] how far each light of frames (L, 10) sees."""
+    depth = np.full((len(frames), size, size), FAR, dtype=np.float32)
+    if packed.n_triangles:
+        raster.shadow_triangles(packed.points, packed.triangles, frames, packed.radius, depth)
+    if len(packed.blob_centres):
+        raster.shadow_blobs(
+            packed.blob_centres, packed.blob_covariances, frames, packed.radius, depth
+        )
+    return depth
 
 
 def draw_surfaces(
@@ -63,7 +75,7 @@ def draw_surfaces(
 
     Returns
     -------
-    colour (H, W, 3) linear, and depth (H, W) [m] of the nearest surface in each pixel.
+    colour (H, W, 3) linear, and depth (H, W) [m] behind which each pixel hides everything.
     """
     height, width = lens.height // oversampling, lens.width // oversampling
     key = np.full((lens.height, lens.width), raster.EMPTY, dtype=np.int64)
@@ -82,7 +94,7 @@ def draw_surfaces(
         packed.finish, packed.skin,
         packed.atlas.texels, packed.atlas.levels, packed.atlas.kinds,
         packed.centres, packed.inverses, packed.tint,
-        lit.look, lit.rig.frames, lit.rig.key_samples, lit.depth, lit.floor,
+        lit.look, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
         out, seen,
     )  # fmt: skip
     return out, seen
@@ -93,7 +105,7 @@ def irradiance(lit: Lit, points: Floats, normals: Floats) -> NDArray[np.float32]
     out = np.zeros((len(points), 3), dtype=np.float32)
     if len(points):
         lighting.shade_points(
-            lit.look, lit.rig.frames, lit.rig.key_samples, lit.depth, lit.floor,
+            lit.look, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
             np.ascontiguousarray(points, dtype=np.float32),
             np.ascontiguousarray(normals, dtype=np.float32), out,
         )  # fmt: skip

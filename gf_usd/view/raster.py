@@ -238,13 +238,16 @@ def shadow_blobs(centre: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32
         det = ti.max(xx * yy - xy * xy, 1e-6)
         xz, yz = -k * w.dot(right), -k * w.dot(upward)
         tilt_x, tilt_y = (yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det
-        sx, sy = ti.sqrt(xx), ti.sqrt(yy)
-        x0 = ti.max(0, ti.cast(ti.ceil(p[0] - sx - 0.5), ti.i32))
+        sy = ti.sqrt(yy)
         y0 = ti.max(0, ti.cast(ti.ceil(p[1] - sy - 0.5), ti.i32))
-        x1 = ti.min(size - 1, ti.cast(ti.floor(p[0] + sx - 0.5), ti.i32))
         y1 = ti.min(size - 1, ti.cast(ti.floor(p[1] + sy - 0.5), ti.i32))
         for y in range(y0, y1 + 1):
+            # yy dx^2 - 2 xy dx dy + xx dy^2 <= det, solved for dx
+            dy = y + 0.5 - p[1]
+            middle = p[0] - 0.5 + xy * dy / yy
+            half = ti.sqrt(ti.max(det * (yy - dy * dy), 0.0)) / yy
+            x0 = ti.max(0, ti.cast(ti.ceil(middle - half), ti.i32))
+            x1 = ti.min(size - 1, ti.cast(ti.floor(middle + half), ti.i32))
             for x in range(x0, x1 + 1):
-                dx, dy = x + 0.5 - p[0], y + 0.5 - p[1]
-                if yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy <= det:
-                    ti.atomic_min(depth[light, y, x], p[2] + tilt_x * dx + tilt_y * dy)
+                dx = x + 0.5 - p[0]
+                ti.atomic_min(depth[light, y, x], p[2] + tilt_x * dx + tilt_y * dy)

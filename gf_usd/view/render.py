@@ -86,20 +86,20 @@ def _join_splats(
 def _radiance(cloud: RenderSplats, lit: Lit, view: Lens) -> NDArray[np.float32]:
     """(N, 3) albedo times light where the splats are lit; else their own radiance.
 
-    The normal of a splat is its shortest axis, on the camera's side.  Light is gathered half a
-    splat above it, for its neighbours overlap it.
+    The normal of a splat is its shortest axis, on the side that sees more light: which side is
+    outside is not known, and at the rim of a body it is the one that faces away.  Light is
+    gathered half a splat above it, for its neighbours overlap it.
     """
     local = cloud.positions - view.origin
-    towards = local - view.eye
     if not cloud.lit:
         colours = cloud.colours
         if cloud.harmonics is not None:
-            colours = seen_from(cloud.harmonics, towards)
+            colours = seen_from(cloud.harmonics, local - view.eye)
         return untone(colours).astype(np.float32)
     length = np.linalg.norm(cloud.axes, axis=1)
     shortest = np.argmin(length, axis=1)[:, None, None]
     normals = np.take_along_axis(np.asarray(cloud.axes), shortest, axis=2)[..., 0]
     normals = normals / np.maximum(length.min(axis=1, keepdims=True), 1e-30)
-    normals[np.einsum("ni,ni->n", normals, towards) > 0.0] *= -1.0
-    above = local + 0.5 * length.max(axis=1, keepdims=True) * normals
-    return cloud.colours.astype(np.float32) * irradiance(lit, above, normals)
+    half = 0.5 * length.max(axis=1, keepdims=True)
+    light = [irradiance(lit, local + half * side, side) for side in (normals, -normals)]
+    return cloud.colours.astype(np.float32) * np.maximum(*light)

@@ -11,8 +11,9 @@ from gf_usd.view.lighting import (
     FLOOR,
     RADIUS,
     UP,
+    dome_seen,
     floor_factor,
-    light_seen,
+    key_seen,
     lit,
     smooth,
 )
@@ -42,6 +43,7 @@ from gf_usd.view.sampling import textured
 
 ti = import_taichi()
 
+SAME_PATCH = 0.99  # cosine between normals in one pixel that may share a look at the lights
 BRIGHTEST = 4.0  # of one sample: an edge against a highlight stays smooth
 
 
@@ -114,19 +116,23 @@ def shade(
     look: F32_1,
     frames: F32_2,
     keys: ti.i32,
-    depth: F32_3,
+    key_depth: F32_3,
+    dome_depth: F32_3,
     floor: F32_3,
     out: F32_3,
     seen: F32_2,
 ):
-    """Resolve keys (H s, W s) into linear colour out (H, W, 3) and nearest depth seen (H, W).
+    """Resolve keys (H s, W s) into linear colour out (H, W, 3) and depth seen (H, W).
+
+    The depth is that of the farthest sample: a pixel on an outline hides nothing behind it.
 
     Triangles have normals and colours (T, 9), uvs (T, 6), finish (T, 2) roughness and metallic,
     skin (T,) texture or -1; ids from T on are ellipsoids with tint (N, 3).
     """
     for py, px in ti.ndrange(out.shape[0], out.shape[1]):
         total = vec3(0.0)
-        nearest = 3e38
+        farthest = 0.0
+        sun, sky, lit_id, lit_n = 0.0, 0.0, -1, vec3(0.0)
         for s in range(oversampling * oversampling):
             y = py * oversampling + s // oversampling
             x = px * oversampling + s % oversampling
@@ -136,6 +142,7 @@ def shade(
             colour = vec3(0.0)
             nearness = ti.cast(key[y, x] >> 32, ti.i32)
             if nearness == EMPTY_BITS:
+                farthest = 3e38
                 a = ti.cast(2.0 * sx / key.shape[1] - 1.0, ti.f32)
                 b = ti.cast(1.0 - 2.0 * sy / key.shape[0], ti.f32)
                 colour = backdrop(look, a, b)
@@ -147,7 +154,7 @@ def shade(
                     colour *= floor_factor(look, floor, p)
             else:
                 item = ti.cast(key[y, x], ti.i32)
-                nearest = ti.min(nearest, ti.bit_cast(nearness, ti.f32))
+                farthest = ti.max(farthest, ti.bit_cast(nearness, ti.f32))
                 p, n, albedo = vec3(0.0), vec3(0.0), vec3(0.0)
                 rough, metal = 0.5, 0.0
                 if item < tri.shape[0]:
@@ -173,9 +180,13 @@ def shade(
                             n[k] += inverse[i, 3 * j + k] * ti.cast(q[j], ti.f32)
                     n = n.normalized()
                     albedo = row(tint, i)
-                sun, sky = light_seen(p, n, frames, keys, depth, look[RADIUS])
+                # neighbouring samples of one smooth patch see the same light
+                if lit_id != item or n.dot(lit_n) < SAME_PATCH:
+                    sun = key_seen(p, n, frames, keys, key_depth, look[RADIUS])
+                    sky = dome_seen(p, n, frames, keys, dome_depth, look[RADIUS])
+                    lit_id, lit_n = item, n
                 colour = lit(look, floor, p, n, v, albedo, rough, metal, sun, sky)
             total += ti.min(colour, BRIGHTEST)
         for k in ti.static(range(3)):
             out[py, px, k] = total[k] / (oversampling * oversampling)
-        seen[py, px] = nearest
+        seen[py, px] = farthest

@@ -44,7 +44,8 @@ def project(splats: RenderSplats, lens: Lens) -> Projected:
     kept = kept[np.argsort(z[kept], kind="stable")]
     x, y, z = x[kept], y[kept], z[kept]
     # beyond the picture's edge the linearised projection grows without bound: hold it there
-    limit = 0.65 * np.array([lens.width, lens.height]) / lens.focal
+    middle = 0.5 * np.array([lens.width, lens.height])
+    limit = (1.3 * middle + np.abs(middle - lens.centre)) / lens.focal
     slope_x, slope_y = np.clip(x / z, -limit[0], limit[0]), np.clip(y / z, -limit[1], limit[1])
     zero = np.zeros_like(z)
     jacobian = np.stack(
@@ -58,8 +59,8 @@ def project(splats: RenderSplats, lens: Lens) -> Projected:
     sharp = np.maximum(plane[:, 0, 0] * plane[:, 1, 1] - xy**2, 0.0)
     opacity = np.asarray(splats.opacities)[kept] * np.sqrt(sharp / det)
     reach = np.sqrt(np.maximum(2.0 * np.log(np.maximum(opacity, 1e-30) / FAINTEST), 0.0))
-    px = 0.5 * lens.width + lens.focal * x / z
-    py = 0.5 * lens.height - lens.focal * y / z
+    px = lens.centre[0] + lens.focal * x / z
+    py = lens.centre[1] - lens.focal * y / z
     shape = np.stack([px, py, yy / det, -xy / det, xx / det, opacity, z], axis=1)
     half = reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1))
     return Projected(shape=shape.astype(np.float32), half=half, order=kept)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import is_
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from gf_usd.model import Texture
 
 LARGEST = 2048  # texels a side; a larger texture is halved first: no picture here shows more
 LEVELS = 16
+_last: list = []  # the textures of the last atlas, and the atlas
 WRAPS = {"repeat": 0, "clamp": 1, "mirror": 2, "black": 3}
 
 
@@ -25,7 +27,18 @@ class Atlas:
 
 
 def make_atlas(textures: tuple[Texture, ...]) -> Atlas:
-    """Decode the textures to linear and halve each down to one texel (box filter)."""
+    """Decode the textures to linear and halve each down to one texel (box filter).
+
+    The last atlas is kept: the frames of a film share their textures.
+    """
+    if _last and len(_last[0]) == len(textures) and all(map(is_, _last[0], textures)):
+        return _last[1]
+    atlas = _make_atlas(textures)
+    _last[:] = [textures, atlas]
+    return atlas
+
+
+def _make_atlas(textures: tuple[Texture, ...]) -> Atlas:
     texels: list[NDArray[np.float32]] = []
     levels = np.zeros((max(1, len(textures)) * LEVELS, 3), dtype=np.int32)
     kinds = np.zeros((max(1, len(textures)), 3), dtype=np.int32)

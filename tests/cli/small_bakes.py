@@ -6,21 +6,32 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from gf_usd.model import Health
+
 SAMPLES = Path(__file__).parents[2] / "samples"
 SMALL = ("--particles", "300", "--frames", "6")
-RESULT = ["root", "report", "particles", "frames", "seconds", "settings", "bakes", "notes", "check"]
+RESULT = [
+    "root", "report", "particles", "frames", "seconds", "settings", "bakes", "warnings", "outputs",
+    "notes", "check",
+]  # fmt: skip
 REPORT = {
     "command", "version", "source", "input_sha256", "bodies", "riders", "particles", "spacing_m",
     "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m", "settings", "outputs",
-    "notes", "seconds", "bakes", "check",
+    "notes", "seconds", "bakes", "warnings", "check", "pins",
 }  # fmt: skip
 BAKE = ["look", "cache", "material", "frames", "health"]
 HEALTH = {
-    "frames", "substeps", "restitution", "deepest_penetration_m", "deepest_penetration_spacings",
-    "penetration_at_end_spacings", "first_contact_frame", "min_J", "max_J", "min_stretch",
-    "max_stretch", "inverted_particle_frames", "rollbacks", "friction_capped", "energy_start_J",
-    "energy_end_J", "energy_max_J",
+    "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
+    "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
+    "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
+    "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",
+    "inverted_at_end", "first_inverted_frame", "clamped_particle_frames", "clamped_share",
+    "stress_capped_particle_frames", "stress_capped_share", "friction_capped", "energy_start_J",
+    "energy_end_J", "energy_max_J", "energy_scale_J", "energy_gain_max_J", "energy_gain_max_share",
+    "dissipated_J", "work_of_pins_J", "injected_J", "momentum_end", "angular_momentum_end",
+    "free_flight_frames", "momentum_drift", "angular_momentum_drift",
 }  # fmt: skip
+FRAME = {"time_code", *Health.__dataclass_fields__, "energy", "energy_gain"}
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}
 
 # A block of 20 x 20 x 30 cm, two metres above the floor; centimetres, Z up, 48 frames a second.

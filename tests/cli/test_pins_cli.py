@@ -88,7 +88,8 @@ def test_pins_and_floors_that_do_nothing_are_refused(arm: Path) -> None:
 def test_a_ball_rolls_down_a_tilted_floor(tmp_path: Path) -> None:
     ball = tmp_path / "ball.usda"
     ball.write_text(
-        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y" )\ndef Sphere "Ball" {\ndouble radius = 0.5\n}'
+        '#usda 1.0\n( metersPerUnit = 1\n upAxis = "Y" )\n'
+        'def Sphere "Ball" {\ndouble radius = 0.5\n}'
     )
     result = gf_usd.bake(
         ball, particles=400, frames=24, drop="0.05", floor="0.3,1,0", output=tmp_path / "o.usda"

@@ -8,7 +8,8 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from gf_usd.cli.preview import parse_size, preview
+from gf_usd.cli.preview import preview
+from gf_usd.cli.preview_options import parse_size
 from gf_usd.errors import UsageError
 
 STAGE = """#usda 1.0
@@ -80,7 +81,7 @@ def test_the_default_name_is_in_this_folder(stage, tmp_path, monkeypatch):
         (("--size", "0x10"), "--size 0x10 is not a size"),
         (("--size", "10x9000"), "10x9000 pixels cannot be drawn"),
         (("--show", "fog"), "Unknown --show fog"),
-        (("-o", "out.jpg"), "does not end in .png"),
+        (("-o", "out.jpg"), "does not end in .png, .mp4 or .gif"),
     ],
 )
 def test_wrong_options_are_refused_in_words(stage, tmp_path, monkeypatch, arguments, message):

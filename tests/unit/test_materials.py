@@ -21,7 +21,10 @@ from gf_usd.materials import (
 from gf_usd.model import Material
 
 G0 = 9.81
-CHOICES = "rubber, metal, jelly, soft-silicone, silicone, neoprene, natural-rubber, foam"
+CHOICES = (
+    "rubber, metal, jelly, gelatin, soft-silicone, silicone, neoprene, natural-rubber, hard-rubber,"
+    " foam"
+)
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
 each_look = pytest.mark.parametrize("look", LOOKS.values(), ids=lambda look: look.name)
 each_preset = pytest.mark.parametrize("preset", presets().values(), ids=lambda p: p.name)

@@ -10,7 +10,15 @@ from pathlib import Path
 import pytest
 
 from gf_usd.errors import UsageError
-from gf_usd.output_files import Outputs, claim, outputs, require_free, require_source_free
+from gf_usd.output_files import (
+    Outputs,
+    claim,
+    outputs,
+    report_of_failure,
+    require_free,
+    require_source_free,
+)
+from gf_usd.publish import partial_path
 
 DUCK = Path("models/duck.usda")
 
@@ -191,3 +199,33 @@ def test_folders_are_made_when_the_bake_begins(tmp_path: Path) -> None:
     claim(files)
     assert files.root.parent.is_dir()
     assert list(files.root.parent.iterdir()) == []
+
+
+def test_the_report_of_a_failure_is_in_nobodys_way(tmp_path: Path) -> None:
+    files = outputs(Path("duck.usda"), ["rubber"], f"{tmp_path}/")
+    assert report_of_failure(files) == files.report
+    files.report.write_text('{"failed": {"frame": 3}}', encoding="utf-8")
+    partial_path(files.root).write_text("#usda 1.0\n", encoding="utf-8")
+    partial_path(files.caches[0]).write_bytes(b"half")
+    assert report_of_failure(files) == files.report
+    require_free(files, overwrite=False)
+    claim(files)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "no json", '["failed"]'])
+def test_any_other_report_is_kept(tmp_path: Path, text: str) -> None:
+    files = outputs(Path("duck.usda"), ["rubber"], f"{tmp_path}/")
+    files.report.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match="exists already"):
+        require_free(files, overwrite=False)
+    assert report_of_failure(files) == partial_path(files.report)
+    claim(files)
+    assert files.report.read_text(encoding="utf-8") == text
+
+
+def test_what_cannot_be_cleared_away_is_told(tmp_path: Path) -> None:
+    files = outputs(Path("duck.usda"), ["rubber"], f"{tmp_path}/")
+    partial_path(files.root).mkdir()
+    with pytest.raises(UsageError, match=r"duck\.rubber\.partial\.usda of an earlier bake cannot"):
+        claim(files)

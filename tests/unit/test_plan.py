@@ -137,7 +137,8 @@ def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> N
 def test_a_result_has_the_documented_keys(plan: Plan) -> None:
     out = strict(result(plan).as_json())
     assert list(out) == [
-        "root", "report", "particles", "frames", "seconds", "settings", "bakes", "notes", "check",
+        "root", "report", "particles", "frames", "seconds", "settings", "bakes",
+        "warnings", "outputs", "notes", "check",
     ]  # fmt: skip
     assert out["root"] == "out/my ball.rubber-jelly.usda"
     assert out["report"] == "out/my ball.rubber-jelly.report.json"

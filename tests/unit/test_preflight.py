@@ -94,8 +94,11 @@ def test_the_json_is_json_and_has_every_documented_key():
 
 
 def test_each_material_has_its_cost():
-    seen = inspect(DUCK, material="rubber,metal", **FEW)
-    rubber, metal = seen.as_json()["materials"]
+    # asked for one by one: of two with one law the second finds its kernels loaded
+    rubber, metal = (
+        inspect(DUCK, material=name, **FEW).as_json()["materials"][0]
+        for name in ("rubber", "metal")
+    )
     assert (rubber["name"], metal["name"]) == ("rubber", "metal")
     assert metal["substeps_per_frame"] > rubber["substeps_per_frame"]
     assert metal["seconds"] > rubber["seconds"]
@@ -233,10 +236,12 @@ def test_parts_without_particles_are_named(stage):
 def test_memory_is_estimated_within_a_factor_of_two(tmp_path, particles):
     sizes = {"particles": particles, "frames": 2}
     expected = inspect(DUCK, **sizes).as_json()["materials"][0]["memory_bytes"]
+    # VmHWM is of this program alone; ru_maxrss remembers the process that was forked for it
     script = (
-        "import resource, sys, gf_usd\n"
+        "import pathlib, re, gf_usd\n"
         f"gf_usd.bake({str(DUCK)!r}, **{sizes})\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "status = pathlib.Path('/proc/self/status').read_text()\n"
+        "print(re.search(r'VmHWM:\\s*(\\d+)', status)[1])"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True

@@ -8,6 +8,7 @@ from pxr import Usd, UsdGeom, UsdShade
 
 from gf_usd.usd.rules.base import Finding, about, once, rule
 from gf_usd.usd.rules.read import applied_names, authored, prims, samples
+from gf_usd.usd.schema import APIS
 
 MATERIALS = "gaussianFlesh:materials"
 INDICES = "gaussianFlesh:materialIndices"
@@ -86,8 +87,7 @@ def applied_schema(stage: Usd.Stage) -> Iterator[Finding]:
                 if family.startswith(PREFIX):
                     yield speak.error(
                         f"apiSchemas names {name}, which the schema library does not have",
-                        "apply GaussianFleshParticlesAPI, GaussianFleshMaterialAPI or "
-                        "GaussianFleshBakeAPI",
+                        f"apply one of {', '.join(APIS)}",
                     )
                 continue
             if prim.GetPrimTypeInfo().GetSchemaType().isUnknown:

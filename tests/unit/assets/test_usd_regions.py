@@ -11,7 +11,7 @@ import pytest
 from gf_usd.assets import read_asset
 from gf_usd.assets.usd_regions import read_regions
 from gf_usd.errors import InputError
-from gf_usd.model import Region
+from gf_usd.pins import Region
 
 STAGE = """#usda 1.0
 ( metersPerUnit = 0.5

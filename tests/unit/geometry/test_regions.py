@@ -8,7 +8,7 @@ from solids import cube, solid, sphere, surface
 
 from gf_usd.errors import InputError, UsageError
 from gf_usd.geometry.regions import box_region, make_pin, parse_box
-from gf_usd.model import Region
+from gf_usd.pins import Region
 
 NONE = np.zeros((0, 3))
 STILL = np.zeros((1, 0, 3))

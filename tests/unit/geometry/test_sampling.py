@@ -49,13 +49,16 @@ def test_a_spacing_is_kept_in_place_of_a_number():
     assert particles.spacing == pytest.approx(0.125, rel=1e-12)
 
 
-def test_one_particle_in_each_stratum_off_its_walls():
+def test_one_particle_in_each_stratum_about_a_gauss_point_of_its_cell():
     particles = sample_solid(solid(cube()), particles=None, spacing=0.1, seed=3)
     place = (particles.X - particles.corner) / particles.lattice
     stratum = np.floor(place).astype(int)
     assert len(np.unique(stratum, axis=0)) == len(particles) == 1000
-    assert np.abs(place - stratum - 0.5).max() <= 0.5 * JITTER + 1e-9
-    assert np.abs(place - stratum - 0.5).max() > 0.45 * JITTER  # random, not in the middle
+    # cells are pairs of strata: the Gauss points lie 1 / (2 sqrt 3) of a cell from its middle
+    middle = 2.0 * (stratum // 2) + 1.0
+    gauss = middle + np.where(stratum % 2, 1.0, -1.0) / np.sqrt(3.0)
+    assert np.abs(place - gauss).max() <= 0.5 * JITTER + 1e-9
+    assert np.abs(place - gauss).max() > 0.45 * JITTER  # random, not on the points
 
 
 @pytest.mark.parametrize("edge", [(1.0, 1.0, 1.0), (1.2, 0.8, 1.6)])

@@ -8,10 +8,11 @@ from solids import cube, fill, look, settings, solid
 
 from gf_usd.errors import InputError
 from gf_usd.geometry.regions import box_region, make_pin
-from gf_usd.model import Floats, Material, Particles, Pin, Region
+from gf_usd.model import Floats, Material, Particles
 from gf_usd.physics.holds import Holder, held_by, interpolation, mirror_points
 from gf_usd.physics.motion import Motion
 from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.pins import Pin, Region
 
 BAR = solid(cube((0.0, 0.0, 0.0), (1.0, 0.25, 0.25)))
 STILL = np.zeros((1, 0, 3))

@@ -204,3 +204,25 @@ def test_a_node_that_its_followers_would_pull_under_the_bound_follows_too():
     # A lonely node's slope hangs on neighbours of weight 1e-6: 1e-16 / 1e-6, times a few cells.
     assert lumped.sum() == pytest.approx(mass.sum(), rel=1e-9)
     assert follow.shape == ((~free).sum(), free.sum())
+
+
+def test_bodies_share_no_node_however_near_they_are() -> None:
+    """Two halves of a ball as bodies of their own: each is what it is alone."""
+    X, h = ball(600)[0].X, 0.3
+    m = np.ones(len(X))
+    side = (X[:, 0] > 0.1).astype(int)
+    both = build_stencil(X, m, h, np.zeros(3), body=side)
+    for k in (0, 1):
+        mine = side == k
+        alone = build_stencil(X[mine], m[mine], h, np.zeros(3))
+        nodes = np.flatnonzero(both.node_body[: both.free_count] == k)
+        assert len(nodes) == alone.free_count
+        here = {tuple(np.round(x / h, 6)) for x in both.free_X[nodes]}
+        assert here == {tuple(np.round(x / h, 6)) for x in alone.free_X}
+        A, B = both.rows(X[mine], side[mine]).W, alone.rows(X[mine]).W
+        others = np.setdiff1d(np.arange(both.free_count), nodes)
+        assert abs(A[:, others]).sum() == 0.0
+        # the same linear field is read the same
+        u = both.free_X @ SLOPE.T
+        np.testing.assert_allclose(A @ u, B @ (alone.free_X @ SLOPE.T), atol=1e-12)
+    assert both.mass.sum() == pytest.approx(len(X))

@@ -1,0 +1,58 @@
+"""Which bake of a root layer is read: its variants, selected in the session only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pxr import Usd
+
+from gf_usd.errors import UsageError
+
+VARIANTS, NONE = "gaussianFlesh", "none"  # the variant set of a bake, and the source in it
+DISPLAYS = {"mesh", "gaussians", "points"}
+
+
+def looks_of(stage: Usd.Stage) -> tuple[str, ...]:
+    """Names of the bakes in a file, in the order of the variants."""
+    names: list[str] = []
+    for prim in _switches(stage):
+        names += prim.GetVariantSet(VARIANTS).GetVariantNames()
+    return tuple(name for name in dict.fromkeys(names) if name != NONE)
+
+
+def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
+    """Select a look on every root prim that has it, and its display of meshes; returns its name.
+
+    look : None: what is selected in the file, or the first where that is the source.  The name is
+    "" where the file holds no bake.
+
+    Raises UsageError where there is no such look.
+    """
+    looks = looks_of(stage)
+    if look is not None and look not in looks:
+        there = f"it holds {', '.join(looks)}" if looks else "it holds no bake: leave --look out"
+        raise UsageError(f"{path} has no look {look!r}.", there)
+    prims = _switches(stage)
+    if not prims or not looks:
+        return ""
+    chosen = look or prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
+    if chosen not in looks:
+        chosen = looks[0]
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for prim in prims:
+        prim.GetVariantSet(VARIANTS).SetVariantSelection(chosen)
+    for prim in prims:
+        sets = prim.GetVariantSets()
+        for name in sets.GetNames():
+            if set(sets.GetVariantSet(name).GetVariantNames()) == DISPLAYS:
+                sets.SetSelection(name, "mesh")
+    return chosen
+
+
+def _switches(stage: Usd.Stage) -> list[Usd.Prim]:
+    """Root prims that carry the variants of a bake."""
+    return [
+        prim
+        for prim in stage.GetPseudoRoot().GetChildren()
+        if prim.GetVariantSets().HasVariantSet(VARIANTS)
+    ]

@@ -1,0 +1,162 @@
+"""What UsdPhysics says of a prim that is baked: mass, density, first velocities, material."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Usd
+
+from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_mesh import Reading
+from gf_usd.assets.usd_physics_material import PhysicsMaterials
+from gf_usd.assets.usd_physics_motion import Readings, matrix, velocity_at_rest
+from gf_usd.assets.usd_physics_roles import (
+    BODIES,
+    COLLISION,
+    RIGID_BODY,
+    apis,
+    body_of,
+    is_collider,
+    role,
+    switch,
+)
+from gf_usd.assets.usd_physics_values import number, vector
+from gf_usd.assets.usd_subsets import read_subsets
+from gf_usd.model import Floats
+from gf_usd.stage_physics import BodyPhysics, Triple
+from gf_usd.units import StageUnits
+
+MASS = "PhysicsMassAPI"
+MASSES = ("physics:mass", "omniphysics:mass")
+DENSITY, CENTER = "physics:density", "physics:centerOfMass"
+VELOCITY, SPIN = "physics:velocity", "physics:angularVelocity"
+
+
+def read_body(
+    prim: Usd.Prim,
+    readings: Readings,
+    materials: PhysicsMaterials,
+    time: Usd.TimeCode,
+    *,
+    rest: float | None,
+    step: float,
+    notes: Notes,
+) -> BodyPhysics:
+    """What is said of one baked mesh or implicit shape.
+
+    time : of the rest pose, and rest the same as a number (None: before any sample); step : time
+    codes of one frame.
+
+    Raises InputError for values that make no sense.
+    """
+    facts, here = readings.facts, readings.at(time)
+    owner = body_of(prim, time)
+    mass, mass_of = _mass(prim, owner, here, facts.units, notes)
+    density = _density(prim, owner, here, facts.units)
+    what = role(prim, time)
+    velocity, spin = _rigid_velocity(owner, what, here)
+    words = materials.bound(prim)
+    return BodyPhysics(
+        path=str(prim.GetPath()),
+        role=what,
+        owner=str(owner.GetPath()) if owner else "",
+        collides=COLLISION not in apis(prim)
+        or switch(prim, "physics:collisionEnabled", time, otherwise=True),
+        mass=mass,
+        mass_of=mass_of,
+        density=density,
+        velocity=velocity,
+        angular_velocity=spin,
+        center=_center(owner or prim, here),
+        moving=velocity_at_rest(prim, readings, rest, step, notes),
+        words=words,
+        material=materials.whole(words, density),
+        subsets=read_subsets(prim, facts, time, materials, density, notes),
+    )
+
+
+def _chain(prim: Usd.Prim, owner: Usd.Prim | None, time: Usd.TimeCode) -> list[Usd.Prim]:
+    """From the body prim down to the prim, those whose statement of mass takes effect."""
+    found, above = [], prim
+    while above and not above.IsPseudoRoot():
+        found.append(above)
+        if owner is None or above == owner:
+            break
+        above = above.GetParent()
+    return [one for one in reversed(found) if _mass_counts(one, time)]
+
+
+def _mass_counts(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether a prim may state a mass: not as a body or collider that is switched off."""
+    mine = apis(prim)
+    bodies = mine & BODIES.keys()
+    if not (MASS in mine or bodies):
+        return False
+    on = any(switch(prim, BODIES[api][0], time, otherwise=True) for api in bodies)
+    return on or is_collider(prim, time) or not (bodies or COLLISION in mine)
+
+
+def _mass(
+    prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits, notes: Notes
+) -> tuple[float | None, str]:
+    """[kg] and the prim that says so; a prim above goes before those below it."""
+    for one in _chain(prim, owner, here.time):
+        for name in MASSES:
+            value = number(here.path, one, name, here.time)
+            if value:
+                return value * units.mass, str(one.GetPath())
+    above = prim.GetParent() if owner is None else None
+    while above and not above.IsPseudoRoot():
+        if MASS in apis(above) and number(here.path, above, MASSES[0], here.time):
+            notes.add("states a mass but is no body: not read", str(above.GetPath()))
+        above = above.GetParent()
+    return None, ""
+
+
+def _density(
+    prim: Usd.Prim, owner: Usd.Prim | None, here: Reading, units: StageUnits
+) -> float | None:
+    """[kg/m^3]; the prim nearest to the mesh goes first."""
+    for one in reversed(_chain(prim, owner, here.time)):
+        value = number(here.path, one, DENSITY, here.time)
+        if value:
+            return value * units.density
+    return None
+
+
+def _rigid_velocity(
+    owner: Usd.Prim | None, what: str, here: Reading
+) -> tuple[Triple | None, Triple | None]:
+    """[m/s] and [rad/s] in the world; None where zero.
+
+    They are authored in the body's own frame; Newton's importer turns them by its rotation,
+    without its scale, and so are they here.  In a mirrored frame the spin turns the other way.
+    """
+    if owner is None or what == "kinematic" or RIGID_BODY not in apis(owner):
+        return None, None
+    u, _, vt = np.linalg.svd(matrix(owner, here)[:3, :3])
+    turn = u @ vt
+    linear = vector(here.path, owner, VELOCITY, here.time)
+    spin = vector(here.path, owner, SPIN, here.time)
+    return (
+        None if linear is None else _triple(linear @ turn * here.meters_per_unit),
+        None if spin is None else _triple(np.deg2rad(spin) @ turn * np.linalg.det(turn)),
+    )
+
+
+def _center(prim: Usd.Prim, here: Reading) -> Triple | None:
+    """(3,) [m] of mass, world; None where it is not authored."""
+    if MASS not in apis(prim):
+        return None
+    local = vector(here.path, prim, CENTER, here.time, unstated=-np.inf)
+    if local is None:
+        return None
+    rows = matrix(prim, here)
+    world = (local @ rows[:3, :3] + rows[3, :3]) * here.meters_per_unit
+    return _triple(world, zero=True)
+
+
+def _triple(values: Floats, *, zero: bool = False) -> Triple | None:
+    """Three numbers; None where all are 0 and that means nothing is said."""
+    if not zero and not np.any(values):
+        return None
+    return (float(values[0]), float(values[1]), float(values[2]))

@@ -1,0 +1,141 @@
+"""Pictures of a stage at any of its times, alike in camera, light and colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.assets.usd_picture import PictureStage
+from gf_usd.cli.preview_options import Options
+from gf_usd.scene import Camera, Light, Quantity
+from gf_usd.view.camera import fit_camera
+from gf_usd.view.colormap import paint
+from gf_usd.view.gif import FASTEST, write_gif
+from gf_usd.view.legend import Legend, label
+from gf_usd.view.light import studio
+from gf_usd.view.movie import write_mp4
+from gf_usd.view.render import render
+from gf_usd.view.sheet import columns_for, contact_sheet
+from gf_usd.view.ticks import rounded_up
+
+Pixels = NDArray[np.uint8]
+
+PALETTE_FRAMES = 6  # of a gif that its colours are taken from
+
+
+class Drawing:
+    """Draws a stage; everything that all frames share is found once.
+
+    Parameters
+    ----------
+    size : (width, height) [pixels].
+    limits : range of the colours; None: from the motion.
+    """
+
+    def __init__(
+        self,
+        source: PictureStage,
+        size: tuple[int, int],
+        limits: tuple[float, float] | None = None,
+    ) -> None:
+        self._source, self._size = source, size
+        self._quantity = _quantity(source, limits)
+        self._legend = Legend(self._quantity, size) if self._quantity else None
+        self._fitted = self._fit()
+        self._lights = self._studio()
+        self.notes: dict[str, None] = {}  # what was assumed in any frame, once each
+
+    def __call__(self, time_code: float | None, *, legend: bool = True) -> Pixels:
+        """The picture (H, W, 3) sRGB at a time code; None: the first of the stage."""
+        scene = self._source.scene(time_code)
+        self.notes.update(dict.fromkeys(scene.notes))
+        if self._quantity is not None:
+            scene = paint(scene, self._quantity.low, self._quantity.high)
+        camera = self._source.camera(time_code, self._aspect) or self._fitted
+        pixels = render(replace(scene, lights=self._lights), camera, self._size)
+        return self._legend.over(pixels) if self._legend and legend else pixels
+
+    @property
+    def _aspect(self) -> float:
+        return self._size[0] / self._size[1]
+
+    def _fit(self) -> Camera | None:
+        """A camera that has the whole motion beside the legend; None where nothing is visible."""
+        motion, (width, height) = self._source.motion, self._size
+        if motion.bounds is None:
+            return None
+        taken = min(self._legend.reserved, width // 2) if self._legend else 0
+        camera = fit_camera(motion.bounds.corners, motion.up, (width - taken) / height)
+        # half of what is taken moves the view axis to the middle of the rest
+        return replace(camera, shift=(-taken * np.tan(np.radians(camera.fov / 2.0)) / height, 0.0))
+
+    def _studio(self) -> tuple[Light, ...]:
+        """Lights that stand still where the stage's camera moves; () leaves them to the camera."""
+        camera = self._source.camera(None, self._aspect)
+        if camera is None:
+            return ()
+        view = np.subtract(camera.eye, camera.target)
+        return studio(view / np.linalg.norm(view), np.array(self._source.motion.up))
+
+
+def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quantity | None:
+    if source.values is None:
+        return None
+    found = source.values.quantity(source.motion.time_codes)
+    if limits is not None:
+        return replace(found, low=limits[0], high=limits[1], chosen=True)
+    # a body that never strains still gets a bar
+    return replace(found, high=rounded_up(found.high) or 1.0)
+
+
+def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
+    """A page of `options.sheet` frames evenly spread over the time codes, each labelled."""
+    spread = np.linspace(0, len(codes) - 1, min(options.sheet or 1, len(codes)))
+    chosen = [codes[i] for i in np.round(spread).astype(int)]
+    tiles = [
+        label(draw(code, legend=i == 0), f"time code {code:g}") for i, code in enumerate(chosen)
+    ]
+    aspect = options.size[0] / options.size[1]
+    return contact_sheet(tiles, options.columns or columns_for(len(tiles), aspect))
+
+
+def film_rate(codes: Sequence[float], per_second: float, options: Options) -> float:
+    """Frames per second: as asked for, else such that the film plays in real time."""
+    step = min((b - a for a, b in pairwise(codes)), default=1.0)
+    return options.fps or per_second / step
+
+
+def thin_for_gif(codes: list[float], fps: float) -> tuple[list[float], float]:
+    """Every n-th time code, and the rate, so that a GIF can keep up."""
+    every = int(np.ceil(fps / FASTEST - 1e-9)) or 1
+    return codes[::every], fps / every
+
+
+def write_film(
+    draw: Drawing,
+    codes: Sequence[float],
+    fps: float,
+    options: Options,
+    advance: Callable[[int, int], None],
+) -> None:
+    """Draw and write the frames one by one; `advance` hears how many of how many are done."""
+    gif = options.target.suffix.lower() == ".gif"
+    early: dict[int, Pixels] = {}
+    if gif:
+        spread = np.linspace(0, len(codes) - 1, min(PALETTE_FRAMES, len(codes)))
+        early = {int(i): draw(codes[int(i)]) for i in np.round(spread)}
+
+    def frames() -> Iterator[Pixels]:
+        for i, code in enumerate(codes):
+            pixels = early.pop(i) if i in early else draw(code)
+            advance(i + 1, len(codes))
+            yield pixels
+
+    if gif:
+        write_gif(options.target, frames(), fps, list(early.values()))
+    else:
+        write_mp4(options.target, frames(), fps, options.size)

@@ -1,0 +1,73 @@
+"""gf-usd report: a bake as one page for a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gf_usd.errors import UsageError
+
+
+def report(
+    baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="HTML file.", show_default="NAME.html in this folder"),
+    ] = None,
+    look: Annotated[
+        str | None,
+        typer.Option(help="Only this variant.", show_default="all, with a switch between them"),
+    ] = None,
+    max_vertices: Annotated[
+        int, typer.Option(min=100, help="Mesh vertices to keep at most, and as many Gaussians.")
+    ] = 20_000,
+    max_frames: Annotated[int, typer.Option(min=2, help="Frames to keep at most.")] = 240,
+) -> None:
+    """Write one page that plays the motion in a browser, offline, with what was measured.
+
+    It stays under 20 MB; what is left out for that is said on the page.
+    """
+    target = output or Path(f"{baked.stem}.html")
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(
+            f"{target} does not end in .html.", "report writes a web page: -o report.html"
+        )
+    write(baked, target, look, max_vertices, max_frames)
+    typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
+
+
+def write(path: Path, target: Path, look: str | None, vertices: int, frames: int) -> None:
+    """Write the page of a bake, all its looks or one.
+
+    Raises
+    ------
+    UsageError : no such look, the target is an input, or its folder does not exist.
+    InputError : the file cannot be read, or nothing in it moves.
+    BakeError : the disk refuses.
+    """
+    # pxr and taichi take a second to import, which --help must not wait for
+    from gf_usd.assets.usd_motion_read import BakedMotion
+    from gf_usd.publish import publish_text
+    from gf_usd.view.report import Limits, build_report
+    from gf_usd.view.report_record import load_report, report_path
+
+    require_target(target, (path, report_path(path)))
+    first = BakedMotion(path, look)
+    # the look that is selected in the file comes first
+    names = [first.look, *(n for n in first.looks if n != first.look)] if look is None else [look]
+    sources = [first, *(BakedMotion(path, name) for name in names[1:])]
+    page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
+    publish_text(target, page)
+
+
+def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
+    """Raise UsageError where a page cannot be written, or would replace what it is made of."""
+    for source in inputs:
+        if target.resolve() == source.resolve():
+            raise UsageError(f"{target} is the input itself.", "choose another -o")
+    if not target.parent.is_dir():
+        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
+    if target.is_dir():
+        raise UsageError(f"{target} is a folder.", "name the page: -o report.html")

@@ -1,0 +1,69 @@
+"""What the paper's options do to eight particles inside a substep: see `options`."""
+
+import taichi as ti
+
+from gf_usd.physics.lanes import LANES, cofactor, determinant, double_dot
+from gf_usd.physics.stencil_kernel import load
+
+
+@ti.func
+def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
+    """Clip the singular values of F of batch b, in place; where J < 0 the smallest is negative.
+
+    Signs as in `lanes.rotation`: an inverted particle is seen as one of the least stretch allowed.
+    """
+    low = body.limits[0]
+    high = body.limits[1]
+    square = double_dot(F, F)
+    # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
+    J = determinant(F, cofactor(F))
+    beyond = ti.select((square > high * high) | (low * square > 2.0 * J), J * 0.0 + 1.0, J * 0.0)
+    if beyond.max() > 0.0:
+        o = b * 9 * LANES
+        for a in ti.static(range(9)):
+            for lane in ti.static(range(LANES)):
+                body.clip_room[o + a * LANES + lane] = F[a][lane]
+        # Lane by lane through memory: eight decompositions in line would take minutes to compile.
+        for lane in range(LANES):
+            clip_lane(body, o + lane, b * LANES + lane, low, high, counted)
+        for a in ti.static(range(9)):
+            F[a] = load(body.clip_room, o + a * LANES)
+
+
+@ti.func
+def clip_lane(body: ti.template(), o, flag, low, high, counted: ti.template()):
+    """Clip the matrix whose entries lie LANES apart from o on."""
+    A = ti.Matrix.rows(
+        [
+            ti.Vector([body.clip_room[o + (3 * a + c) * LANES] for c in ti.static(range(3))])
+            for a in ti.static(range(3))
+        ]
+    )
+    U, S, V = ti.svd(A)
+    outside = 0
+    for a in ti.static(range(3)):
+        s = ti.min(ti.max(S[a, a], low), high)
+        if s != S[a, a]:
+            outside = 1
+        S[a, a] = s
+    if outside > 0:
+        if ti.static(counted):
+            body.clamped[flag] = 1
+        A = U @ S @ V.transpose()
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                body.clip_room[o + (3 * a + c) * LANES] = A[a, c]
+
+
+@ti.func
+def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
+    """Scale P of batch b down to |P| <= limits[2], in place."""
+    cap = body.limits[2]
+    size = ti.sqrt(double_dot(P, P))
+    scale = ti.min(cap / ti.max(size, 1e-30), 1.0)
+    for a in ti.static(range(9)):
+        P[a] = P[a] * scale
+    if ti.static(counted):
+        for lane in ti.static(range(LANES)):
+            if size[lane] > cap:
+                body.stress_capped[b * LANES + lane] = 1

@@ -1,0 +1,80 @@
+"""Which of the paper's options a body runs with, and how often they acted.
+
+    clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
+    cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)
+    WLS     F anchored anew once a frame: see `reanchor`                         (section 3.2)
+
+Off, none of them leaves a trace in the kernels.  The particles that the first two touch are counted
+each frame, however often they are touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.model import Floats, Settings
+from gf_usd.physics import body as layout
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What is compiled into the kernels."""
+
+    anchored: bool = False  # F = F0 + G u with an F0 of each particle, in place of I
+    clamped: bool = False
+    capped: bool = False
+
+
+PLAIN = Options()
+
+
+def options_of(settings: Settings) -> Options:
+    """The options that the settings ask for."""
+    return Options(
+        anchored=settings.wls,
+        clamped=settings.clamp is not None,
+        capped=settings.stress_cap is not None,
+    )
+
+
+def arrays(batches: layout.Batches, settings: Settings) -> dict[str, Floats]:
+    """The options' part of the pack; of what is off, one number."""
+    asked, lanes = options_of(settings), batches.source.size
+    low, high = settings.clamp or (0.0, 0.0)
+    return {
+        "F0": np.zeros(1),  # `Reanchor` puts what belongs here
+        "limits": np.array([low, high, settings.stress_cap or 0.0]),
+        "clip_room": np.zeros(9 * lanes if asked.clamped else 1),
+        "clamped": np.zeros(lanes if asked.clamped else 1, int),
+        "stress_capped": np.zeros(lanes if asked.capped else 1, int),
+    }
+
+
+def clear(solver: TotalLagrangian) -> None:
+    """Count from zero."""
+    for name, on in _counted(solver.options):
+        if on:
+            solver.arrays[name].fill(0)
+
+
+def touched(solver: TotalLagrangian) -> dict[str, Floats]:
+    """(N,) bool for "clamped" and "stress_capped": particles touched since `clear`."""
+    out = {}
+    for name, on in _counted(solver.options):
+        out[name] = np.zeros(len(solver.particles), bool)
+        if on:
+            # A filler repeats a neighbour, so that what it says is that particle's own.
+            lanes = solver.arrays[name].to_numpy() > 0
+            out[name][solver.batches.source.ravel()[lanes]] = True
+            out[name] &= solver.m > 0.0  # what a pin holds has no stress
+    return out
+
+
+def _counted(options: Options) -> tuple[tuple[str, bool], ...]:
+    return ("clamped", options.clamped), ("stress_capped", options.capped)

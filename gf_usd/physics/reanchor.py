@@ -1,0 +1,161 @@
+"""Once a frame: the paper's shape correction, and F anew from where the particles are.
+
+Both come after the substeps of a frame, in this order, and act on the state, which is all there is:
+what rides on the body, and the points that feel the floor, follow by the same rows as ever.
+
+Shape correction of strength alpha (GaussianFlesh section 4.3, "Procrustes"), on positions only,
+towards the rest shape as it lies, without rotation (physics.md section 4):
+
+    x_p <- x_p + alpha (xbar + (X_p - Xbar) - x_p)         xbar, Xbar: means by mass
+
+x - X is a displacement field, x = X + W u, and xbar - Xbar the mean ubar of that field.  So this is
+u <- u + alpha (ubar - u) on the nodes, for particles and everything else alike.  Velocities stay.
+A body that has turned is pulled back: that is what no rotation means.
+
+WLS (section 3.2): F <- argmin sum_q w_pq |F (X_q - X_p) - (x_q - x_p)|^2 over the k nearest
+particles at rest, weights Gaussian.  That is linear in x, one constant sparse operator for each
+column: F = I + D u_particles.  From there on F = F0 + G u with F0 = F_wls - G u of that moment,
+its singular values clipped where a clamp is set: the anchor (x0, F0, u0) = (X + W u, F_wls, u),
+kept as one matrix for each particle.  x needs no anchor, since nothing but u ever moves it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from gf_usd.errors import UsageError
+from gf_usd.model import Floats, Pose
+from gf_usd.physics import body as layout
+from gf_usd.physics.probes import stored_energy
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+NEIGHBOURS = 20  # physics.md section 4, fitted
+WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
+FLAT = 1e-9  # eigenvalue of the moments, beside the largest, of a direction without neighbours
+
+Gradient = tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]
+
+
+def wls_gradient(X: Floats, width: float) -> Gradient:
+    """D_a (N, N), a = 0..2: the least-squares gradient d/dX_a of values at the particles.
+
+    D_pq = w_pq (X_q - X_p) . M_p^+ and D_pp = -sum_q D_pq,  M_p = sum_q w_pq d d^T,  d = X_q - X_p,
+    w = exp(-|d|^2 / 2 width^2): exact for affine values where the neighbours fill space, and 0
+    along a direction in which there are none.
+    X : (N, 3) [m]; width : [m].
+    """
+    k = min(NEIGHBOURS, len(X) - 1)
+    distance, near = cKDTree(X).query(X, k=k + 1)
+    # A twin at the same place may come before the particle itself: both then add nothing.
+    d = X[near] - X[:, None]
+    # By the nearest neighbour's weight, which leaves the fit as it is and cannot underflow.
+    least = distance[:, 1:2] if k else distance
+    w = np.exp((least**2 - distance**2) / (2.0 * width**2))
+    M = np.einsum("nk,nka,nkb->nab", w, d, d)
+    B = np.einsum("nk,nkb,nba->nka", w, d, np.linalg.pinv(M, rcond=FLAT, hermitian=True))
+    rows = np.repeat(np.arange(len(X)), k + 1)
+    shape = (len(X), len(X))
+
+    def column(a: int) -> sparse.csr_matrix:
+        off = sparse.csr_matrix((B[:, :, a].ravel(), (rows, near.ravel())), shape=shape)
+        return (off - sparse.diags(np.asarray(off.sum(1)).ravel())).tocsr()
+
+    return column(0), column(1), column(2)
+
+
+def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
+    """F (N, 3, 3) with singular values in [low, high], and which rows (N,) bool that changed.
+
+    Where J < 0 the smallest singular value counts as negative, as in `option_kernel.clip`.
+    """
+    U, s, Vt = np.linalg.svd(F)
+    s[:, 2] *= np.where(np.linalg.det(F) < 0.0, -1.0, 1.0)
+    turned = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0.0, -1.0, 1.0)
+    kept = np.clip(s, low, high)
+    changed = (kept != s).any(1)
+    kept[:, 2] *= turned
+    clipped = np.einsum("nab,nb,nbc->nac", U, kept, Vt)
+    return np.where(changed[:, None, None], clipped, F), changed
+
+
+class Reanchor:
+    """What a body keeps for it: the operator, and F0 of every particle.
+
+    Raises UsageError for a shape correction of a body that pins hold: it has no mean of its own.
+    """
+
+    def __init__(self, solver: TotalLagrangian) -> None:
+        s = solver.settings
+        if s.procrustes > 0.0 and solver.holder is not None:
+            raise UsageError(
+                f"--procrustes {s.procrustes:g} moves the body towards its rest shape about its"
+                " mean, and --pin holds it elsewhere",
+                "leave one of the two out",
+            )
+        self.alpha = s.procrustes
+        self.clamp = s.clamp
+        X = solver.particles.X
+        self.gradient = wls_gradient(X, WIDTH * solver.particles.radius) if s.wls else None
+        # In the kernels' precision, so that what is saved is what they see.
+        self.F0 = np.tile(np.eye(3, dtype=solver.real), (len(X), 1, 1))
+
+    @property
+    def acts(self) -> bool:
+        return self.alpha > 0.0 or self.gradient is not None
+
+    def anchored(self, pose: Pose) -> Pose:
+        """The particles' pose with F = F0 + G u in place of I + G u."""
+        if self.gradient is None:
+            return pose
+        return Pose(x=pose.x, v=pose.v, F=pose.F + (self.F0.astype(float) - np.eye(3)))
+
+    def put(self, solver: TotalLagrangian, F0: Floats) -> None:
+        """Set F0 (N, 3, 3), here and for the kernels."""
+        self.F0 = np.asarray(F0, solver.real)
+        flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
+        solver.arrays["F0"].from_numpy(flat.astype(solver.real))
+
+    def start(self, solver: TotalLagrangian) -> dict[str, Any]:
+        """The kernels' array of F0, at rest."""
+        if self.gradient is None:
+            return {}
+        flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
+        return {"F0": flat}
+
+    def frame(self, solver: TotalLagrangian, index: int) -> tuple[Floats, float]:
+        """Act at the end of frame `index`: particles (N,) bool that were clipped, energy [J] given.
+
+        A state that is no longer finite is left as it is, for the guard to see.
+        """
+        none = np.zeros(len(solver.particles), bool)
+        if not self.acts or solver.not_finite()[1]:
+            return none, 0.0
+        before = stored_energy(solver)
+        if self.alpha > 0.0:
+            self._correct(solver)
+        clipped = self._recompute(solver, index) if self.gradient is not None else none
+        return clipped, stored_energy(solver) - before
+
+    def _correct(self, solver: TotalLagrangian) -> None:
+        u = solver.arrays["u"].to_numpy().astype(float).reshape(-1, 3)
+        m = solver.stencil.mass
+        mean = m @ u[: len(m)] / m.sum()
+        u += self.alpha * (mean - u)
+        solver.arrays["u"].from_numpy(u.astype(solver.real).ravel())
+
+    def _recompute(self, solver: TotalLagrangian, index: int) -> Floats:
+        assert self.gradient is not None
+        pose = solver.particle_pose(index)
+        moved = pose.x - solver.particles.X - solver.offset
+        F = np.eye(3) + np.stack([D @ moved for D in self.gradient], -1)
+        clipped = np.zeros(len(F), bool)
+        if self.clamp is not None:
+            F, clipped = clip_stretches(F, *self.clamp)
+        self.put(solver, F - (pose.F - self.F0.astype(float)))
+        return clipped

@@ -1,0 +1,42 @@
+"""The solvers by their names, all behind `marching.Marcher`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from gf_usd.errors import UsageError
+from gf_usd.model import Settings
+from gf_usd.physics.marching import Marcher
+
+
+def _total_lagrangian() -> type[Marcher]:
+    from gf_usd.physics.solver import TotalLagrangian
+
+    return TotalLagrangian
+
+
+def _updated_lagrangian() -> type[Marcher]:
+    from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
+
+    return UpdatedLagrangian
+
+
+# One row makes a solver; its file is imported when it is asked for.
+SOLVERS: dict[str, Callable[[], type[Marcher]]] = {
+    "tl": _total_lagrangian,
+    "ul": _updated_lagrangian,
+}
+
+
+def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Marcher:
+    """The solver that `settings.solver` names; `more` as for `TotalLagrangian`.
+
+    Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.
+    """
+    if settings.solver not in SOLVERS:
+        raise UsageError(
+            f"there is no solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}"
+        )
+    solver: Any = SOLVERS[settings.solver]()
+    return solver(particles, materials, settings, **more)

@@ -1,0 +1,77 @@
+"""Points that ride on particles: what the grid of a Total Lagrangian body does, without a grid.
+
+A point at rest position X is carried by the particles nearest to it at rest, each of which takes it
+along as its own deformation says, and moves as their weighted mean:
+
+    x = sum_p w_p (x_p + F_p (X - X_p)),   F = sum_p w_p F_p
+    v = sum_p w_p (v_p + L_p F_p (X - X_p))
+
+with w = (1 - d^2 / R^2)^2, R a hair beyond the first particle left out, scaled to sum to one: a
+surface stays continuous where the particles that carry it change.  Exact for every affine map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from gf_usd.model import Floats, Ints, Pose
+from gf_usd.physics.stencil import Rows
+
+CARRIERS = 8  # particles that carry a point: about a cell's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ride:
+    """Who carries a set of points."""
+
+    X: Floats  # (n, 3) [m] rest positions of the points
+    particle: Ints  # (n, CARRIERS)
+    weight: Floats  # (n, CARRIERS), rows sum to 1
+    arm: Floats  # (n, CARRIERS, 3) [m] X - X_p
+
+    def pose(self, x: Floats, v: Floats, F: Floats, L: Floats) -> Pose:
+        """Pose of the points for the particles' x, v (N, 3), F, L (N, 3, 3)."""
+        w, p = self.weight, self.particle
+        d = np.einsum("nkab,nkb->nka", F[p], self.arm)
+        return Pose(
+            x=np.einsum("nk,nka->na", w, x[p] + d),
+            v=np.einsum("nk,nka->na", w, v[p] + np.einsum("nkab,nkb->nka", L[p], d)),
+            F=np.einsum("nk,nkab->nab", w, F[p]),
+        )
+
+    def rows(self, particles: Rows) -> sparse.csr_matrix:
+        """B (n, M): velocity of the points by that of the nodes, at rest.
+
+        particles : W and G of the particles.
+        """
+        shape = (len(self.X), len(particles.X))
+        start = np.arange(len(self.X) + 1) * self.weight.shape[1]
+
+        def carried(values: Floats) -> sparse.csr_matrix:
+            return sparse.csr_matrix((values.ravel(), self.particle.ravel(), start), shape=shape)
+
+        B = carried(self.weight) @ particles.W
+        for axis, G in enumerate(particles.G):
+            B = B + carried(self.weight * self.arm[..., axis]) @ G
+        return sparse.csr_matrix(B)
+
+
+def board(points: Floats, X: Floats) -> Ride:
+    """Let points (n, 3) [m] ride on particles at X (N, 3) [m].
+
+    A body of fewer particles than CARRIERS has some of them listed again with no weight.
+    """
+    k = min(CARRIERS, len(X))
+    distance, near = cKDTree(X).query(points, k=min(k + 1, len(X)))
+    distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
+    R = 1.01 * distance[:, -1:] + 1e-300
+    w = (1.0 - (distance[:, :k] / R) ** 2) ** 2
+    weight = np.zeros((len(points), CARRIERS))
+    weight[:, :k] = w / w.sum(1, keepdims=True)
+    particle = np.repeat(near[:, :1], CARRIERS, axis=1)
+    particle[:, :k] = near[:, :k]
+    return Ride(X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle])

@@ -1,0 +1,138 @@
+"""The bodies and settings of the cases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from gf_usd.geometry.sampling import JITTER, sample_solid, sample_surface
+from gf_usd.geometry.solid import build_solid
+from gf_usd.materials import LOOKS
+from gf_usd.model import (
+    Asset,
+    Floats,
+    Material,
+    Particles,
+    Settings,
+    StageFacts,
+    Surface,
+    SurfaceSamples,
+)
+from gf_usd.pins import Pin
+from gf_usd.units import StageUnits
+
+FPS = 24.0
+MIDDLE = np.array([0.25, 0.75])  # of a cell: where strata have their middles
+GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # exact for cubics on a cell
+
+
+def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
+    """A geodesic sphere about the origin, its vertices at the radius [m]."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    triangles = np.asarray(mesh.faces)
+    return Surface(
+        path="/Ball",
+        type_name="Mesh",
+        points=np.asarray(mesh.vertices),
+        face_counts=np.full(len(triangles), 3),
+        face_indices=triangles.ravel(),
+        triangles=triangles,
+        triangle_corners=np.arange(triangles.size).reshape(-1, 3),
+    )
+
+
+def ball(
+    particles: int, radius: float = 1.0, *, seed: int = 0, rejection: bool = False
+) -> tuple[Particles, SurfaceSamples]:
+    """About so many particles of production sampling in a ball, and its contact samples."""
+    facts = StageFacts(
+        path=Path("ball"), units=StageUnits(), up_axis="Y", time_codes_per_second=None,
+        start_time_code=None, end_time_code=None, root_prims=("/Ball",), default_prim="/Ball",
+    )  # fmt: skip
+    solid = build_solid(Asset(facts=facts, surfaces=(sphere(radius),)))
+    made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
+    return made, sample_surface(solid, made.spacing, seed)
+
+
+def block(
+    low: Any, cells: Any, h: float, *, places: Floats | None = None, seed: int = 0
+) -> Particles:
+    """A box of whole cells of edge h [m], eight particles in each.
+
+    places : (2,) of a cell along each axis, e.g. GAUSS; None: at random in strata, as baked.
+    """
+    low, cells = np.asarray(low, float), np.asarray(cells)
+    strata = np.stack(np.unravel_index(np.arange(8 * cells.prod()), tuple(2 * cells)), -1)
+    if places is None:
+        rng = np.random.default_rng(seed)
+        at = 0.5 * (strata + 0.5 + JITTER * (rng.random(strata.shape) - 0.5))
+    else:
+        at = strata // 2 + np.asarray(places)[strata % 2]
+    return cloud(low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low)
+
+
+def cloud(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Particles:
+    """Particles at X (n, 3) [m] that share a volume [m^3]; their Gaussians do not matter here."""
+    n = len(X)
+    return Particles(
+        X=X,
+        V0=np.full(n, volume / n),
+        material=np.zeros(n, np.int64),
+        orientation=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        scale=np.ones((n, 3)),
+        colour=np.zeros((n, 3)),
+        opacity=np.ones(n),
+        surface=np.zeros(n, np.int64),
+        spacing=float(np.cbrt(volume / n)),
+        volume=volume,
+        lattice=lattice,
+        corner=np.asarray(corner, float),
+    )
+
+
+def clamp(axis: int, at: float) -> Pin:
+    """A pin that holds all that lies under a coordinate [m]."""
+
+    def inside(X: Floats) -> Floats:
+        return X[:, axis] < at
+
+    def nearest(X: Floats) -> Floats:
+        b = X.copy()
+        b[:, axis] = at
+        return b
+
+    anchors = at * np.eye(3)[axis] + np.vstack([np.zeros(3), np.eye(3)])
+    return Pin(name="clamp", inside=inside, nearest=nearest, anchors=anchors, path=anchors[None])
+
+
+def look(name: str, body: Particles, **changes: Any) -> Material:
+    """A preset on a body; changes replace fields of the material."""
+    made = LOOKS[name].material(body.radius)
+    return Material(**{**vars(made), **changes})
+
+
+def elastic(
+    *, E: float, nu: float, density: float, law: str = "corotated", **more: Any
+) -> Material:
+    """A material without damping; E [Pa], density [kg/m^3]."""
+    return Material(
+        name="elastic", law=law, density=density, youngs_modulus=E, poissons_ratio=nu, **more
+    )
+
+
+def settings(device: str, **changes: Any) -> Settings:
+    """Free flight without gravity and without any filter or damping, at 24 frames a second."""
+    said: dict[str, Any] = {
+        "frames": 10,
+        "fps": FPS,
+        "time_codes_per_second": FPS,
+        "start": 1.0,
+        "gravity": (0.0, 0.0, 0.0),
+        "up": (0.0, 1.0, 0.0),
+        "floor": None,
+        "device": device,
+    }
+    return Settings(**{**said, **changes})

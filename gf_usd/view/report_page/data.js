@@ -1,0 +1,104 @@
+// Arrays out of the page: the other side of gf_usd/view/report_pack.py.
+
+const TYPES = {
+  uint8: Uint8Array, int8: Int8Array, uint16: Uint16Array, uint32: Uint32Array,
+};
+
+async function inflate(base64) {
+  const text = atob(base64);
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+// One array of the blob: byte planes are joined, and a moving array is summed up over its frames.
+function unpack(entry, bytes) {
+  const Type = TYPES[entry.type];
+  const width = Type.BYTES_PER_ELEMENT;
+  const count = entry.shape.reduce((a, b) => a * b, 1);
+  const joined = new Uint8Array(count * width);
+  for (let plane = 0; plane < width; plane++) {
+    const start = entry.offset + plane * count;
+    for (let i = 0; i < count; i++) joined[i * width + plane] = bytes[start + i];
+  }
+  const values = new Type(joined.buffer);
+  const row = entry.shape[0] ? count / entry.shape[0] : 0;
+  if (entry.moving) for (let i = row; i < count; i++) values[i] += values[i - row];
+  return { ...entry, values, row, at: (frame) => values.subarray(frame * row, (frame + 1) * row) };
+}
+
+// All arrays of a look, unpacked once.
+async function loadLook(look, number) {
+  if (!look.arrays) {
+    const bytes = await inflate(document.getElementById(`motion-${number}`).textContent);
+    look.arrays = {};
+    for (const [name, entry] of Object.entries(look.table)) look.arrays[name] = unpack(entry, bytes);
+  }
+  return look.arrays;
+}
+
+// Colour maps as stops from low to high, sRGB 0..255: the shaders and the legend share them.
+const MAPS = {
+  diverging: [[37, 78, 166], [86, 143, 214], [178, 207, 232], [238, 236, 230],
+    [244, 190, 150], [221, 107, 77], [163, 24, 45]],
+  sequential: [[48, 38, 92], [58, 82, 139], [33, 124, 141], [45, 164, 122],
+    [122, 197, 84], [206, 220, 62], [253, 231, 90]],
+};
+
+// The values 0..255 that colour vertices or Gaussians in a mode; null where there are none.
+function scalars(look, mode, kind, frame) {
+  const a = look.arrays;
+  if (mode === "strain") return a[kind === "mesh" ? "stretch" : "ratio"]?.at(frame) ?? null;
+  if (mode === "stress") return kind === "mesh" ? null : a.stress?.at(frame) ?? null;
+  if (mode !== "speed") return null;
+  const places = a[kind === "mesh" ? "points" : "positions"];
+  if (!places) return null;
+  const [before, after] = [Math.max(0, frame - 1), Math.min(look.seconds.length - 1, frame + 1)];
+  const time = look.seconds[after] - look.seconds[before] || 1;
+  const [p, q, step] = [places.at(before), places.at(after), places.step];
+  const out = new Uint8Array(places.row / 3);
+  for (let i = 0; i < out.length; i++) {
+    const d = Math.hypot((q[3 * i] - p[3 * i]) * step[0], (q[3 * i + 1] - p[3 * i + 1]) * step[1],
+      (q[3 * i + 2] - p[3 * i + 2]) * step[2]);
+    out[i] = Math.min(255, (255 * d) / time / look.topSpeed);
+  }
+  return out;
+}
+
+// The fastest that a mode of colour shows: of 200 points, so that one stray does not set it.
+function topSpeed(look) {
+  const places = look.arrays.points?.row ? look.arrays.points : look.arrays.positions;
+  if (!places?.row) return 1;
+  const count = places.row / 3;
+  const stride = Math.max(1, Math.floor(count / 200));
+  let top = 0;
+  for (let f = 1; f < look.seconds.length; f++) {
+    const [p, q] = [places.at(f - 1), places.at(f)];
+    for (let i = 0; i < count; i += stride) {
+      const d = Math.hypot((q[3 * i] - p[3 * i]) * places.step[0],
+        (q[3 * i + 1] - p[3 * i + 1]) * places.step[1],
+        (q[3 * i + 2] - p[3 * i + 2]) * places.step[2]);
+      top = Math.max(top, d / (look.seconds[f] - look.seconds[f - 1]));
+    }
+  }
+  return top || 1;
+}
+
+// How far from 1 the strain colours reach: a power of two that holds 98 in 100 of the values.
+function strainReach(look) {
+  const counts = new Float64Array(129);
+  let total = 0;
+  for (const name of ["stretch", "ratio"]) {
+    for (const code of look.arrays[name]?.values ?? []) {
+      counts[Math.abs(code - 128)]++;
+      total++;
+    }
+  }
+  let seen = 0;
+  for (let d = 0; d < counts.length; d++) {
+    seen += counts[d];
+    if (seen >= 0.98 * total) return [0.125, 0.25, 0.5, 1, 2].find((r) => (d / 127) * 2 <= r) ?? 2;
+  }
+  return 1;
+}

@@ -1,0 +1,181 @@
+// Ties the page together: what is clicked, dragged and pressed.
+
+async function start() {
+  const page = JSON.parse(document.getElementById("page").textContent);
+  const $ = (id) => document.getElementById(id);
+  let viewer = null;
+  try {
+    viewer = new Viewer($("canvas"));
+  } catch (error) {
+    $("canvas").hidden = true;
+    $("trouble").hidden = false;
+    $("trouble").textContent = `${error.message} The curves and tables below are all there.`;
+  }
+  const controls = new Controls(page, viewer, $);
+  const plots = new Plots($("plots"), (seconds) => controls.seekSeconds(seconds));
+  const player = new Player(page.looks, viewer, [controls, plots]);
+  controls.player = player;
+  await player.open(0);
+  controls.connect();
+  const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (viewer && !calm && !location.hash.includes("paused")) player.play();
+  return player;
+}
+
+class Controls {
+  constructor(page, viewer, $) {
+    Object.assign(this, { page, viewer, $ });
+  }
+
+  seekSeconds(seconds) {
+    this.player.pause();
+    this.player.seek(this.player.frameAt(seconds + 0.5 * this.gap()));
+  }
+
+  gap() {
+    const times = this.player.look.seconds;
+    return times.length > 1 ? times[1] - times[0] : 0;
+  }
+
+  // ---- what the player tells ----
+
+  look(look, number) {
+    const { $ } = this;
+    $("slider").max = look.seconds.length - 1;
+    for (const part of document.querySelectorAll("[data-look]")) {
+      part.hidden = part.dataset.look !== String(number);
+    }
+    for (const tab of document.querySelectorAll("[data-open]")) {
+      tab.setAttribute("aria-selected", tab.dataset.open === String(number));
+    }
+    const has = { mesh: look.arrays.points.row > 0, gaussians: look.arrays.positions?.row > 0 };
+    $("kinds").hidden = !(has.mesh && has.gaussians);
+    for (const option of $("mode").options) {
+      option.hidden = option.value === "stress" && !look.arrays.stress;
+    }
+    this.legend();
+  }
+
+  frame(frame, look) {
+    const { $ } = this;
+    $("slider").value = frame;
+    $("counter").textContent = `${frame + 1} / ${look.seconds.length}`;
+    $("clock").textContent = `time code ${look.codes[frame]} · ${look.seconds[frame].toFixed(2)} s`;
+    for (const picture of document.querySelectorAll("[data-look]:not([hidden]) [data-frame]")) {
+      picture.toggleAttribute("data-now", picture.dataset.frame === String(frame));
+    }
+  }
+
+  playing(playing) {
+    const button = this.$("play");
+    button.dataset.playing = playing;
+    button.setAttribute("aria-label", playing ? "pause" : "play");
+  }
+
+  // ---- what the person does ----
+
+  connect() {
+    const { $, player, viewer } = this;
+    $("play").addEventListener("click", () => player.toggle());
+    $("back").addEventListener("click", () => player.step(-1));
+    $("next").addEventListener("click", () => player.step(1));
+    $("slider").addEventListener("input", () => {
+      player.pause();
+      player.seek(Number($("slider").value));
+    });
+    $("speed").addEventListener("change", () => { player.speed = Number($("speed").value); });
+    player.speed = Number($("speed").value);
+    $("mode").addEventListener("change", () => this.setMode($("mode").value));
+    $("reset").addEventListener("click", () => { viewer?.refit(); viewer?.draw(); });
+    $("size").addEventListener("input", () => this.setSize(Number($("size").value)));
+    for (const kind of document.querySelectorAll("[data-show]")) {
+      kind.addEventListener("click", () => this.setShow(kind.dataset.show));
+    }
+    for (const tab of document.querySelectorAll("[data-open]")) {
+      tab.addEventListener("click", () => player.open(Number(tab.dataset.open)));
+    }
+    for (const picture of document.querySelectorAll("[data-frame]")) {
+      picture.addEventListener("click", () => {
+        player.pause();
+        player.seek(Number(picture.dataset.frame));
+      });
+    }
+    document.addEventListener("keydown", (e) => this.key(e));
+    this.setShow(this.viewer?.show ?? "mesh");
+  }
+
+  key(e) {
+    if (e.ctrlKey || e.metaKey || e.altKey || e.target.tagName === "SELECT") return;
+    const { player } = this;
+    const act = {
+      " ": () => player.toggle(),
+      ArrowLeft: () => player.step(-1),
+      ArrowRight: () => player.step(1),
+      Home: () => player.step(-player.frame),
+      End: () => player.step(player.count - 1 - player.frame),
+    }[e.key];
+    if (!act) return;
+    e.preventDefault();
+    // a button that has the focus would be pressed by the space as well
+    document.activeElement?.blur();
+    act();
+  }
+
+  setShow(show) {
+    if (this.viewer) this.viewer.show = show;
+    for (const kind of document.querySelectorAll("[data-show]")) {
+      kind.setAttribute("aria-pressed", kind.dataset.show === show);
+    }
+    this.$("sizes").hidden = show === "mesh";
+    // half as large they can be seen through the mesh
+    this.setSize(show === "both" ? 0.5 : 1);
+    this.legend();
+    this.viewer?.draw();
+  }
+
+  setSize(size) {
+    this.$("size").value = size;
+    if (!this.viewer) return;
+    this.viewer.size = size;
+    this.viewer.draw();
+  }
+
+  setMode(mode) {
+    if (!this.viewer) return;
+    this.viewer.mode = mode;
+    this.viewer.paint();
+    this.legend();
+  }
+
+  legend() {
+    const { $, viewer, player } = this;
+    const mode = viewer?.mode ?? "colour";
+    $("legend").hidden = mode === "colour";
+    if (mode === "colour") return;
+    const stops = MAPS[mode === "strain" ? "diverging" : "sequential"];
+    const inks = stops.map((c) => `rgb(${c.join(",")})`).join(",");
+    $("legend-bar").style.background = `linear-gradient(90deg,${inks})`;
+    const { low, middle, high, title } = this.scale(mode, player.look);
+    $("legend-title").textContent = title;
+    $("legend-low").textContent = low;
+    $("legend-middle").textContent = middle;
+    $("legend-high").textContent = high;
+  }
+
+  scale(mode, look) {
+    const show = (v) => Number(v.toPrecision(2)).toString();
+    if (mode === "strain") {
+      const top = 2 ** look.reach;
+      const what = { mesh: "stretch of the surface", gaussians: "volume ratio |J|" };
+      const title = what[this.viewer.show] ?? "stretch of the surface, volume ratio of Gaussians";
+      return { low: `≤ ${show(1 / top)}`, middle: "1", high: `≥ ${show(top)}`, title };
+    }
+    if (mode === "speed") {
+      return { low: "0", middle: "", high: `${show(look.topSpeed)} m/s`, title: "speed" };
+    }
+    const high = `≥ ${show(look.arrays.stress.top)} Pa`;
+    return { low: "0", middle: "", high, title: "von Mises stress of the Gaussians" };
+  }
+}
+
+window.report = { ready: start() };

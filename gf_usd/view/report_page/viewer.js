@@ -1,0 +1,199 @@
+// The moving mesh and Gaussians on a canvas.  It draws when something changed, and else rests.
+
+class Viewer {
+  constructor(canvas) {
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
+    if (!gl) throw new Error("This browser offers no WebGL 2, which the 3D view needs.");
+    Object.assign(this, { canvas, gl, orbit: new Orbit(), show: "mesh", mode: "colour", size: 1 });
+    this.mesh = this.program(MESH_VERTEX, MESH_FRAGMENT);
+    this.balls = this.program(BALL_VERTEX, BALL_FRAGMENT);
+    this.meshShadow = this.program(MESH_VERTEX, SHADOW_FRAGMENT);
+    this.ballShadow = this.program(BALL_VERTEX, SHADOW_FRAGMENT);
+    this.floor = this.program(FLOOR_VERTEX, FLOOR_FRAGMENT);
+    this.buffers = {};
+    this.makeShadowMap();
+    this.steer();
+    new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  program(vertex, fragment) {
+    const gl = this.gl;
+    const made = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(made, shader);
+    }
+    gl.linkProgram(made);
+    if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
+    const at = {};
+    for (let i = 0; i < gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS); i++) {
+      const name = gl.getActiveUniform(made, i).name.replace("[0]", "");
+      at[name] = gl.getUniformLocation(made, name);
+    }
+    const inputs = {};
+    for (let i = 0; i < gl.getProgramParameter(made, gl.ACTIVE_ATTRIBUTES); i++) {
+      const { name } = gl.getActiveAttrib(made, i);
+      inputs[name] = gl.getAttribLocation(made, name);
+    }
+    return { made, at, inputs };
+  }
+
+  makeShadowMap() {
+    const gl = this.gl;
+    this.shadowSize = 512;
+    this.shadowMap = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.shadowMap);
+    gl.texStorage2D(gl.TEXTURE_2D, 6, gl.RGBA8, this.shadowSize, this.shadowSize);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    this.shadowTarget = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadowTarget);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.shadowMap, 0);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
+  // Show a look; the camera stays where it is unless this is the first.
+  open(look) {
+    const first = !this.look;
+    this.look = look;
+    const [low, high] = [look.low, look.high];
+    this.centre = low.map((v, i) => 0.5 * (v + high[i]));
+    this.shrink = 1 / (Math.hypot(...low.map((v, i) => high[i] - v)) || 1);
+    this.box = [this.stand(low), this.stand(high)];
+    const [a, b] = this.box;
+    this.box = [a.map((v, i) => Math.min(v, b[i])), a.map((v, i) => Math.max(v, b[i]))];
+    this.ground = look.ground === null ? null
+      : look.ground * this.shrink - this.stand(this.centre, false)[1];
+    const { corners, source, shade, meshColours } = look.arrays;
+    const shared = shade.values.reduce((most, v) => Math.max(most, v), -1) + 1;
+    this.places = new Float32Array(3 * source.values.length);
+    this.normals = new Float32Array(3 * source.values.length);
+    this.sums = new Float32Array(3 * shared);
+    this.values = new Uint8Array(source.values.length);
+    this.upload("triangles", corners.values, this.gl.ELEMENT_ARRAY_BUFFER);
+    this.upload("meshColours", meshColours.values);
+    if (look.arrays.gaussianColours) this.upload("colours", look.arrays.gaussianColours.values);
+    this.upload("ball", ball(look.arrays.positions?.row > 9000 ? 1 : 2));
+    if (first) this.refit();
+  }
+
+  refit() {
+    this.orbit.fit(...this.box, this.canvas.clientWidth / (this.canvas.clientHeight || 1));
+  }
+
+  // A place in metres in the page's frame: Y up, centred unless told, 1 across.
+  stand(p, centred = true) {
+    const q = p.map((v, i) => (v - (centred ? this.centre[i] : 0)) * this.shrink);
+    return this.look.up === "Z" ? [q[0], q[2], -q[1]] : q;
+  }
+
+  upload(name, data, target = this.gl.ARRAY_BUFFER) {
+    const gl = this.gl;
+    this.buffers[name] ??= gl.createBuffer();
+    gl.bindVertexArray(null);
+    gl.bindBuffer(target, this.buffers[name]);
+    gl.bufferData(target, data, gl.DYNAMIC_DRAW);
+  }
+
+  // Put a frame on the card.
+  setFrame(frame) {
+    this.frame = frame;
+    const a = this.look.arrays;
+    if (a.points.row) this.poseMesh(a, frame);
+    if (a.positions?.row) {
+      this.upload("positions", a.positions.at(frame));
+      this.upload("turns", a.turns.at(frame));
+      this.upload("scales", a.scales.at(frame));
+    }
+    this.paint();
+  }
+
+  poseMesh(a, frame) {
+    const { places, sums, normals } = this;
+    const [codes, source, shade] = [a.points.at(frame), a.source.values, a.shade.values];
+    const [x0, y0, z0] = this.stand(a.points.low);
+    const [dx, dy, dz] = a.points.step.map((v) => v * this.shrink);
+    const zup = this.look.up === "Z";
+    for (let i = 0; i < source.length; i++) {
+      const k = 3 * source[i];
+      places[3 * i] = x0 + dx * codes[k];
+      places[3 * i + 1] = y0 + (zup ? dz * codes[k + 2] : dy * codes[k + 1]);
+      places[3 * i + 2] = z0 + (zup ? -dy * codes[k + 1] : dz * codes[k + 2]);
+    }
+    sums.fill(0);
+    const t = a.corners.values;
+    for (let i = 0; i < t.length; i += 3) {
+      const [p, q, r] = [3 * t[i], 3 * t[i + 1], 3 * t[i + 2]];
+      const ax = places[q] - places[p], ay = places[q + 1] - places[p + 1];
+      const az = places[q + 2] - places[p + 2];
+      const bx = places[r] - places[p], by = places[r + 1] - places[p + 1];
+      const bz = places[r + 2] - places[p + 2];
+      const nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
+      for (let c = 0; c < 3; c++) {
+        const s = 3 * shade[t[i + c]];
+        sums[s] += nx; sums[s + 1] += ny; sums[s + 2] += nz;
+      }
+    }
+    for (let i = 0; i < shade.length; i++) {
+      const s = 3 * shade[i];
+      const length = Math.hypot(sums[s], sums[s + 1], sums[s + 2]) || 1;
+      for (let c = 0; c < 3; c++) normals[3 * i + c] = sums[s + c] / length;
+    }
+    this.upload("places", places);
+    this.upload("normals", normals);
+  }
+
+  // The values that colour what is shown.
+  paint() {
+    const { look, mode, frame } = this;
+    const mesh = scalars(look, mode, "mesh", frame);
+    if (mesh) {
+      const source = look.arrays.source.values;
+      for (let i = 0; i < source.length; i++) this.values[i] = mesh[source[i]];
+    }
+    this.meshValued = mesh !== null;
+    this.upload("meshValues", this.values);
+    const balls = scalars(look, mode, "gaussians", frame);
+    this.ballsValued = balls !== null;
+    if (look.arrays.positions) {
+      this.upload("values", balls ?? new Uint8Array(look.arrays.positions.row / 3));
+    }
+    this.draw();
+  }
+
+  draw() {
+    this.waiting ??= requestAnimationFrame(() => {
+      this.waiting = null;
+      if (this.look && this.frame !== undefined) drawScene(this);
+    });
+  }
+
+  steer() {
+    const { canvas, orbit } = this;
+    canvas.addEventListener("pointerdown", (e) => {
+      canvas.setPointerCapture(e.pointerId);
+      this.hand = { x: e.clientX, y: e.clientY, pan: e.button !== 0 || e.shiftKey };
+    });
+    canvas.addEventListener("pointermove", (e) => {
+      if (!this.hand) return;
+      const [dx, dy] = [e.clientX - this.hand.x, e.clientY - this.hand.y];
+      if (this.hand.pan) orbit.pan(dx / canvas.clientHeight, dy / canvas.clientHeight);
+      else orbit.turn(dx * 0.008, dy * 0.008);
+      Object.assign(this.hand, { x: e.clientX, y: e.clientY });
+      this.draw();
+    });
+    for (const end of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(end, () => { this.hand = null; });
+    }
+    canvas.addEventListener("wheel", (e) => {
+      e.preventDefault();
+      orbit.zoom(Math.exp(Math.sign(e.deltaY) * Math.min(0.25, Math.abs(e.deltaY) * 0.0015)));
+      this.draw();
+    }, { passive: false });
+    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
+    canvas.addEventListener("dblclick", () => { this.refit(); this.draw(); });
+  }
+}

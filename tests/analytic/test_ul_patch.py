@@ -1,0 +1,52 @@
+"""The patch test of the Updated Lagrangian solver: a uniform F is a uniform stress, in balance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+from test_patch import A, reference_stress, von_mises
+
+from gf_usd.physics.laws import LAWS
+from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
+
+
+def strained(token: str, real: type, **changes):
+    """A ball that is put where A takes it, at rest."""
+    body, _ = ball(500)
+    made = look("rubber", body, law=token, damping_time=0.0)
+    s = settings(frames=2, substeps=1, fps=1e6, **changes)
+    solver = UpdatedLagrangian(body, [made], s, real=real)
+    x = solver.array("x").reshape(-1, 3) @ A.T
+    solver.arrays["x"].from_numpy(x.astype(real).ravel())
+    solver.arrays["F"].from_numpy(np.tile(A.ravel(), len(body)).astype(real))
+    return body, made, solver
+
+
+@pytest.mark.parametrize("token", LAWS)
+@pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 1e-5), (np.float64, 1e-11)])
+def test_stress_is_uniform(token, real, tolerance):
+    # P ~ mu (F - R) and |F - R| ~ 0.1 here, and F has rounding eps: some 3 eps of the stress, with
+    # the law's own digits.
+    _, made, solver = strained(token, real)
+    expected = von_mises(reference_stress(token, made.mu, made.lam))
+    np.testing.assert_allclose(solver.von_mises(), expected, rtol=tolerance)
+
+
+@pytest.mark.parametrize("token", LAWS)
+def test_forces_add_up_to_nothing_and_vanish_inside(token):
+    # sum_p V0 tau grad w over a filled lattice is what a uniform stress does to a node: nothing but
+    # the error of eight points a cell, against h^2 tau at the surface.
+    body, _, solver = strained(token, np.float64)
+    *_, last = solver.frames()
+    gained = solver.m[:, None] * last.particles.v
+    size = np.abs(gained).sum()
+    assert size > 0.0
+    assert np.abs(gained.sum(0)).max() < 1e-10 * size
+    spin = np.array(last.health.angular_momentum)
+    assert np.abs(spin).max() < 1e-10 * size * body.radius
+    depth = body.radius - np.linalg.norm(body.X, axis=1)
+    inner, outer = depth > 1.5 * solver.h, depth < 0.5 * solver.h
+    assert inner.sum() > 5
+    speed = np.linalg.norm(last.particles.v, axis=1)
+    assert speed[inner].mean() < 0.2 * speed[outer].mean()

@@ -1,0 +1,20 @@
+"""The quick set of `gf-usd verify`: every figure within its bound."""
+
+from __future__ import annotations
+
+import pytest
+
+from gf_usd.verify.case import Case
+from gf_usd.verify.registry import CASES
+from gf_usd.verify.run import run_case
+
+# Double precision last, so that Taichi starts anew once.
+ORDERED = sorted(CASES, key=lambda case: case.f64)
+
+
+@pytest.mark.parametrize("case", ORDERED, ids=lambda case: case.name)
+def test_every_figure_is_within_its_bound(case: Case) -> None:
+    result = run_case(case)
+    assert result.measures
+    off = [f"{m.name}: {m.value} for {m.target}" for m in result.measures if not m.passed]
+    assert off == []

@@ -1,0 +1,180 @@
+"""gf-usd preview as films, sheets and colours, from the command line to the file."""
+
+from __future__ import annotations
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+from test_preview import STAGE, run
+
+import gf_usd.usd.schema  # noqa: F401  (before any test here opens a stage: one of them bakes)
+from gf_usd.cli.preview_options import Span, parse_limits, parse_span, time_codes
+from gf_usd.errors import InputError, UsageError
+
+# 24 frames a second, from time code 1 to 3: three frames
+BOX = STAGE.replace("endTimeCode = 3", "endTimeCode = 3\n timeCodesPerSecond = 24")
+
+
+@pytest.fixture
+def stage(tmp_path):
+    path = tmp_path / "box.usda"
+    path.write_text(BOX, encoding="utf-8")
+    return path
+
+
+def pixels(path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def mp4(path) -> tuple[dict, list[np.ndarray]]:
+    reader = imageio_ffmpeg.read_frames(str(path))
+    facts = next(reader)
+    width, height = facts["size"]
+    return facts, [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(int) for f in reader]
+
+
+def test_a_film_is_its_frames_in_real_time(stage, tmp_path):
+    done = run(stage, "-o", tmp_path / "a.mp4", "--size", "160x120")
+    assert done.exit_code == 0, done.output
+    facts, frames = mp4(tmp_path / "a.mp4")
+    assert facts["size"] == (160, 120)
+    assert facts["fps"] == 24.0
+    assert len(frames) == 3
+    for i, code in ((0, 1), (2, 3)):
+        still = tmp_path / f"{code}.png"
+        assert run(stage, "-o", still, "--frame", code, "--size", "160x120").exit_code == 0
+        # 4:2:0 blurs the red of the box along its outline only
+        assert np.median(np.abs(frames[i] - pixels(still))) <= 2
+        assert np.abs(frames[i] - pixels(still)).mean() < 4.0
+    assert np.abs(frames[2] - frames[0]).max() > 100
+
+
+def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
+    out = tmp_path / "a.mp4"
+    done = run(stage, "-o", out, "--size", "81x61", "--frames", "2:3:0.25", "--fps", "10")
+    assert done.exit_code == 0, done.output
+    assert "H.264 wants even sizes: 82x62" in done.output
+    facts, frames = mp4(out)
+    assert (facts["size"], facts["fps"], len(frames)) == ((82, 62), 10.0, 5)
+
+
+def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
+    out = tmp_path / "a.gif"
+    assert run(stage, "-o", out, "--size", "120x90", "--frames", "1:3").exit_code == 0
+    assert run(stage, "-o", tmp_path / "1.png", "--frame", "1", "--size", "120x90").exit_code == 0
+    with Image.open(out) as film:
+        assert film.n_frames == 3
+        # the dither, the grouping of codes and the nearest of 255 colours: a few codes
+        error = np.abs(np.asarray(film.convert("RGB")).astype(int) - pixels(tmp_path / "1.png"))
+    assert error.mean() < 3.0
+
+
+def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
+    done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--frames", "1:3:0.25")
+    # a quarter of a time code at 24 a second are 96 frames a second: every second one is kept
+    assert "at most 50 frames a second: 48 are kept" in done.output
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 5
+
+
+def test_a_sheet_has_a_tile_for_each_frame(stage, tmp_path):
+    out = tmp_path / "a.png"
+    words = ("--sheet", "3", "--columns", "3", "--size", "120x90")
+    assert run(stage, "-o", out, *words).exit_code == 0
+    page = pixels(out)
+    gap = 2
+    assert page.shape[:2] == (90 + 2 * gap, 3 * 120 + 4 * gap)
+    tiles = [page[gap : gap + 90, gap + i * (120 + gap) :][:, :120] for i in range(3)]
+    rows = [np.flatnonzero((t[..., 0] > 2 * t[..., 1]).any(axis=1)).mean() for t in tiles]
+    assert rows[0] < rows[1] < rows[2]
+
+
+def test_the_stage_keeps_its_camera(tmp_path):
+    path = tmp_path / "seen.usda"
+    camera = """
+def Camera "cam" {
+    float focalLength = 50
+    double3 xformOp:translate = (0, 0, 30)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}
+"""
+    path.write_text(BOX + camera, encoding="utf-8")
+    out = tmp_path / "a.png"
+    assert run(path, "-o", out, "--camera", "/cam", "--size", "120x90").exit_code == 0
+    picture = pixels(out)
+    red = np.argwhere(picture[..., 0] > 2 * picture[..., 1])
+    # straight above the box, whose top of 2 x 2 is 25 away: 2 * 50 / 15.2908 / 25 of the height
+    side = 90 * 2 * 50 / 15.2908 / 25
+    assert red.mean(axis=0) == pytest.approx((44.5, 59.5), abs=0.6)
+    assert np.ptp(red, axis=0) + 1 == pytest.approx((side, side), abs=2)
+    with pytest.raises(InputError, match="no camera </none>"):
+        raise run(path, "--camera", "/none").exception
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("-o", "a.mp4", "--frame", "1"), "--frame does not go with the rest"),
+        (("--frames", "1:2"), "--frames does not go"),
+        (("--fps", "12"), "--fps does not go"),
+        (("--columns", "2"), "--columns does not go"),
+        (("--range", "0:1"), "--range does not go"),
+        (("-o", "a.gif", "--sheet", "4"), "--sheet makes a PNG"),
+        (("--sheet", "0"), "--sheet 0 is too few"),
+        (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a rate"),
+        (("-o", "a.mp4", "--frames", "0:2"), "outside the motion"),
+        (("-o", "a.mp4", "--frames", "3:1"), "ends before it begins"),
+        (("-o", "a.mp4", "--frames", "1"), "is not a range"),
+        (("-o", "a.mp4", "--frames", "1:2:0"), "the step is not above 0"),
+        (("-o", "a.mp4", "--frames", "1:3:1e-9"), "more than 100000"),
+        (("-o", "none/a.mp4",), "none is not a folder"),
+        (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
+        (("--colour", "heat"), "Unknown --colour heat"),
+        (("--colour", "strain", "--range", "1:1"), "--range 1:1 is empty"),
+        (("--colour", "strain", "--range", "big"), "--range big is not a range"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_in_words(stage, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    error = run(stage, *arguments).exception
+    assert isinstance(error, UsageError)
+    assert message in error.message
+    assert error.hint
+    assert [path.name for path in tmp_path.iterdir()] == ["box.usda"]
+
+
+def test_a_still_makes_no_film(tmp_path):
+    path = tmp_path / "still.usda"
+    path.write_text('#usda 1.0\ndef Cube "box" {\n}\n', encoding="utf-8")
+    error = run(path, "-o", tmp_path / "a.mp4").exception
+    assert isinstance(error, UsageError)
+    assert "does not move" in error.message
+
+
+def test_a_bake_in_colours_has_a_legend_beside_the_body(gf_usd, here, block):
+    done = gf_usd("bake", block, "--particles", 300, "--frames", 8, "--drop", 0, "--stress", "-q")
+    assert done.status == 0, done.err
+    pictures = {}
+    for colour, more in (("none", ()), ("strain", ()), ("stress", ("--range", "0:1e3"))):
+        out = here / f"{colour}.png"
+        words = ("--colour", colour, *more, "--size", "320x240")
+        done = gf_usd("preview", here / "block.rubber.usda", "-o", out, "--frame", 105, *words)
+        assert done.status == 0, done.err
+        pictures[colour] = pixels(out)
+    for colour in ("strain", "stress"):
+        left = pictures[colour][:, :60]
+        yellow = (left[..., 0] > 200) & (left[..., 1] > 180) & (left[..., 2] < 120)
+        assert yellow.sum() > 20
+        assert not np.array_equal(pictures[colour], pictures["none"])
+    none = pictures["none"][:, :60]
+    assert not ((none[..., 0] > 200) & (none[..., 2] < 120)).any()
+
+
+def test_spans_and_ranges_are_read():
+    assert parse_span("1:24:2") == Span(first=1.0, last=24.0, step=2.0)
+    assert parse_span(":12") == Span(first=None, last=12.0, step=None)
+    assert parse_limits("-1:0.5") == (-1.0, 0.5)
+    known = (1.0, 2.0, 10.0)
+    assert time_codes(parse_span("3:"), known, 2.0, stage) == [3.0, 5.0, 7.0, 9.0]
+    assert len(time_codes(None, known, 0.1, stage)) == 91

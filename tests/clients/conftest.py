@@ -1,0 +1,28 @@
+"""The bakes that the clients are given; each is made once in a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from client_assets import Baked, bake_blocks, bake_duck, bake_obj
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def duck(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """The sample duck with three looks: centimetres, Y up, normals, UVs, subsets."""
+    return bake_duck(ROOT / "samples" / "duck.usda", tmp_path_factory.mktemp("duck"))
+
+
+@pytest.fixture(scope="session")
+def blocks(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """Centimetres, Z up, 30 fps, nested, turned, unevenly scaled and mirrored meshes."""
+    return bake_blocks(tmp_path_factory.mktemp("blocks"))
+
+
+@pytest.fixture(scope="session")
+def obj(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """An OBJ file of metres, Y up."""
+    return bake_obj(tmp_path_factory.mktemp("obj"))

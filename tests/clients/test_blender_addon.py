@@ -1,0 +1,200 @@
+"""The add-on of tools/blender: installed as a package, and driven without a window."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+import os
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from client_assets import world_points
+from client_runs import PROBES, needs, programs, run
+from pxr import Usd, UsdGeom
+
+pytestmark = [pytest.mark.clients, needs("blender")]
+
+ADDON = Path(__file__).resolve().parents[2] / "tools" / "blender" / "gf_usd_bake"
+FRAMES = 5
+NEAR = 1e-5  # of the size of the scene: positions and matrices are single precision in Blender
+TOOL = "import bpy; print(bpy.utils.system_resource('SCRIPTS'))"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The add-on, judged and packed by Blender's own tool."""
+    python = programs("blender") / "python"
+    scripts = Path(run([python, "-c", TOOL]).strip().splitlines()[-1])
+    tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
+    run([python, tool, "validate", ADDON])
+    folder = tmp_path_factory.mktemp("addon")
+    run([python, tool, "build", "--source-dir", ADDON, "--output-dir", folder])
+    (made,) = folder.glob("*.zip")
+    return made
+
+
+@pytest.fixture(scope="module")
+def drive(
+    package: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], dict[str, Any]]:
+    """Run a case of the probe, once, and give what it told with its vertices."""
+    python = programs("blender") / "python"
+    program = Path(sys.executable).with_name("gf-usd")
+
+    @functools.cache
+    def call(case: str) -> dict[str, Any]:
+        user, out = tmp_path_factory.mktemp("user"), tmp_path_factory.mktemp(case)
+        run(
+            [python, PROBES / "blender_addon.py", package, program, case, out],
+            BLENDER_USER_RESOURCES=str(user),
+            PATH=os.pathsep.join([str(program.parent), os.environ["PATH"]]),
+        )
+        # beside the folder, which holds what the add-on left there
+        told = json.loads(out.with_suffix(".json").read_text())
+        with np.load(out.with_suffix(".npz")) as arrays:
+            told["vertices"] = dict(arrays)
+        return told
+
+    return call
+
+
+def off(told: dict[str, Any], *, unit: float = 1.0) -> float:
+    """The largest distance of the results' vertices from the points of the stage, over its size."""
+    (file,) = told["files"]
+    ours = world_points(Path(file))  # [m]
+    assert sorted(told["paths"].values()) == sorted(ours)
+    size = max(float(np.abs(points).max()) for points in ours.values())
+    return max(
+        float(np.abs(told["vertices"][name] * unit - ours[path]).max())
+        for name, path in told["paths"].items()
+    ) / size  # fmt: skip
+
+
+def test_a_result_is_a_cache_on_a_copy_of_the_object(drive: Callable[[str], Any]) -> None:
+    told = drive("falls")
+    assert told["ended"] == ["FINISHED"]
+    assert told["objects"] == ["My Ball", "My Ball.soft"]
+    assert told["selected"] == ["My Ball.soft"]
+    assert told["hidden"]
+    assert not told["render"]
+    assert told["materials"] == {"My Ball.soft": ["My Ball paint"]}
+    assert told["message"] == "My Ball.soft: 5 frames"
+    points = told["vertices"]["My Ball.soft"]
+    assert points.shape[0] == FRAMES
+    assert off(told) < NEAR
+    # it starts where it was put and falls as all things do: g t^2 / 2
+    dropped = (points[0] - points[-1])[:, 2].mean()
+    stage = Usd.Stage.Open(told["files"][0])
+    assert stage.GetStartTimeCode() == 11
+    seconds = (FRAMES - 1) / stage.GetTimeCodesPerSecond()
+    # it touches the floor 0.1 m below within the last frame
+    assert dropped == pytest.approx(9.81 * seconds**2 / 2, rel=0.05)
+
+
+def test_units_parents_modifiers_and_mirrors(drive: Callable[[str], Any]) -> None:
+    told = drive("in_centimetres")
+    assert told["ended"] == ["FINISHED"]
+    stage = Usd.Stage.Open(told["files"][0])
+    assert UsdGeom.GetStageMetersPerUnit(stage) == pytest.approx(0.01)
+    assert sorted(told["vertices"]) == ["1. Läufer.soft", "Right.soft"]
+    assert sorted(told["paths"].values()) == ["/root/Right_soft", "/root/_1__L_ufer_soft"]
+    assert off(told, unit=0.01) < NEAR
+    # g is 981 units/s^2 here; nothing has come down yet
+    seconds = (FRAMES - 1) / stage.GetTimeCodesPerSecond()
+    for points in told["vertices"].values():
+        dropped = (points[0] - points[-1])[:, 2].mean()
+        assert dropped == pytest.approx(981 * seconds**2 / 2, rel=0.01)
+
+
+def test_a_vertex_out_of_place_would_be_seen(drive: Callable[[str], Any]) -> None:
+    told = copy.deepcopy(drive("falls"))
+    told["vertices"]["My Ball.soft"][3, 17] += 1e-3
+    assert off(told) > NEAR
+
+
+def test_a_second_bake_takes_the_place_of_the_first(drive: Callable[[str], Any]) -> None:
+    told = drive("twice")
+    assert told["ended"] == ["FINISHED"]
+    assert told["objects"] == ["Ball", "Ball.soft"]
+    assert told["folders"] == ["Ball-001", "Ball-002"]
+    assert [Path(file).parent.name for file in told["files"]] == ["Ball-002"]
+    assert off(told) < NEAR
+
+
+def test_errors_are_in_the_words_of_gf_usd(drive: Callable[[str], Any]) -> None:
+    told = drive("refusals")
+    said = told["said"]
+    _, message, hint = said["material"]
+    assert message == "there is no material 'ruber'"
+    assert hint.startswith("did you mean rubber?")
+    # and the user sees both
+    assert message in said["material"][0]
+    assert hint in said["material"][0]
+    assert said["option"][1].startswith("No such option: --nonsense")
+    assert "'--friction" in said["quotes"][1]
+    assert re.match(r"the lowest vertex is at 0.5\d*, below the floor at 5", said["floor"][1])
+    assert said["program"][1].endswith("nowhere is not a program")
+    assert told["objects"] == ["Ball"]
+    assert not told["running"]
+    assert told["left"] == []
+
+
+def test_a_bake_runs_beside_the_window(drive: Callable[[str], Any]) -> None:
+    told = drive("modal")
+    assert told["started"] == ["RUNNING_MODAL"]
+    assert not told["free"]
+    assert told["elsewhere"] == ["PASS_THROUGH"]
+    assert told["ended"] == ["FINISHED"]
+    assert told["status"][0] == "gf-usd: filling the meshes (Esc stops it)"
+    assert told["status"][-1] is None
+    assert any(
+        re.fullmatch(r"gf-usd: frame \d of 5 \(Esc stops it\)", s) for s in told["status"][:-1]
+    )
+    assert told["progress"] == sorted(told["progress"])
+    assert told["timers"] == []
+    assert told["objects"] == ["Ball", "Ball.soft"]
+    assert off(told) < NEAR
+
+
+def test_esc_ends_the_process_and_leaves_the_scene(drive: Callable[[str], Any]) -> None:
+    told = drive("stopped")
+    assert told["ended"] == ["CANCELLED"]
+    assert told["status"] == 143  # it was asked to stop, and did
+    assert told["reports"] == [["INFO", "gf-usd: cancelled"]]
+    assert told["timers"] == []
+    assert told["objects"] == ["Ball"]
+    assert not told["running"]
+    assert told["left"] == []
+
+
+def test_the_panel_says_what_can_be_done_and_what_went_wrong(drive: Callable[[str], Any]) -> None:
+    told = drive("drawn")
+    assert {
+        "Material",
+        "Particles",
+        "Scene Range",
+        "Floor",
+        "Height",
+        "From Where It Is",
+        "More",
+    } < {*told["before"]}
+    assert "Select a mesh" in told["before"]
+    assert "Bake 1 object" in told["ready"]
+    assert "0.0 Esc stops it" in told["running_panel"]
+    assert "there is no material 'ruber'" in told["after"]
+    assert "Bake 1 object" in told["after"]
+
+
+def test_materials_are_those_of_gf_usd_and_all_unregisters(drive: Callable[[str], Any]) -> None:
+    told = drive("listed")
+    from gf_usd.materials import LOOKS, PHYSICAL
+
+    assert told["materials"] == [*LOOKS, *PHYSICAL]
+    assert told["gone"]
+    assert told["back"]

@@ -1,0 +1,116 @@
+"""The acceptance tool: what it writes, without the long runs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[2] / "tools"
+CURVE = {
+    "title": "a curve, falling", "x_label": "h", "y_label": "error <", "x": [0.5, 0.25, 0.125],
+    "y": [0.1, 0.025, 0.006], "logarithmic": True, "target": None,
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def tools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder of tools, to import from."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+
+def rows(passed: bool) -> list[dict]:
+    return [
+        {
+            "name": "bar.order", "value": 1.98, "target": 2.0, "error": 0.02, "bound": 0.1,
+            "pass": True, "kind": "at least", "unit": "", "why": "second order", "case": "bar",
+            "what": "A bar.", "source": "closed form", "seconds": 1.0, "curve": CURVE,
+        },
+        {
+            "name": "bar.frequency", "value": None, "target": 49.7, "error": None, "bound": 0.01,
+            "pass": passed, "kind": "relative", "unit": "rad/s", "why": "lumped mass",
+            "case": "bar", "what": "A bar.", "source": "closed form", "seconds": 1.0,
+        },
+    ]  # fmt: skip
+
+
+def made(passed: bool, folder: Path, date: str | None = None) -> Path:
+    """A record as the section `verify` saves it."""
+    from dataclasses import replace
+
+    from acceptance import SECTIONS
+    from acceptance_record import record, save
+
+    section = SECTIONS["verify"]
+    done = subprocess.CompletedProcess(
+        section.command, 0 if passed else 1, json.dumps({"cases": rows(passed)})
+    )
+    entry = record("verify", section.title, section.command, 12.34, section.read(done))
+    return save(replace(entry, date=date) if date else entry, folder)
+
+
+def test_a_record_says_what_it_was_measured_on(tmp_path: Path) -> None:
+    path = made(True, tmp_path)
+    saved = json.loads(path.read_text("utf-8"))
+    assert path.name == f"{saved['date'][:10]}-verify.json"
+    assert {"commit", "changed", "machine", "versions", "command", "seconds"} <= set(saved)
+    assert saved["command"] == "gf-usd verify --full --json"
+    assert saved["versions"]["taichi"]
+    assert saved["outcome"]["data"]["cases"] == rows(True)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name], "nothing half-written is left"
+
+
+def test_the_page_shows_the_newest_of_a_section(tmp_path: Path) -> None:
+    from acceptance_record import newest, page
+
+    made(False, tmp_path, "2001-02-03T04:05:06Z")
+    made(True, tmp_path, "2002-02-03T04:05:06Z")
+    (record,) = newest(tmp_path)
+    text = page([record])
+    assert "2002-02-03" in text
+    assert "2001" not in text
+    assert "Passed: 2 of 2 figures in 1 cases" in text
+    failed = json.loads((tmp_path / "2001-02-03-verify.json").read_text("utf-8"))
+    assert "**Failed**: 1 of 2 figures in 1 cases; failed: bar.frequency" in page([failed])
+
+
+def test_a_run_that_printed_nothing_is_no_result() -> None:
+    from acceptance import read_verify
+
+    with pytest.raises(SystemExit, match="exit status 3"):
+        read_verify(subprocess.CompletedProcess(("x",), 3, ""))
+
+
+def test_the_page_of_the_cases_and_its_plots(tmp_path: Path) -> None:
+    from xml.etree import ElementTree
+
+    from acceptance_record import newest
+    from verify_page import pages
+
+    made(False, tmp_path)
+    files = {path.name: text for path, text in pages(newest(tmp_path)[0]).items()}
+    assert set(files) == {"verification.md", "verify-a-curve-falling.svg"}
+    text = files["verification.md"]
+    assert "## bar\n\nA bar.\n\nSource: closed form." in text
+    assert "| order | 1.98  | at least 2 | 0.02 | 0.1 | pass |" in text
+    assert "| frequency | none rad/s | 49.7 | none | 1 % | **FAIL** |" in text
+    assert "- order: second order." in text
+    drawing = ElementTree.fromstring(files["verify-a-curve-falling.svg"])
+    dots = drawing.findall("{http://www.w3.org/2000/svg}circle")
+    # Halving h quarters the error: equal steps on both logarithmic axes, within the figures given.
+    x = [float(dot.attrib["cx"]) for dot in dots]
+    y = [float(dot.attrib["cy"]) for dot in dots]
+    assert x[0] - x[1] == pytest.approx(x[1] - x[2], abs=0.2)
+    assert y[1] - y[0] == pytest.approx(y[2] - y[1], rel=0.05)
+
+
+def test_only_known_sections_run() -> None:
+    done = subprocess.run(
+        [sys.executable, str(TOOLS / "acceptance.py"), "--only", "nothing"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "verify" in done.stderr

@@ -1,0 +1,107 @@
+"""Run what takes too long for every commit, and write down what came out.
+
+    python tools/acceptance.py [--only SECTION]... [--page]
+
+Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
+made again from the newest of each.  Exit status 1 if a section failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from acceptance_record import PAGE, ROOT, Outcome, newest, page, record, save, write
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A long run: the command a person would type, and how to read what it prints."""
+
+    title: str
+    command: tuple[str, ...]
+    read: Callable[[subprocess.CompletedProcess[str]], Outcome]
+
+
+def figure(value: float | None) -> str:
+    """A number of the table; a figure that is none is said so."""
+    return "none" if value is None else f"{value:.5g}"
+
+
+def read_verify(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """The figures of `gf-usd verify --json`.
+
+    Raises SystemExit where it printed none: it did not run.
+    """
+    if not done.stdout:
+        raise SystemExit(f"gf-usd verify printed nothing, exit status {done.returncode}")
+    cases = json.loads(done.stdout)["cases"]
+    failed = [case["name"] for case in cases if not case["pass"]]
+    names = {case["case"] for case in cases}
+    summary = f"{len(cases) - len(failed)} of {len(cases)} figures in {len(names)} cases"
+    if failed:
+        summary += f"; failed: {', '.join(failed)}"
+    rows = [
+        (
+            case["name"] + (f" [{case['unit']}]" if case["unit"] else ""),
+            figure(case["value"]),
+            f"{'at least ' if case['kind'] == 'at least' else ''}{figure(case['target'])}",
+            figure(case["error"]),
+            f"{figure(case['bound'])} {case['kind'] if case['kind'] == 'relative' else ''}".strip(),
+            "pass" if case["pass"] else "**FAIL**",
+        )
+        for case in cases
+    ]
+    head = ("figure", "ours", "target", "error", "bound", "verdict")
+    return Outcome(
+        passed=done.returncode == 0 and not failed,
+        summary=summary,
+        table=(head, *rows),
+        data={"cases": cases},
+    )
+
+
+SECTIONS: dict[str, Section] = {
+    "verify": Section(
+        title="Accuracy",
+        command=("gf-usd", "verify", "--full", "--json"),
+        read=read_verify,
+    ),
+}
+
+
+def run(name: str, section: Section) -> bool:
+    """Run one section and save it; whether it passed."""
+    program, *words = section.command
+    interpreter = [sys.executable, "-m", program.replace("-", "_")]
+    print(f"{name}: {' '.join(section.command)}", file=sys.stderr)
+    began = time.perf_counter()
+    done = subprocess.run(
+        [*interpreter, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+    )
+    seconds = time.perf_counter() - began
+    outcome = section.read(done)
+    path = save(record(name, section.title, section.command, seconds, outcome))
+    verdict = "passed" if outcome.passed else "FAILED"
+    print(f"{name}: {verdict}, {outcome.summary}; {path.relative_to(ROOT)}", file=sys.stderr)
+    return outcome.passed
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
+    parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
+    options = parser.parse_args(words)
+    chosen = [] if options.page else options.only or list(SECTIONS)
+    passed = [run(name, SECTIONS[name]) for name in chosen]
+    write(PAGE, page(newest()))
+    sys.exit(0 if all(passed) else 1)
+
+
+if __name__ == "__main__":
+    main()

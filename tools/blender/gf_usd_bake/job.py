@@ -1,0 +1,113 @@
+"""One bake in a process of its own, watched without waiting for it.
+
+Nothing here knows Blender.
+"""
+
+from __future__ import annotations
+
+import queue
+import subprocess
+import threading
+import time
+from typing import IO, Any
+
+from .program import ProgramError, error_in, progress_in, result_in, surroundings
+
+GRACE = 20.0  # [s] that gf-usd has to stop after it is asked to: it finishes a step first
+FAILED = 1  # exit status of gf-usd for a bake that broke off; 2 and 3 are refusals
+
+
+class Job:
+    """A running gf-usd.
+
+    Call `step` now and then; it returns True once the process has ended.  Then `result` is what
+    `bake --json` printed, or `error` says why there is none.
+
+    Raises ProgramError where the process cannot be started.
+    """
+
+    def __init__(self, command: list[str], folder: str) -> None:
+        self.done, self.total = 0, 0  # frames
+        self.notes: list[str] = []
+        self.result: dict[str, Any] | None = None
+        self.error: ProgramError | None = None
+        self.cancelled = False
+        self.failed = False  # while it ran: what it wrote until then is there
+        self._deadline = 0.0
+        self._words: list[str] = []
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._printed = ""
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                encoding="utf-8", errors="replace", cwd=folder, env=surroundings(),
+            )  # fmt: skip
+        except OSError as error:
+            raise ProgramError(f"{command[0]} does not run: {error}") from error
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        # both pipes are read at once, or a full one would stop the process
+        self._readers = [
+            threading.Thread(target=self._print, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def share(self) -> float:
+        """Of the frames that are done, 0 to 1."""
+        return self.done / self.total if self.total else 0.0
+
+    def step(self) -> bool:
+        """Take in what was said since; whether it is over."""
+        self._hear()
+        status = self._process.poll()
+        if status is None:
+            if self.cancelled and time.monotonic() > self._deadline:
+                self._process.kill()
+            return False
+        for reader in self._readers:
+            reader.join()
+        self._hear()
+        self.failed = status == FAILED and not self.cancelled
+        if self.cancelled:
+            self.error = ProgramError("cancelled")
+        elif status:
+            self.error = error_in("\n".join(self._words))
+        else:
+            try:
+                self.result = result_in(self._printed)
+            except ProgramError as error:
+                self.error = error
+        return True
+
+    def wait(self, pause: float = 0.1) -> None:
+        """Step until it is over."""
+        while not self.step():
+            time.sleep(pause)
+
+    def cancel(self, grace: float = GRACE) -> None:
+        """Ask the process to stop; `step` ends it where it has not done so within `grace` [s]."""
+        self.cancelled = True
+        self._deadline = time.monotonic() + grace
+        self._process.terminate()
+
+    def _print(self, stream: IO[str]) -> None:
+        with stream:
+            self._printed = stream.read()
+
+    def _listen(self, stream: IO[str]) -> None:
+        with stream:
+            for line in stream:
+                self._lines.put(line.rstrip("\n"))
+
+    def _hear(self) -> None:
+        while not self._lines.empty():
+            line = self._lines.get()
+            progress = progress_in(line)
+            if progress:
+                self.done, self.total = progress
+            elif line.startswith(("note: ", "warning: ")):
+                self.notes.append(line)
+            self._words.append(line)
