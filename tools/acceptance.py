@@ -66,11 +66,44 @@ def read_verify(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `tools/endurance.py --json` found.  Raises SystemExit where it printed nothing."""
+    if not done.stdout:
+        raise SystemExit(f"tools/endurance.py printed nothing, exit status {done.returncode}")
+    runs = json.loads(done.stdout.splitlines()[-1])["runs"]
+    bad = [r["name"] for r in runs if not r["sound"]]
+    head = ("run", "frames", "redone", "inside out", "farthest [r]", "motion at the end", "verdict")
+    rows = [
+        (
+            r["name"],
+            f"{r['frames']} of {r['asked']}",
+            str(r["rollbacks"]),
+            f"{r['inverted']} particle-frames",
+            f"{r['farthest']:.2f}",
+            f"{r['kinetic_end']:.2g} m g r",
+            "pass" if r["sound"] else f"**FAIL** {r['fault']}",
+        )
+        for r in runs
+    ]
+    return Outcome(
+        passed=not bad,
+        summary=f"{len(runs) - len(bad)} of {len(runs)} runs sound"
+        + (f"; not {', '.join(bad)}" if bad else ""),
+        table=(head, *rows),
+        data={"runs": runs},
+    )
+
+
 SECTIONS: dict[str, Section] = {
     "verify": Section(
         title="Accuracy",
         command=("gf-usd", "verify", "--full", "--json"),
         read=read_verify,
+    ),
+    "endurance": Section(
+        title="Endurance",
+        command=("python", "tools/endurance.py", "--json"),
+        read=read_endurance,
     ),
 }
 
@@ -78,7 +111,8 @@ SECTIONS: dict[str, Section] = {
 def run(name: str, section: Section) -> bool:
     """Run one section and save it; whether it passed."""
     program, *words = section.command
-    interpreter = [sys.executable, "-m", program.replace("-", "_")]
+    module = [] if program == "python" else ["-m", program.replace("-", "_")]
+    interpreter = [sys.executable, *module]
     print(f"{name}: {' '.join(section.command)}", file=sys.stderr)
     began = time.perf_counter()
     done = subprocess.run(
