@@ -1,6 +1,6 @@
 """Material presets: looks, made absolute for a body's size.
 
-A look is dimensionless (physics.md section 3): moduli in rho g0 r, times in T = sqrt(r / g0), with
+A look is dimensionless (docs/physics.md): moduli in rho g0 r, times in T = sqrt(r / g0), with
 r = (3 V / 4 pi)^(1/3) and g0 = 9.81 m/s^2 whatever the scene's gravity, so that a 5 cm and a 5 m
 duck squash alike.
 

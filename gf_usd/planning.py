@@ -17,7 +17,7 @@ DEFAULT_DROP = "3r"
 SKINS = ("embed", "idw", "paper")
 SOLVERS = ("tl", "ul")  # Total and Updated Lagrangian, see physics/solvers.py
 
-# GaussianFlesh section 4, with what it leaves out as fitted in physics.md section 4: a unit sphere,
+# GaussianFlesh section 4, with what it leaves out as fitted in docs/physics.md: a unit sphere,
 # so that rates are given in units of 1/T with its T.
 PAPER_T = time_scale(1.0)
 PAPER_PARTICLES = 120

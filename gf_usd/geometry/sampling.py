@@ -1,9 +1,9 @@
 """Filling a solid with particles, and its surface with contact samples.
 
 Particles are stratified: one in each cube of a lattice, kept if it lies inside.  Eight cubes make a
-cell of the solver's grid, so that every full cell holds exactly eight particles (physics.md section
-3), each at a random place about one of the cell's eight Gauss points.  All have the same rest
-volume V0 = V / N.
+cell of the solver's grid, so that every full cell holds exactly eight particles, each at a random
+place about one of the cell's eight Gauss points (docs/physics.md).  All have the same rest volume
+V0 = V / N.
 """
 
 from __future__ import annotations

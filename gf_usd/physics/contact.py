@@ -1,6 +1,6 @@
 """Contact of surface samples with the floor: stiffness, damping, rows.
 
-Stiffness per mass (physics.md section 3) for particles a distance s apart, waves of speed c and an
+Stiffness per mass (docs/physics.md) for particles a distance s apart, waves of speed c and an
 impact at v:
 
     k/m = max(0.4 (c/s)^2, (v / (0.25 s))^2, p0 / (0.05 rho s^2))

@@ -5,7 +5,7 @@ A sample of mass m_s at depth d > 0 below the floor, moving along the floor's no
     f_n = max(0, k d - c v_n),   c = -2 sqrt(k m_s) ln r / sqrt(pi^2 + ln^2 r)   (section 3.4)
     f_t = -min(mu f_n, m_s |v_t| / (2 dt)) v_t / |v_t|                          (Coulomb)
 
-The second bound is the limit of stability of explicit friction (physics.md section 3): there the
+The second bound is the limit of stability of explicit friction (docs/physics.md): there the
 sample sticks.  Where it acts while mu f_n is larger it is counted.
 """
 

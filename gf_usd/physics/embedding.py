@@ -9,7 +9,7 @@ from gf_usd.physics.stencil import Rows
 
 
 def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
-    """x = X + offset + W u,  v = W v_i,  F = I + sum_i u_i (x) grad w_i  (physics.md section 1).
+    """x = X + offset + W u,  v = W v_i,  F = I + sum_i u_i (x) grad w_i  (docs/physics.md).
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """

@@ -1,6 +1,6 @@
 """The substeps, put together for a law and a precision.
 
-Per substep of length dt, with everything but u and v constant (physics.md section 1):
+Per substep of length dt, with everything but u and v constant (docs/physics.md):
 
     v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
                                              the velocities that eq. 3 gathers

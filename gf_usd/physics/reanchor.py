@@ -4,7 +4,7 @@ Both come after the substeps of a frame, in this order, and act on the state, wh
 what rides on the body, and the points that feel the floor, follow by the same rows as ever.
 
 Shape correction of strength alpha (GaussianFlesh section 4.3, "Procrustes"), on positions only,
-towards the rest shape as it lies, without rotation (physics.md section 4):
+towards the rest shape as it lies, without rotation (docs/physics.md):
 
     x_p <- x_p + alpha (xbar + (X_p - Xbar) - x_p)         xbar, Xbar: means by mass
 
@@ -35,7 +35,7 @@ from gf_usd.physics.probes import stored_energy
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
-NEIGHBOURS = 20  # physics.md section 4, fitted
+NEIGHBOURS = 20  # docs/physics.md, fitted
 WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
 FLAT = 1e-9  # eigenvalue of the moments, beside the largest, of a direction without neighbours
 

@@ -1,7 +1,7 @@
 """Total Lagrangian APIC: the production solver.
 
 The state is a displacement u and a velocity v on the nodes of a grid that never moves
-(physics.md section 1).  Everything that rides on the body, particles included, is read off them:
+(docs/physics.md).  Everything that rides on the body, particles included, is read off them:
 x = X + offset + W u, F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
 that a long fall costs the strain no digits.  The paper's options are in `options` and `reanchor`.
 """

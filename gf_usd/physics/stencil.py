@@ -1,7 +1,7 @@
 """The reference grid: cells, nodes and the constant operators W and G.
 
-Quadratic B-splines on a grid of spacing h that never moves (GaussianFlesh section 3.2; physics.md
-section 1).  A point at X touches the 27 nodes of its cell with
+Quadratic B-splines on a grid of spacing h that never moves (GaussianFlesh section 3.2;
+docs/physics.md).  A point at X touches the 27 nodes of its cell with
 
     w_ip = N(xi_x) N(xi_y) N(xi_z),     G_ip = dw_ip / dX,     sum_i w_ip = 1,  sum_i w_ip X_i = X_p
 

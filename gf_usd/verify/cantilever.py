@@ -132,7 +132,7 @@ CASES = (
         what="A beam 20 times as long as thick, nu = 0, clamped at one end, is bent by a dead load"
         " at the other until its tip points down.  Deflection w and shortening u of the tip at four"
         " loads.",
-        source="physics.md section 5: the elastica",
+        source="closed form: the elastica (Bisshopp and Drucker 1945)",
         quick=elastica(
             Beam(slenderness=10, cells=2), (1.0, 2.0), 0.01,
             "10 times as long as thick: the elastica knows no shear, .6 (t/L)^2 = .6 % of w, nor"

@@ -96,7 +96,7 @@ CASES = (
         name="drop",
         what="A rubber ball falls by three radii on a soft floor, with more and more particles."
         "  Mean stretch and height at the deepest squash must settle.",
-        source="physics.md section 3, NumPy prototype; its height ratio (.557) is not compared: how"
+        source="a prototype of this solver in NumPy; its height ratio (.557) is not compared: how"
         " it was read is not recorded",
         quick=converge(250, 500, 1000, 2000),
         full=converge(250, 500, 1000, 2000, 4000, 8000),

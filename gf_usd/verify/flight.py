@@ -167,7 +167,7 @@ CASES = (
         name="spin-apic",
         what="The same ball with the APIC filter at every substep, as in the paper, for two"
         " seconds.  How much spin is left, with 0.45 particles a cell as the paper has and with 8.",
-        source="physics.md section 1, NumPy prototype",
+        source="a prototype of this solver in NumPy",
         quick=spin_apic,
     ),
 )

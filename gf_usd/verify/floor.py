@@ -102,15 +102,16 @@ def penetration(
                     value=impact(name, radius, particles, device), target=0.0, bound=1.0,
                     unit="spacings",
                     why="the contact's stiffness is chosen to stop a fall within a quarter of a"
-                    " spacing where the body is rigid; one spacing is what physics.md asks for",
+                    " spacing where the body is rigid; one spacing is what docs/physics.md states",
                 )  # fmt: skip
             for name in resting:
                 yield Measure(
                     name=f"rest.{name}.{radius:g}m",
                     value=rest(name, radius, particles, device), target=0.0, bound=0.1,
                     unit="spacings",
-                    why="k/m >= p0 / (.08 rho s^2): .08 of a spacing under Hertz's pressure of the"
-                    " weight, .1 is what physics.md asks for",
+                    why="k/m >= p0 / (.05 rho s^2): .05 of a spacing under Hertz's pressure of the"
+                    " weight, which jelly exceeds by its large strain; .1 is what docs/physics.md"
+                    " states",
                 )  # fmt: skip
 
     return run
@@ -121,14 +122,14 @@ CASES = (
         name="bounce",
         what="Eight particles and a contact sample in one point are a point mass.  It falls from"
         " 4 m on a floor with a restitution of .85; the height it comes back to is measured.",
-        source="physics.md section 5; Schwager and Poeschel 2007, eq. 21",
+        source="closed form; Schwager and Poeschel 2007, eq. 21",
         quick=bounce,
     ),
     Case(
         name="penetration",
         what="Balls of the three looks fall by three radii, and lie at rest.  How deep vertices and"
         " contact samples go below the floor, in spacings of the particles, at every size.",
-        source="physics.md section 3",
+        source="docs/physics.md: contact with the floor",
         quick=penetration((1.0,), 250, ("rubber",)),
         full=penetration((0.025, 1.0, 5.0), 1000, tuple(LOOKS)),
     ),

@@ -131,7 +131,7 @@ CASES = (
         what="A cube vibrates as a made-up solution says, driven by the body force and the"
         " tractions that it needs by the Neo-Hookean law.  The largest L2 error of displacement"
         " over half a period must fall with h^2.",
-        source="physics.md section 5: u = G sin(pi X) sin(c pi t + phi), G = 1e-4",
+        source="made-up solution: u = G sin(pi X) sin(c pi t + phi), G = 1e-4",
         quick=converge(4, 8, 12),
         full=converge(4, 8, 16, 32),
         f64=True,

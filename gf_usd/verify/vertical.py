@@ -79,7 +79,7 @@ CASES = (
         what="A cube of 1 m, Neo-Hookean, hangs by its top face, which may slide sideways, when a"
         " gravity of 1000 m/s^2 sets in.  It stretches to 2.7 times its length; how far the bottom"
         " corner comes down, and when.",
-        source="physics.md section 5: FEM tip -1.7146 m at 0.0882 s; own FEM: -1.751 m",
+        source="published FEM tip -1.7146 m at 0.0882 s; our own FEM -1.751 m",
         quick=hang(8, bound=0.01, late=0.07),
         full=hang(8, 12, 16, 24, bound=0.01, late=0.01),
     ),

@@ -12,7 +12,7 @@ from gf_usd.materials import FILTER_RATE, G0, time_scale
 from gf_usd.physics.solver import TotalLagrangian
 from gf_usd.summary import restitution
 
-# Height at peak squash over the height at rest: physics.md section 3, production settings.
+# Height at peak squash over the height at rest: docs/physics.md, production settings.
 BANDS = {"rubber": (0.60, 0.75), "metal": (0.80, 1.0), "jelly": (0.0, 0.40)}
 
 
@@ -60,7 +60,7 @@ def test_peak_squash_and_penetration(name):
 
 
 def test_rubber_bounces_and_jelly_hardly_does():
-    # An elastic ball trades part of the fall for vibration: physics.md measured .52 to .70 for the
+    # An elastic ball trades part of the fall for vibration: a prototype measured .52 to .70 for the
     # floor's damping alone; the finer contact here loses less.
     assert 0.5 < drop("rubber", 1.0)["rebound"] < 0.95
     assert drop("metal", 1.0)["rebound"] > drop("rubber", 1.0)["rebound"]

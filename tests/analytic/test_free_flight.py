@@ -66,7 +66,7 @@ def test_drag_slows_a_fall_as_its_formula_says():
 def test_the_lagrangian_limit_conserves_momentum_spin_and_energy():
     # Forces are the adjoint of F, so both momenta are exact: f32 rounding of 100 frames is left.
     # Energy of position Verlet swings by (w dt)^2 / 4 of the vibration, which is a few per cent
-    # of this motion's energy: 1 % is physics.md's bound.
+    # of this motion's energy: 1 % is the bound.
     solver, health = fly()
     first = health[0]
     L0, scale = np.array(first.angular_momentum), np.linalg.norm(first.angular_momentum)
@@ -81,7 +81,7 @@ def test_the_lagrangian_limit_conserves_momentum_spin_and_energy():
 
 
 def test_apic_every_substep_conserves_reference_spin_and_only_loses_energy():
-    # APIC's affine matrix conserves sum X x p, not sum x x p (physics.md section 2), here over a
+    # APIC's affine matrix conserves sum X x p, not sum x x p (docs/physics.md), here over a
     # short flight in which the body has turned little, so the stress force changes it by less than
     # the turn (0.08 rad) times the elastic share; linear momentum stays exact.
     solver, health = fly(frames=20, filter_rate=np.inf)

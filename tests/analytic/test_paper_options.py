@@ -55,7 +55,7 @@ def test_free_fall_stays_exact_with_all_of_them():
 
 
 def test_wls_gives_energy_to_a_free_body_and_its_absence_does_not():
-    # physics.md section 2: the grid's force is not the adjoint of WLS.  In the Lagrangian limit
+    # docs/physics.md: the grid's force is not the adjoint of WLS.  In the Lagrangian limit
     # nothing takes what it gives.
     def flight(wls):
         # A breath of 0.1 radii a second, fastest at the surface.
@@ -99,7 +99,7 @@ def test_a_stronger_shape_correction_leaves_less_of_the_shape_to_correct():
 
 
 def test_the_papers_drop_counts_what_is_clipped_and_cut():
-    # Jelly is clipped and metal is cut, as in the paper's Table 1 and physics.md section 2; rubber
+    # Jelly is clipped and metal is cut, as in the paper's Table 1 and docs/physics.md; rubber
     # is neither.
     speed = (0.0, -7.0, 0.0)
     counts = {}
