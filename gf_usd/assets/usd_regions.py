@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_implicit import IMPLICIT
-from gf_usd.assets.usd_material import Looks
-from gf_usd.assets.usd_mesh import Reading, posed_points, read_surface
+from gf_usd.assets.usd_mesh import posed_points, read_surface
+from gf_usd.assets.usd_physics_motion import bare_reading, shape_varies, transform_varies
 from gf_usd.assets.usd_place import LeftAlone
 from gf_usd.assets.usd_select import PROXIES, named_prim
-from gf_usd.assets.usd_skel import Skins
 from gf_usd.assets.usd_stage import open_stage, reading
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints, StageFacts
@@ -84,25 +82,11 @@ def _has_surface(prim: Usd.Prim) -> bool:
     return prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in IMPLICIT
 
 
-def _context(facts: StageFacts, time: Usd.TimeCode) -> Reading:
-    notes = Notes()
-    xforms = UsdGeom.XformCache(time)
-    return Reading(
-        path=facts.path,
-        time=time,
-        meters_per_unit=facts.units.length,
-        xforms=xforms,
-        skins=Skins(time, xforms, notes),
-        looks=Looks(time, notes),
-        notes=notes,
-    )
-
-
 def _triangles(
     prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, name: str
 ) -> tuple[Floats, Ints]:
     """All points (V, 3) [m] and triangles (T, 3) of some prims."""
-    context, points, triangles, count = _context(facts, rest), [], [], 0
+    context, points, triangles, count = bare_reading(facts, rest), [], [], 0
     for prim in prims:
         try:
             surface = read_surface(prim, context)
@@ -118,31 +102,13 @@ def _triangles(
 
 def _posed(prims: Sequence[Usd.Prim], facts: StageFacts, times: Sequence[float]) -> Floats | None:
     """(F, V, 3) [m] at the time codes; None where nothing moves."""
-    frames = []
-    for time in times:
-        context = _context(facts, Usd.TimeCode(time))
-        frames.append(np.concatenate([posed_points(prim, context) for prim in prims]))
-        if len(frames) == 2 and not _may_move(prims):
-            return None
-    path = np.stack(frames)
+    readings = [bare_reading(facts, Usd.TimeCode(time)) for time in times]
+    if not any(transform_varies(p) or shape_varies(p, readings[0]) for p in prims):
+        return None
+    path = np.stack(
+        [np.concatenate([posed_points(prim, reading) for prim in prims]) for reading in readings]
+    )
     return None if np.array_equal(path, np.broadcast_to(path[0], path.shape)) else path
-
-
-def _may_move(prims: Sequence[Usd.Prim]) -> bool:
-    """Whether points, a transform above or a skeleton could vary."""
-    for prim in prims:
-        if prim.HasAPI("SkelBindingAPI"):
-            return True
-        for attribute in prim.GetAttributes():
-            if attribute.ValueMightBeTimeVarying():
-                return True
-        above = prim
-        while above and not above.IsPseudoRoot():
-            placed = UsdGeom.Xformable(above)
-            if placed and placed.TransformMightBeTimeVarying():
-                return True
-            above = above.GetParent()
-    return False
 
 
 def _chosen(

@@ -3,7 +3,7 @@
 Stiffness per mass (docs/physics.md) for particles a distance s apart, waves of speed c and an
 impact at v:
 
-    k/m = max(0.4 (c/s)^2, (v / (0.25 s))^2, p0 / (0.05 rho s^2))
+    k/m = max(0.4 (c/s)^2, (v / (0.25 s))^2, p0 / (0.045 rho s^2))
 
 the first to keep the floor as hard as the body at the scale of a particle, the second to stop a
 fall within a quarter of a spacing or so where the body is soft, the third so that a body at rest
@@ -23,7 +23,7 @@ from gf_usd.physics.stencil import Rows, Stencil
 
 ELASTIC_SHARE = 0.4  # of (c/s)^2
 STOPPING_DISTANCE = 0.25  # of s
-REST_DEPTH = 0.05  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
+REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,12 @@ def sample_contact(body: ti.template(), s, up, lift, dt):
         w = body.sample_weight[e]
         x += w * ti.Vector([body.u[n], body.u[n + 1], body.u[n + 2]])
         v += w * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
-    d = 0.0 - (body.sample_height[s] + lift + x.dot(up))
+    floor_force(body, s, 0.0 - (body.sample_height[s] + lift + x.dot(up)), v, up, dt)
+
+
+@ti.func
+def floor_force(body: ti.template(), s, d, v, up, dt):
+    """Set the force on sample s at depth d [m], moving with v; note its depth and cap."""
     f = up * 0.0
     if d > 0.0:
         vn = v.dot(up)

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from gf_usd.physics.contact_kernel import floor_force
 from gf_usd.physics.ul_riding import CARRIERS
 
 
@@ -72,23 +73,7 @@ def sample_force(body: ti.template(), s, up, lift, dt):
         d = turned(body.F, p, vector(body.ride_arm, 3 * e))
         x += w * (vector(body.x, 3 * p) + d)
         v += w * (vector(body.v, 3 * p) + turned(body.L, p, d))
-    depth = 0.0 - (lift + x.dot(up))
-    f = up * 0.0
-    if depth > 0.0:
-        vn = v.dot(up)
-        fn = ti.max(0.0, body.sample_stiffness[s] * depth - body.sample_damping[s] * vn)
-        vt = v - vn * up
-        speed = vt.norm()
-        slip = body.sample_friction[s] * fn
-        stick = 0.5 * body.sample_mass[s] * speed / dt
-        if slip > stick:
-            body.sample_capped[s] = body.sample_capped[s] + 1
-        f = fn * up
-        if speed > 0.0:
-            f = f - (ti.min(slip, stick) / speed) * vt
-        body.sample_depth[s] = ti.max(body.sample_depth[s], depth)
-    for a in ti.static(range(3)):
-        body.sample_force[3 * s + a] = f[a]
+    floor_force(body, s, 0.0 - (lift + x.dot(up)), v, up, dt)
 
 
 @ti.func
