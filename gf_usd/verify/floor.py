@@ -109,8 +109,8 @@ def penetration(
                     name=f"rest.{name}.{radius:g}m",
                     value=rest(name, radius, particles, device), target=0.0, bound=0.1,
                     unit="spacings",
-                    why="k/m >= p0 / (.045 rho s^2): .045 of a spacing under Hertz's pressure of the"
-                    " weight, which jelly exceeds by its large strain; .1 is what docs/physics.md"
+                    why="k/m >= p0 / (.045 rho s^2): .045 of a spacing under Hertz's pressure of"
+                    " the weight, which jelly exceeds by its large strain; .1 is what docs/physics.md"
                     " states",
                 )  # fmt: skip
 
