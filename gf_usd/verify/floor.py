@@ -110,8 +110,8 @@ def penetration(
                     value=rest(name, radius, particles, device), target=0.0, bound=0.1,
                     unit="spacings",
                     why="k/m >= p0 / (.045 rho s^2): .045 of a spacing under Hertz's pressure of"
-                    " the weight, which jelly exceeds by its large strain; .1 is what docs/physics.md"
-                    " states",
+                    " the weight, which jelly exceeds by its large strain; .1 is what"
+                    " docs/physics.md states",
                 )  # fmt: skip
 
     return run
