@@ -2,13 +2,14 @@
 
     python tools/paper.py [--quick] [--seeds N] [--page] [--out FOLDER]
 
-Every figure of the page comes out of these runs, which are kept in docs/reproduction/results.json;
+Every figure of the page comes out of these runs, which docs/reproduction/results.json.gz keeps;
 --page only writes the page again.  --quick runs two seeds of a few frames, to see that all works.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import os
 import subprocess
@@ -112,6 +113,20 @@ def pictures(folder: Path, *, quick: bool) -> None:
         side_by_side([peak_picture(samples / "duck.usda", "rubber", here)], folder / "figure5.jpg")
 
 
+def short(value: Any, name: str = "") -> Any:
+    """Results with as many digits as are read: five, and all of J, whose standstill is judged."""
+    if isinstance(value, dict):
+        return {key: short(item, key) for key, item in value.items()}
+    if isinstance(value, list):
+        return [short(item, name) for item in value]
+    return float(f"{value:.5g}") if isinstance(value, float) and name != "min_J" else value
+
+
+def store(path: Path, results: dict[str, Any]) -> None:
+    """Write results, the same bytes for the same results."""
+    path.write_bytes(gzip.compress(json.dumps(results).encode(), mtime=0))
+
+
 def commit() -> str:
     """The commit that the code is of, with a + where files were changed."""
     words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--abbrev=10"]
@@ -128,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
     asked = parser.parse_args(arguments)
     folder = asked.out / "reproduction"
-    results = folder / "results.json"
+    results = folder / "results.json.gz"
     if not asked.page:
         seeds = range(2 if asked.quick else asked.seeds)
         tables = run_all(jobs(seeds, quick=asked.quick), asked.workers, asked.quick)
@@ -137,9 +152,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         command += f" --seeds {asked.seeds}" if asked.seeds != 6 and not asked.quick else ""
         about = {"command": command, "seeds": list(seeds), "commit": commit(),
                  "date": date.today().isoformat()}  # fmt: skip
-        results.write_text(json.dumps({"about": about, "tables": tables}) + "\n")
+        store(results, {"about": about, "tables": short(tables)})
         pictures(folder, quick=asked.quick)
-    kept = json.loads(results.read_text())
+    kept = json.loads(gzip.decompress(results.read_bytes()))
     long = {key: Series(**runs[0]) for key, runs in kept["tables"]["table 3"].items()}
     names = {"tl": "Total Lagrangian", "ul": "Updated Lagrangian"}
     for file, title, unit, column, level in (

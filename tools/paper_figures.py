@@ -65,7 +65,7 @@ def gf_usd(*words: object) -> str:
 
 def peak_picture(
     asset: Path, material: str, folder: Path, *, show: str = "mesh", seed: int = 0,
-    preset: str | None = "paper", size: str = "480x420",
+    preset: str | None = "paper", size: str = "960x840",
 ) -> Image.Image:  # fmt: skip
     """A bake at its hardest squash: the frame whose body is lowest in the first bounce."""
     root = folder / f"{asset.stem}.{material}.usda"
@@ -82,7 +82,12 @@ def peak_picture(
     code = report["start"] + peak
     out = folder / f"{root.stem}.{show}.png"
     gf_usd("preview", root, "--frame", code, "--show", show, "--size", size, "-o", out)
-    return Image.open(out).convert("RGB")
+    # the camera is fitted to the whole fall: the squash is in the lower middle of the picture
+    w, h = (int(v) for v in size.split("x"))
+    picture = Image.open(out).convert("RGB").crop((w // 6, 2 * h // 5, 5 * w // 6, h))
+    return picture.resize(
+        (picture.width * 3 // 4, picture.height * 3 // 4), Image.Resampling.LANCZOS
+    )
 
 
 def side_by_side(pictures: Sequence[Image.Image], path: Path) -> None:
