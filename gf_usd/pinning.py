@@ -39,27 +39,24 @@ def make_pins(
         return ()
     times = [settings.time_code(i) for i in range(settings.frames)]
 
-    def read(paths: Sequence[str]) -> tuple:
+    def read(paths: Sequence[str]) -> tuple[Region, ...]:
         return read_regions(file, paths, asset.facts, rest=rest, times=times)
 
-    pins = []
+    boxes = [name for name in names if name.startswith(BOX)]
+    prims = [name for name in names if not name.startswith(BOX)]
+    regions = {region.name: region for region in read(prims)} if prims else {}
+    if boxes:
+        bodies = read([s.path for s in asset.surfaces])
+        length = max(len(body.path) for body in bodies)
+        points = np.concatenate([body.points for body in bodies])
+        path = np.concatenate(
+            [np.broadcast_to(b.path, (length, *b.path.shape[1:])) for b in bodies], axis=1
+        )
+        unit = asset.facts.units.length
+        regions |= {name: box_region(name, unit, points, path) for name in boxes}
     for name in names:
-        if name.startswith(BOX):
-            bodies = read([s.path for s in asset.surfaces])
-            length = max(len(body.path) for body in bodies)
-            region = box_region(
-                name,
-                asset.facts.units.length,
-                np.concatenate([body.points for body in bodies]),
-                np.concatenate(
-                    [np.broadcast_to(b.path, (length, *b.path.shape[1:])) for b in bodies], axis=1
-                ),
-            )
-        else:
-            region = read([name])[0]
-        _require_hold(region, asset)
-        pins.append(make_pin(region, solid))
-    return tuple(pins)
+        _require_hold(regions[name], asset)
+    return tuple(make_pin(regions[name], solid) for name in names)
 
 
 def _require_hold(region: Region, asset: Asset) -> None:

@@ -49,8 +49,9 @@ def load_meshes(
 
     try:
         with _quiet():
+            resolver: Any = _Files(files or {})  # by its methods; trimesh's type names classes
             loaded: Any = trimesh.load(
-                BytesIO(data), file_type=kind, process=False, resolver=_Files(files or {})
+                BytesIO(data), file_type=kind, process=False, resolver=resolver
             )
     except UNREADABLE as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

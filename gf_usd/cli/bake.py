@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.options import Fps, Frames, Particles, Prims, Seed, Spacing, Start
+
 
 def bake(
     asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
@@ -26,23 +28,11 @@ def bake(
             show_default="NAME.MATERIAL.usda in this folder",
         ),
     ] = None,
-    particles: Annotated[
-        int | None, typer.Option(help="About how many particles.", show_default="8000")
-    ] = None,
-    spacing: Annotated[
-        float | None, typer.Option(help="Distance of particles [stage units].")
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option(help="How many frames.", show_default="13.6 T of the body")
-    ] = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Frames per second.", show_default="the asset's, else 24"),
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(help="First time code.", show_default="the asset's start, else 1"),
-    ] = None,
+    particles: Particles = None,
+    spacing: Spacing = None,
+    frames: Frames = None,
+    fps: Fps = None,
+    start: Start = None,
     drop: Annotated[
         str | None,
         typer.Option(
@@ -73,15 +63,12 @@ def bake(
         str | None,
         typer.Option(help="corotated or neoHookean.", show_default="the material's"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the random sampling.")] = 0,
+    seed: Seed = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     threads: Annotated[
         int | None, typer.Option(help="CPU threads.", show_default="all")
     ] = None,
-    prim: Annotated[
-        list[str] | None,
-        typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
-    ] = None,
+    prim: Prims = None,
     meters_per_unit: Annotated[
         float | None,
         typer.Option(

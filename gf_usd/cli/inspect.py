@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.options import Fps, Frames, Particles, Prims, Seed, Spacing, Start
 from gf_usd.errors import InputError
 
 
@@ -16,23 +17,11 @@ def inspect(
     material: Annotated[
         str, typer.Option("--material", "-m", help="As for bake; several with commas.")
     ] = "rubber",
-    particles: Annotated[
-        int | None, typer.Option(help="About how many particles.", show_default="8000")
-    ] = None,
-    spacing: Annotated[
-        float | None, typer.Option(help="Distance of particles [stage units].")
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option(help="How many frames.", show_default="13.6 T of the body")
-    ] = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(help="Frames per second.", show_default="the asset's, else 24"),
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(help="First time code.", show_default="the asset's start, else 1"),
-    ] = None,
+    particles: Particles = None,
+    spacing: Spacing = None,
+    frames: Frames = None,
+    fps: Fps = None,
+    start: Start = None,
     drop: Annotated[
         str | None,
         typer.Option(
@@ -40,10 +29,7 @@ def inspect(
             show_default="3r, or 0 where the stage holds physics",
         ),
     ] = None,
-    prim: Annotated[
-        list[str] | None,
-        typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
-    ] = None,
+    prim: Prims = None,
     meters_per_unit: Annotated[
         float | None,
         typer.Option(help="Size of the file's unit [m], e.g. 0.01.", show_default="as for bake"),
@@ -52,7 +38,7 @@ def inspect(
         str | None, typer.Option(help="Y or Z.", show_default="as for bake")
     ] = None,
     solver: Annotated[str | None, typer.Option(help="tl or ul.", show_default="tl")] = None,
-    seed: Annotated[int, typer.Option(help="Of the random sampling.")] = 0,
+    seed: Seed = 0,
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
     ] = False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +34,14 @@ def distances(points: Floats, vertices: Floats, triangles: Ints) -> Floats:
             "pip install 'gf-usd[open3d]'",
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
+    tensor: Any = open3d.core.Tensor  # its stub knows no numpy arrays
     # single precision: centred, so that far from the origin no digits are lost
     centre = vertices.mean(0)
     scene.add_triangles(
-        open3d.core.Tensor((vertices - centre).astype(np.float32)),
-        open3d.core.Tensor(triangles.astype(np.uint32)),
+        tensor((vertices - centre).astype(np.float32)),
+        tensor(triangles.astype(np.uint32)),
     )
-    query = open3d.core.Tensor((points - centre).astype(np.float32))
+    query = tensor((points - centre).astype(np.float32))
     return scene.compute_distance(query).numpy().astype(float)
 
 

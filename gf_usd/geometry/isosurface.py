@@ -10,6 +10,8 @@ for any number of particles, these are .306 s and .612 s.
 
 from __future__ import annotations
 
+from typing import Any
+
 import igl
 import numpy as np
 from scipy.spatial import cKDTree
@@ -61,7 +63,8 @@ def isosurface(
             f" reaches the level {level:g}",
             "widen the Gaussians, or take a lower level",
         )
-    made = igl.marching_cubes(values, np.ascontiguousarray(grid), *map(int, n), float(level))
+    sizes: Any = map(int, n)
+    made = igl.marching_cubes(values, np.ascontiguousarray(grid), *sizes, float(level))
     return np.asarray(made[0]), np.asarray(made[1], np.int64)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import igl
 import numpy as np
@@ -36,7 +37,8 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
     faces = np.concatenate([t + o for t, o in zip(solid.triangles, first)])
     owner = np.repeat(np.arange(len(counts)), [len(t) for t in solid.triangles])
     source = np.concatenate(solid.sources)
-    squared, at, closest = igl.point_mesh_squared_distance(X - centre, points, faces)
+    found: Any = igl.point_mesh_squared_distance(X - centre, points, faces)
+    squared, at, closest = found
     a, b, c = np.moveaxis(points[faces[at]], 1, 0)
     n = np.cross(b - a, c - a)
     length = np.linalg.norm(n, axis=1, keepdims=True)

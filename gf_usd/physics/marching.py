@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from gf_usd.physics.guard import RETRIES, Guard
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """What was noticed between two frames, on the substeps."""
+    """What was noticed between two frames, on the substeps, under the names of `Health`."""
 
     penetration: float = 0.0  # [m] deepest of a contact sample
     friction_capped: int = 0
@@ -108,15 +108,7 @@ class Marcher(ABC):
             if not fault:
                 frame = self.read(index)
                 health = replace(
-                    frame.health,
-                    substeps=substeps,
-                    rollbacks=attempt,
-                    penetration=passage.penetration,
-                    friction_capped=passage.friction_capped,
-                    work=passage.work,
-                    injected=passage.injected,
-                    clamped=passage.clamped,
-                    stress_capped=passage.stress_capped,
+                    frame.health, substeps=substeps, rollbacks=attempt, **asdict(passage)
                 )
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:

@@ -87,9 +87,9 @@ class TotalLagrangian(Marcher):
             self.holder.check(self.stencil.held)
         self.rows = self.stencil.rows(particles.X)
         self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
-        self.held = {
-            name: held_by(pins, X) for name, X in {"": particles.X, **(riders or {})}.items()
-        }
+        if self.holder:
+            self.held = {name: held_by(pins, X) for name, X in (riders or {}).items()}
+            self.held[""] = self.holder.particles
         self.normal = settings.normal
         self.offset = np.asarray(settings.lift, float)
         self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per, pins)

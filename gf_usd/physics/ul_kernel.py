@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES, von_mises
-from gf_usd.physics.ul_lanes_kernel import matrix, pick
+from gf_usd.physics.ul_lanes_kernel import in_order, matrix, pick
 from gf_usd.physics.ul_particle_kernel import (
     clamp_particle,
     drift_particle,
@@ -160,13 +160,7 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
     def energy(body: Body, n: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), converged: real):
         """out[p] = V0 psi(F_p)."""
         for b in range((n + LANES - 1) // LANES):
-            o = b * LANES
-            last = n - 1
-            ids = [
-                o, ti.min(o + 1, last), ti.min(o + 2, last), ti.min(o + 3, last),
-                ti.min(o + 4, last), ti.min(o + 5, last), ti.min(o + 6, last),
-                ti.min(o + 7, last),
-            ]  # fmt: skip
+            ids = in_order(b, n)
             strain = matrix(body.F, ids)
             psi = law.psi(strain, pick(body.mu, ids, 1, 0), pick(body.lam, ids, 1, 0), converged)
             psi = psi * pick(body.V0, ids, 1, 0)
@@ -179,13 +173,7 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
     ):
         """out[p] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
         for b in range((n + LANES - 1) // LANES):
-            o = b * LANES
-            last = n - 1
-            ids = [
-                o, ti.min(o + 1, last), ti.min(o + 2, last), ti.min(o + 3, last),
-                ti.min(o + 4, last), ti.min(o + 5, last), ti.min(o + 6, last),
-                ti.min(o + 7, last),
-            ]  # fmt: skip
+            ids = in_order(b, n)
             strain = matrix(body.F, ids)
             P = piola(body, ids, strain, law, False, capped, cap, converged)
             value = von_mises(P, strain)

@@ -32,6 +32,17 @@ def members(body: ti.template(), cell, b):
 
 
 @ti.func
+def in_order(b, n):
+    """The eight particles of batch b of all n, as they are numbered."""
+    o = b * LANES
+    last = n - 1
+    return [
+        o, ti.min(o + 1, last), ti.min(o + 2, last), ti.min(o + 3, last), ti.min(o + 4, last),
+        ti.min(o + 5, last), ti.min(o + 6, last), ti.min(o + 7, last),
+    ]  # fmt: skip
+
+
+@ti.func
 def live(body: ti.template(), cell, b, x):
     """x in the lanes that are no repetition, 0 in the others."""
     left = x[0] * 0.0 + (body.cell_start[cell + 1] - body.cell_start[cell] - LANES * b)

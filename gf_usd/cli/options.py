@@ -1,0 +1,28 @@
+"""Options that bake and inspect have alike: one spelling, one help."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Particles = Annotated[
+    int | None, typer.Option(help="About how many particles.", show_default="8000")
+]
+Spacing = Annotated[float | None, typer.Option(help="Distance of particles [stage units].")]
+Frames = Annotated[
+    int | None, typer.Option(help="How many frames.", show_default="13.6 T of the body")
+]
+Fps = Annotated[
+    float | None,
+    typer.Option(help="Frames per second.", show_default="the asset's, else 24"),
+]
+Start = Annotated[
+    float | None,
+    typer.Option(help="First time code.", show_default="the asset's start, else 1"),
+]
+Prims = Annotated[
+    list[str] | None,
+    typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
+]
+Seed = Annotated[int, typer.Option(help="Of the random sampling.")]
