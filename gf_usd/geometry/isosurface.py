@@ -63,8 +63,8 @@ def isosurface(
             f" reaches the level {level:g}",
             "widen the Gaussians, or take a lower level",
         )
-    sizes: Any = map(int, n)
-    made = igl.marching_cubes(values, np.ascontiguousarray(grid), *sizes, float(level))
+    march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
+    made = march(values, np.ascontiguousarray(grid), *map(int, n), float(level))
     return np.asarray(made[0]), np.asarray(made[1], np.int64)
 
 
