@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.units import StageUnits
+
+if TYPE_CHECKING:
+    from gf_usd.splats import Splats
 
 # The width is the maker's business: files hold float32, the solver's bookkeeping float64.
 Floats = NDArray[Any]
@@ -83,6 +86,7 @@ class Surface:
     triangle_materials: Ints | None = None  # (T,) into materials; -1 where nothing is bound
     materials: tuple[SurfaceMaterial, ...] = ()
     skinned: bool = False  # posed by UsdSkel: the cache must not let it be skinned again
+    splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +96,7 @@ class Asset:
     facts: StageFacts
     surfaces: tuple[Surface, ...]
     skipped: tuple[tuple[str, str], ...] = ()  # (prim path, reason) of what is left as it is
+    splats: tuple[Splats, ...] = ()  # captured Gaussians, not yet given a surface
 
 
 @dataclass(frozen=True, kw_only=True)

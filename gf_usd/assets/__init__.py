@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 USD = (".usd", ".usda", ".usdc", ".usdz")
 MESH = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".fbx")
+SPLATS = (".spz", ".splat")  # and .ply
 READERS: dict[str, str] = {
     **dict.fromkeys(USD, "gf_usd.assets.usd:read_usd"),
-    **dict.fromkeys(MESH, "gf_usd.assets.mesh:read_mesh"),
+    **dict.fromkeys((*MESH, *SPLATS), "gf_usd.assets.mesh:read_mesh"),
 }
 
 

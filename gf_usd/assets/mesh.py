@@ -4,6 +4,7 @@ obj, ply, off   metres are assumed, Y up; own readers: polygons and seams stay
 stl             metres are assumed, Z up, as printers have it; trimesh
 glb, gltf       metres, Y up by their standard; trimesh
 fbx             what the file says; the program usd-convert-asset
+spz, splat, ply with Gaussians: usd_splat_source
 """
 
 from __future__ import annotations
@@ -61,12 +62,15 @@ def convert_mesh(
     InputError : the file is damaged or empty, or the unit or the axis makes no sense.
     """
     from gf_usd.assets.usd_source import MeshSource
+    from gf_usd.assets.usd_splat_source import convert_splats, is_splat_file
 
     if meters_per_unit is not None and not 0.0 < meters_per_unit < math.inf:
         raise InputError(
             f"--meters-per-unit {meters_per_unit:g} is not a size",
             "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
         )
+    if is_splat_file(path):
+        return convert_splats(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if up_axis is not None and up_axis.upper() not in ("Y", "Z"):
         raise InputError(
             f"up axis {up_axis!r}: USD knows Y and Z", "give --up-axis Y or --up-axis Z"

@@ -57,7 +57,7 @@ def read_ply(path: Path) -> MeshFile:
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
-    elements, order, texture, start = _header(path, data)
+    elements, order, texture, start = header(path, data)
     tables = read_body(path, data, start, elements, order)
     notes = Notes()
     _require_mesh(path, tables)
@@ -79,7 +79,7 @@ def read_ply(path: Path) -> MeshFile:
     )
 
 
-def _header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
+def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
     """Elements, byte order ("" for text), texture name, and where the body begins."""
     if not data.startswith(b"ply") or b"end_header" not in data:
         raise InputError(

@@ -14,9 +14,11 @@ from gf_usd.assets.usd_mesh import Reading, read_surface
 from gf_usd.assets.usd_place import LeftAlone
 from gf_usd.assets.usd_select import Selection, select
 from gf_usd.assets.usd_skel import Skins
+from gf_usd.assets.usd_splats import is_captured, read_captured
 from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, StageFacts, Surface
+from gf_usd.splats import Splats
 
 
 def read_usd(
@@ -28,7 +30,7 @@ def read_usd(
     time_code: float | None = None,
     named: Path | None = None,
 ) -> Asset:
-    """The visible meshes and implicit shapes of a stage, posed at one time.
+    """The visible meshes, implicit shapes and Gaussian splats of a stage, posed at one time.
 
     The arguments are those of `gf_usd.assets.read_asset`; `named` is the file that the user named
     where `path` was made from it.  Raises InputError for a file that is not USD or damaged, for
@@ -41,12 +43,13 @@ def read_usd(
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
         time = _pose_time(facts, time_code)
         found = select(stage, path, prims, time)
-        surfaces, skipped = _surfaces(path, found, facts, time, notes)
-        if not surfaces:
+        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes)
+        if not surfaces and not splats:
             raise _nothing(stage, path, found, skipped, notes, by_name=bool(prims))
         return Asset(
             facts=replace(facts, notes=notes.lines()),
             surfaces=tuple(surfaces),
+            splats=tuple(splats),
             skipped=tuple(skipped.items()),
         )
 
@@ -59,8 +62,8 @@ def _pose_time(facts: StageFacts, time_code: float | None) -> Usd.TimeCode:
 
 def _surfaces(
     path: Path, found: Selection, facts: StageFacts, time: Usd.TimeCode, notes: Notes
-) -> tuple[list[Surface], dict[str, str]]:
-    """A Surface for each prim of the selection, and (path, reason) of those left alone."""
+) -> tuple[list[Surface], list[Splats], dict[str, str]]:
+    """The surfaces and Gaussians of the selection, and (path, reason) of what is left alone."""
     xforms = UsdGeom.XformCache(time)
     context = Reading(
         path=path,
@@ -72,13 +75,19 @@ def _surfaces(
         notes=notes,
     )
     surfaces: list[Surface] = []
+    splats: list[Splats] = []
     skipped = dict(found.skipped)
     for prim in found.geometry:
         try:
-            surfaces.append(read_surface(prim, context))
+            if is_captured(prim):
+                place = xforms.GetLocalToWorldTransform(prim)
+                unit = facts.units.length
+                splats.append(read_captured(prim, time, place, unit, notes))
+            else:
+                surfaces.append(read_surface(prim, context))
         except LeftAlone as reason:
             skipped[str(prim.GetPath())] = str(reason)
-    return surfaces, skipped
+    return surfaces, splats, skipped
 
 
 def _nothing(

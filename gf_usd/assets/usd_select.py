@@ -11,6 +11,7 @@ from pathlib import Path
 from pxr import Sdf, Usd, UsdGeom
 
 from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.assets.usd_particles import SPLAT_TYPE, is_ours
 from gf_usd.errors import InputError
 
 # Prims of an instance are read in place, as if it were not one.
@@ -23,7 +24,7 @@ class Selection:
     """The prims under a set of roots, sorted by what happens to them."""
 
     roots: tuple[Usd.Prim, ...]
-    geometry: tuple[Usd.Prim, ...]  # meshes and implicit shapes, in stage order
+    geometry: tuple[Usd.Prim, ...]  # meshes, implicit shapes and captured Gaussians, in order
     skipped: tuple[tuple[str, str], ...]  # (prim path, reason)
     types: Counter[str]  # how often each prim type occurs, for words about an empty stage
 
@@ -74,8 +75,11 @@ def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
 
 def _why_not(prim: Usd.Prim) -> str:
     """Words for a visible gprim that is not made soft; empty for one that is."""
-    if not (prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in IMPLICIT):
-        return f"{prim.GetTypeName()}: only meshes and solid implicit shapes are made soft"
+    name = str(prim.GetTypeName())
+    if name == SPLAT_TYPE and is_ours(prim):
+        return "these Gaussians are the particles of a bake"
+    if not (prim.IsA(UsdGeom.Mesh) or name in IMPLICIT or name == SPLAT_TYPE):
+        return f"{name}: only meshes, solid implicit shapes and Gaussian splats are made soft"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
 

@@ -1,0 +1,82 @@
+"""Real spherical harmonics to degree 3, in the order and signs of 3D Gaussian splats.
+
+A rotation mixes the coefficients of one degree among themselves.  The function that belongs to the
+turned body is c'(d) = c(R^T d), so that
+
+    sum_k h'_k Y_k(d) = sum_k h_k Y_k(R^T d)   for all d of the sphere,
+
+and h' = D_l(R) h with D_l = B^+ Y_l(R^T d_j), B = Y_l(d_j) at enough fixed directions d_j: the
+equation holds at these, hence everywhere, because both sides are of degree l.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.model import Floats
+
+DEGREE = 3  # the highest that is evaluated
+Y_0 = 0.28209479177387814  # the value of the harmonic of degree 0
+
+
+def basis(directions: Floats) -> NDArray[np.float64]:
+    """Y (N, 16) at unit directions (N, 3), with the Condon-Shortley phase (-1)^m.
+
+    Normalised so that the integral of Y_i Y_j over the sphere is 1 where i = j and 0 elsewhere.
+    """
+    x, y, z = np.asarray(directions, dtype=np.float64).T
+    pi = np.pi
+    terms = [
+        np.full_like(x, 0.5 * np.sqrt(1 / pi)),
+        -np.sqrt(3 / (4 * pi)) * y,
+        np.sqrt(3 / (4 * pi)) * z,
+        -np.sqrt(3 / (4 * pi)) * x,
+        0.5 * np.sqrt(15 / pi) * x * y,
+        -0.5 * np.sqrt(15 / pi) * y * z,
+        0.25 * np.sqrt(5 / pi) * (3 * z * z - 1),
+        -0.5 * np.sqrt(15 / pi) * x * z,
+        0.25 * np.sqrt(15 / pi) * (x * x - y * y),
+        -0.25 * np.sqrt(35 / (2 * pi)) * y * (3 * x * x - y * y),
+        0.5 * np.sqrt(105 / pi) * x * y * z,
+        -0.25 * np.sqrt(21 / (2 * pi)) * y * (5 * z * z - 1),
+        0.25 * np.sqrt(7 / pi) * z * (5 * z * z - 3),
+        -0.25 * np.sqrt(21 / (2 * pi)) * x * (5 * z * z - 1),
+        0.25 * np.sqrt(105 / pi) * z * (x * x - y * y),
+        -0.25 * np.sqrt(35 / (2 * pi)) * x * (x * x - 3 * y * y),
+    ]
+    return np.stack(terms, axis=1)
+
+
+def rotate(harmonics: Floats, rotations: Floats) -> NDArray[np.float64]:
+    """Coefficients (N, (d + 1)^2, 3) turned by rotations (N, 3, 3), d at most 3."""
+    out = np.array(harmonics, dtype=np.float64)
+    # d_j^T R is (R^T d_j)^T
+    seen = np.einsum("ja,nab->njb", DIRECTIONS, rotations)
+    values = basis(seen.reshape(-1, 3)).reshape(len(out), len(DIRECTIONS), -1)
+    for degree in range(1, round(out.shape[1] ** 0.5)):
+        rows = band(degree)
+        at = np.einsum("njm,nmc->njc", values[:, :, rows], out[:, rows])
+        out[:, rows] = np.einsum("mj,njc->nmc", INVERSES[degree - 1], at)
+    return out
+
+
+def band(degree: int) -> slice:
+    """Where the coefficients of one degree stand."""
+    return slice(degree**2, (degree + 1) ** 2)
+
+
+def _directions() -> NDArray[np.float64]:
+    """Ten directions, no two opposite: the corners of a cube and of its golden rectangles."""
+    golden = (1.0 + np.sqrt(5.0)) / 2.0
+    corners = [(1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1)]
+    a, b = 1.0 / golden, golden
+    edges = [(0, a, b), (0, a, -b), (a, b, 0), (a, -b, 0), (b, 0, a), (-b, 0, a)]
+    points = np.array(corners + edges, dtype=float)
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+# Half a dodecahedron: the least singular value of B over the largest is 1 for degrees 1 and 2 and
+# 0.41 for degree 3, so that nothing is lost in the inverse.
+DIRECTIONS = _directions()
+INVERSES = tuple(np.linalg.pinv(basis(DIRECTIONS)[:, band(d)]) for d in range(1, DEGREE + 1))
