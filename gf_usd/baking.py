@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gf_usd.carrying import Carrier
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
@@ -160,9 +161,10 @@ def _run_look(
     )
     target = plan.outputs.caches[number]
     failure = None
+    carrier = Carrier(plan)
     with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
         try:
-            for baked in _frames(plan, material):
+            for baked in _frames(plan, material, carrier):
                 cache.write(baked)
                 log.add(baked.health)
                 if progress:
@@ -188,10 +190,10 @@ def _run_look(
         warnings=tuple(caution.message for caution in result.warnings),
         failure="" if failure is None else failure.message,
     )
-    return result, look, summary.notes, failure
+    return result, look, (*summary.notes, *carrier.notes), failure
 
 
-def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
+def _frames(plan: Plan, material: Material, carrier: Carrier) -> Iterator[BakedFrame]:
     """Poses of meshes and Gaussians, frame by frame, in playback time."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
@@ -202,7 +204,8 @@ def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     for frame in plan.solver(material).frames():
         poses = skin.poses(frame.particles) if skin else frame.riders
-        yield _baked(plan, frame, poses, track)
+        splats = carrier.poses(poses, plan.settings.time_code(frame.index))
+        yield replace(_baked(plan, frame, poses, track), splats=splats)
 
 
 def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
@@ -211,6 +214,8 @@ def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> B
     s = plan.settings
     meshes = {}
     for surface in plan.asset.surfaces:
+        if surface.splats is not None:
+            continue
         pose = poses[surface.path]
         normals = None
         if surface.normals is not None and surface.normal_points is not None:

@@ -44,7 +44,7 @@ def estimate(plan: Plan) -> dict[str, Any]:
     what is started once.  The frame is None where the asset touches nothing within the bake.
     """
     frames, n = plan.settings.frames, len(plan.particles)
-    vertices = sum(len(s.points) for s in plan.asset.surfaces)
+    vertices = sum(len(points) for points in plan.points.values())
     normals = sum(0 if s.normals is None else len(s.normals) for s in plan.asset.surfaces)
     disk = frames * (MESH_BYTES * vertices + NORMAL_BYTES * normals + PARTICLE_BYTES * n)
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n + VERTEX_MEMORY * vertices

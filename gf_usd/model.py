@@ -87,6 +87,12 @@ class Surface:
     materials: tuple[SurfaceMaterial, ...] = ()
     skinned: bool = False  # posed by UsdSkel: the cache must not let it be skinned again
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
+    anchors: Floats | None = None  # (N, 3) [m] the points that carry them, world
+
+    @property
+    def riding(self) -> Floats:
+        """(n, 3) [m] the points that ride on the body: its own, or those that carry Gaussians."""
+        return self.points if self.anchors is None else self.anchors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,6 +283,16 @@ class GaussianPose:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SplatPose:
+    """Captured Gaussians at one time."""
+
+    positions: Floats  # (N, 3) [m] world
+    orientations: Floats  # (N, 4) unit, continuous in time, in the space of their prim
+    scales: Floats  # (N, 3) [local units] standard deviations
+    harmonics: Floats | None = None  # (N, K, 3) turned; None where the degree is 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class BakedFrame:
     """What the cache writer receives, one at a time."""
 
@@ -285,6 +301,7 @@ class BakedFrame:
     meshes: Mapping[str, MeshPose]  # by Surface.path
     gaussians: GaussianPose
     health: Health
+    splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
 
 
 @dataclass(frozen=True, kw_only=True)

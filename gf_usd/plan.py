@@ -87,8 +87,8 @@ class Plan:
 
     @property
     def points(self) -> dict[str, Floats]:
-        """Vertices (n, 3) [m] at rest of every mesh, by prim path."""
-        return {s.path: s.points for s in self.asset.surfaces}
+        """Points (n, 3) [m] at rest that ride: of every mesh its vertices, by prim path."""
+        return {s.path: s.riding for s in self.asset.surfaces}
 
 
 def command_line(source: Path, **asked: Any) -> str:

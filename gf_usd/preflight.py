@@ -64,8 +64,10 @@ def prepare(
         assert target is not None
         files = replace(files, textures=converted.textures(target))
         require_source_free(files, converted.is_at(target), overwrite)
+    from gf_usd.geometry.splat_hull import with_hulls
     from gf_usd.inspection import implausible_size
 
+    asset = with_hulls(asset)
     file = source if converted is None else converted.layer
     plan = _fill(asset, request, looks, law, files, file, repair=repair)[0]
     command = command_line(
@@ -103,6 +105,7 @@ def inspect(
     from gf_usd.estimate import estimate
     from gf_usd.geometry.parts import poor_parts
     from gf_usd.geometry.repair import repair_asset
+    from gf_usd.geometry.splat_hull import with_hulls
     from gf_usd.inspection import implausible_size, look_at, lost_volume
 
     request, looks = _asked(material, law, options)
@@ -114,6 +117,7 @@ def inspect(
         up_axis=up_axis,
         time_code=request.start,
     )
+    asset = with_hulls(asset)
     seen = look_at(asset, repair_asset(asset)[1] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:

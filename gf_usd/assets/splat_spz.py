@@ -52,7 +52,14 @@ def read_spz(path: Path) -> Splats:
             "check what the file really is",
         )
     _require(path, version, degree, bits, flags)
-    widths = (6 if version == 1 else 9, 1, 3, 3, 4 if version == 3 else 3, 3 * degree * (degree + 2))
+    widths = (
+        6 if version == 1 else 9,
+        1,
+        3,
+        3,
+        4 if version == 3 else 3,
+        3 * degree * (degree + 2),
+    )
     need = 16 + count * sum(widths)
     if len(stream) < need or not count:
         raise InputError(

@@ -34,12 +34,14 @@ from gf_usd.scene import (
 
 # what can be shown: kinds of prim, and the display variant of a bake that holds them
 SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
-    "mesh": (("mesh",), "mesh"),
-    "gaussians": (("gaussians",), "gaussians"),
-    "ellipsoids": (("gaussians",), "gaussians"),
+    "mesh": (("mesh", "splats"), "mesh"),
+    "splats": (("splats", "mesh"), "mesh"),  # captured Gaussians, which are an asset's own look
+    "gaussians": (("gaussians", "splats"), "gaussians"),
+    "ellipsoids": (("gaussians", "splats"), "gaussians"),
     "points": (("points",), "points"),
-    "both": (("mesh", "gaussians"), "mesh"),
+    "both": (("mesh", "splats", "gaussians"), "mesh"),
 }
+KINDS = ("mesh", "splats", "gaussians", "points")
 DISPLAYS = {"mesh", "gaussians", "points"}
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
@@ -51,8 +53,8 @@ class PictureStage:
     Parameters
     ----------
     path : a USD file.
-    show : "mesh", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
-        gaussians and points that is there.
+    show : "mesh", "splats", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
+        splats, gaussians and points that is there.
     camera : prim path of a camera of the stage; None: pictures bring their own.
     colour : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
 
@@ -203,7 +205,7 @@ class PictureStage:
                 return replace(mesh, values=self._mesh_values(prim, context.time))
             place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
             values = self.values.of_particles(prim, context.time) if self.values else None
-            read = read_splats if kind == "gaussians" else read_points
+            read = read_points if kind == "points" else read_splats
             unit = context.meters_per_unit
             return read(prim, context.time, place, unit, context.notes, values)
         except LeftAlone as reason:
@@ -243,7 +245,7 @@ class PictureStage:
             elif prim.IsA(UsdGeom.Mesh) or name in IMPLICIT:
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
-                found.append(("gaussians", prim))
+                found.append(("gaussians" if is_ours(prim) else "splats", prim))
             elif prim.IsA(UsdGeom.Points):
                 found.append(("points", prim))
         return found
@@ -262,7 +264,7 @@ class PictureStage:
     def _first_kind(self) -> str:
         time = self._time(None)
         there = {kind for kind, prim in self._all() if _is_visible(prim, time)}
-        return next((kind for kind in ("mesh", "gaussians", "points") if kind in there), "mesh")
+        return next((kind for kind in KINDS if kind in there), "mesh")
 
     def _select_display(self, display: str) -> None:
         """Select a bake's display variant, in the session only."""

@@ -43,9 +43,7 @@ def read_splat_file(path: Path, notes: Notes) -> Splats:
     return tidy(splats, str(path), notes.add)
 
 
-def convert_splats(
-    path: Path, *, meters_per_unit: float | None, up_axis: str | None
-) -> MeshSource:
+def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:
     """A splat file as USD, not yet written anywhere.
 
     meters_per_unit : [m] size of the file's unit; None: 1.   up_axis : Y, Z, -Y or -Z; None: Y.
@@ -71,7 +69,5 @@ def convert_splats(
     splats = read_splat_file(path, notes)
     folder = Folder()
     up, turn = AXES[axis]
-    write_splat_layer(
-        splats, folder.layer, path.stem, meters_per_unit=unit, up_axis=up, turn=turn
-    )
+    write_splat_layer(splats, folder.layer, path.stem, meters_per_unit=unit, up_axis=up, turn=turn)
     return MeshSource(path, folder, record_of(path, (path,), unit, axis), notes.lines())

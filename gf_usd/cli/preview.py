@@ -40,9 +40,9 @@ def preview(
     show: Annotated[
         str | None,
         typer.Option(
-            help="mesh, gaussians, ellipsoids (one standard deviation), points, or both (mesh and "
-            "gaussians).",
-            show_default="the first of mesh, gaussians, points that is there",
+            help="mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation),"
+            " points, or both (mesh and gaussians).",
+            show_default="the first of mesh, splats, gaussians, points that is there",
         ),
     ] = None,
     size: Annotated[

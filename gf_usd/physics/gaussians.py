@@ -30,6 +30,11 @@ class GaussianTrack:
         self._turn = np.broadcast_to(np.eye(3), self._rest.shape)
         self._last = np.asarray(rest_orientation, float)
 
+    @property
+    def turn(self) -> NDArray[np.float64]:
+        """(N, 3, 3) rotation of the body at the last pose."""
+        return self._turn
+
     def advance(self, pose: Pose) -> GaussianPose:
         """The Gaussians at a pose; call once a frame, in order."""
         A = pose.F @ (self._rest * self._rest_scale[:, None, :])

@@ -8,6 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.usd.meshes import MeshTrack
+from gf_usd.usd.splat_cache import SplatTrack
 from gf_usd.usd.stage import Clock
 
 
@@ -59,7 +60,9 @@ def skel_bounds(
     return [SkelBound(cache, root, tracks, clock) for root in roots]
 
 
-def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[MeshTrack]) -> None:
+def block_hints(
+    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[MeshTrack | SplatTrack]
+) -> None:
     """Block every authored extentsHint above a baked mesh.
 
     Bounds are then computed from the extents below.  Where the payload is not loaded the source's
@@ -72,7 +75,7 @@ def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[MeshTrack]
             over.CreateAttribute("extentsHint", hint.GetTypeName(), False).Block()
 
 
-def _above(source: Usd.Stage, tracks: Iterable[MeshTrack]) -> list[Usd.Prim]:
+def _above(source: Usd.Stage, tracks: Iterable[MeshTrack | SplatTrack]) -> list[Usd.Prim]:
     paths = {p for track in tracks for p in track.path.GetParentPath().GetPrefixes()}
     return [source.GetPrimAtPath(path) for path in sorted(paths)]
 

@@ -22,6 +22,7 @@ from gf_usd.usd.bounds import block_hints, skel_bounds
 from gf_usd.usd.health import HealthTrack, bake_root
 from gf_usd.usd.meshes import MeshTrack
 from gf_usd.usd.particles import ParticleTrack
+from gf_usd.usd.splat_cache import SplatTrack
 from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
 
 
@@ -87,9 +88,15 @@ class CacheWriter:
         self._meshes = {
             surface.path: MeshTrack(self._stage, prim, surface, time, unit)
             for surface, prim in zip(asset.surfaces, prims)
+            if surface.splats is None
+        }
+        self._splats = {
+            surface.path: SplatTrack(self._stage, prim, surface, time, unit)
+            for surface, prim in zip(asset.surfaces, prims)
+            if surface.splats is not None
         }
         tracks = list(self._meshes.values())
-        block_hints(self._stage, stage, tracks)
+        block_hints(self._stage, stage, [*tracks, *self._splats.values()])
         self._bounds = skel_bounds(self._stage, stage, tracks, time)
         root = stage.GetPrimAtPath(home.root)
         self._particles = ParticleTrack(self._stage, root, home, asset, particles, info, time)
@@ -112,14 +119,19 @@ class CacheWriter:
                 f"frame {frame.index} has time code {time_code:g}, after {self._time_code:g}.",
                 "this is a fault of the bake, not of the asset: please report it",
             )
-        if set(frame.meshes) != set(self._meshes):
-            raise BakeError(
-                f"frame {frame.index} has meshes {_list(frame.meshes)}, "
-                f"the asset has {_list(self._meshes)}.",
-                "this is a fault of the bake, not of the asset: please report it",
-            )
+        for what, poses, tracks in (
+            ("meshes", frame.meshes, self._meshes),
+            ("Gaussians", frame.splats, self._splats),
+        ):
+            if set(poses) != set(tracks):
+                raise BakeError(
+                    f"frame {frame.index} has {what} {_list(poses)}, the asset has {_list(tracks)}.",
+                    "this is a fault of the bake, not of the asset: please report it",
+                )
         for path, pose in frame.meshes.items():
             self._meshes[path].write(pose, time_code)
+        for path, pose in frame.splats.items():
+            self._splats[path].write(pose, time_code)
         for bound in self._bounds:
             bound.write(time_code)
         self._particles.write(frame.gaussians, time_code)
@@ -180,7 +192,7 @@ class CacheWriter:
             raise self._lost
 
     def _release(self) -> None:
-        del self._meshes, self._bounds, self._particles, self._health
+        del self._meshes, self._splats, self._bounds, self._particles, self._health
         del self._stage, self._source, self._layer
 
 

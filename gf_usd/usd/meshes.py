@@ -41,7 +41,7 @@ class MeshTrack:
         self.space = Space(prim, clock, meters_per_unit)
         self.low = self.high = np.zeros(3)
         self._surface = surface
-        _free_instances(cache, prim)
+        free_instances(cache, prim)
         over = cache.OverridePrim(self.path)
         self._points = over.CreateAttribute("points", Types.Point3fArray, False)
         self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
@@ -145,7 +145,7 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
         )
 
 
-def _free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
+def free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
     # opinions on instance proxies are ignored
     if not prim.IsInstanceProxy():
         return

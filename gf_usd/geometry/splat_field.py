@@ -1,0 +1,134 @@
+"""The density of Gaussians on a grid, and the closed region that it shows.
+
+    rho(x) = sum_p o_p exp(-(x - p)^T (Sigma_p + (h/2)^2 I)^-1 (x - p) / 2)
+
+on cells of edge h: half a cell is added to every axis, so that a disc between two cells is still
+seen by both.  Captures are hollow: their Gaussians lie on the surface.  So the cells where rho is
+above a level are dilated until they close, what cannot be reached from outside is filled, and the
+surface is taken back to where the Gaussians are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gf_usd.model import Floats
+
+RESOLUTION = 96  # cells along the longest side
+MARGIN = 12  # cells around: the widest dilation and the blur stay inside
+REACH = 2.2  # [standard deviations] a Gaussian is cut off at exp(-2.4) = 0.09
+LEVEL = 0.2  # rho of a solid cell: one opaque Gaussian at the corner of its cell has 0.22
+PAIRS = 150_000_000  # Gaussians times cells looked at: about ten seconds
+CHUNK = 4_000_000  # of them at once: bounds memory
+CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells]
+LEAK = 0.05  # share of the solid that may lie open and yet be blocked on all six sides
+BLUR = 1.0  # [cells] takes the steps off
+OUTER = 0.1  # share of the centres that end up outside
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Cells of a box; the centre of cell (0, 0, 0) is at low."""
+
+    low: NDArray[np.float64]  # (3,) [m]
+    h: float  # [m]
+    shape: tuple[int, int, int]
+
+    def cells(self, X: Floats) -> NDArray[np.float64]:
+        """(n, 3) places of points (n, 3) [m] in cells."""
+        return (np.asarray(X, float) - self.low) / self.h
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """A closed region as a signed distance on a grid."""
+
+    grid: Grid
+    distance: NDArray[np.float64]  # [cells] positive inside, 0 on the surface
+    closing: float  # [m] gaps up to twice this were closed
+    capped: bool  # it was open below and was closed flat
+
+
+def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArray[np.float64]]:
+    """rho of Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m] on a grid around them."""
+    low, high = points.min(0), points.max(0)
+    h = float((high - low).max()) / RESOLUTION or float(np.abs(axes).max())
+    covariance = axes @ np.swapaxes(axes, 1, 2)
+    longest = np.sqrt(np.einsum("naa->na", covariance).max(1))
+    while True:
+        wide = np.sqrt(longest**2 + 0.25 * h * h)
+        radius = np.ceil(REACH * wide / h).astype(int)
+        if ((2.0 * radius + 1.0) ** 3).sum() <= PAIRS:
+            break
+        h *= 1.2
+    room = max(MARGIN, int(radius.max()) + 1)
+    n = np.ceil((high - low) / h).astype(int) + 1 + 2 * room
+    grid = Grid(low=low - room * h, h=h, shape=(int(n[0]), int(n[1]), int(n[2])))
+    inverse = np.linalg.inv(covariance / h**2 + 0.25 * np.eye(3))
+    place = grid.cells(points)
+    rho = np.zeros(n.prod())
+    for r in np.unique(radius):
+        span = np.arange(-r, r + 1)
+        offsets = np.stack(np.meshgrid(span, span, span, indexing="ij"), -1).reshape(-1, 3)
+        mine = np.flatnonzero(radius == r)
+        step = max(1, CHUNK // len(offsets))
+        for start in range(0, len(mine), step):
+            rows = mine[start : start + step]
+            base = np.rint(place[rows]).astype(np.int64)
+            d = (base - place[rows])[:, None, :] + offsets
+            q = np.einsum("nka,nab,nkb->nk", d, inverse[rows], d, optimize=True)
+            at = np.ravel_multi_index(np.moveaxis(base[:, None, :] + offsets, -1, 0), grid.shape)
+            value = np.asarray(opacities, float)[rows, None] * np.exp(-0.5 * q)
+            rho += np.bincount(at.ravel(), value.ravel(), minlength=len(rho))
+    return grid, rho.reshape(grid.shape)
+
+
+def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
+    """The region that Gaussians around points (n, 3) [m] bound; up is the index of the up axis."""
+    solid = rho >= LEVEL
+    away = ndimage.distance_transform_edt(~solid)
+    best: tuple[float, float, NDArray[np.bool_]] | None = None
+    for closing in CLOSINGS:
+        wall = away <= closing
+        filled = ndimage.binary_fill_holes(wall)
+        leak = (~filled & _blocked(wall, range(6))).sum() / filled.sum()
+        if best is None or leak < best[0]:
+            best = (leak, closing, filled)
+        if leak <= LEAK:
+            break
+    assert best is not None
+    leak, closing, filled = best
+    wall = away <= closing
+    if leak > LEAK:
+        filled |= _blocked(wall, range(6))
+    covered = filled | _blocked(wall, [side for side in range(6) if side != 2 * up])
+    capped = bool(covered.sum() > 2 * filled.sum())
+    if capped:
+        filled = covered
+    signed = ndimage.distance_transform_edt(filled) - ndimage.distance_transform_edt(~filled)
+    smooth = ndimage.gaussian_filter(signed, BLUR)
+    at = ndimage.map_coordinates(smooth, grid.cells(points).T, order=1)
+    # a surface that ate the whole body would be none: stay below the deepest cell
+    level = min(float(np.quantile(at, OUTER)), 0.5 * float(smooth.max()))
+    return Region(grid=grid, distance=smooth - level, closing=closing * grid.h, capped=capped)
+
+
+def islands(rho: Floats) -> NDArray[np.int64]:
+    """Labels from 1 of the solid cells that hang together, gaps of two cells bridged; 0 outside."""
+    away = ndimage.distance_transform_edt(rho < LEVEL)
+    return np.asarray(ndimage.label(away <= 1.5, np.ones((3, 3, 3)))[0])
+
+
+def _blocked(wall: NDArray[np.bool_], sides: range | list[int]) -> NDArray[np.bool_]:
+    """Cells that see the wall along each of the sides -x, +x, -y, +y, -z, +z (0 to 5)."""
+    out = np.ones_like(wall)
+    for side in sides:
+        axis, ahead = divmod(side, 2)
+        seen = np.flip(wall, axis) if ahead else wall
+        seen = np.logical_or.accumulate(seen, axis=axis)
+        out &= np.flip(seen, axis) if ahead else seen
+    return out

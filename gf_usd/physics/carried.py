@@ -1,0 +1,68 @@
+"""Captured Gaussians that ride on the body.
+
+A Gaussian at X with Sigma0 and coefficients h goes to
+
+    x,    F Sigma0 F^T,    D(R) h,    F = R U
+
+(PhysGaussian, section 3.3): its radiance turns with the body.  All of it happens in the space of
+the Gaussians' own prim, with L the linear map from there to the world: F_local = L(t)^-1 F L(0).
+What lies too far from the body to be part of its grid hangs stiffly on the nearest point that is:
+x = x_a + R (X - X_a).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.harmonics import rotate
+from gf_usd.model import Floats, Pose, SplatPose
+from gf_usd.physics.gaussians import GaussianTrack, nearest_rotation
+from gf_usd.splats import Splats
+
+STRETCH = (
+    4.0  # no Gaussian grows or shrinks more than this beyond its own longest and shortest axis
+)
+
+
+class CarriedSplats:
+    """Turns poses of carried points into Gaussians, one frame after another.
+
+    splats : at rest; anchors : (N, 3) [m] the points that ride, world, at rest.
+    """
+
+    def __init__(self, splats: Splats, anchors: Floats) -> None:
+        self._splats = splats
+        self._linear = splats.to_world[:3, :3].T
+        self._track = GaussianTrack(splats.orientations, splats.scales)
+        scales = np.asarray(splats.scales, float)
+        self._least = scales.min(axis=1, keepdims=True) / STRETCH
+        self._most = scales.max(axis=1, keepdims=True) * STRETCH
+        arm = splats.points - anchors
+        self._hanging = np.flatnonzero((arm != 0.0).any(axis=1))
+        self._arm = arm[self._hanging]
+        self._colours = splats.degree > 0
+        self.clamped = 0  # Gaussians that were kept within bounds, summed over the frames
+
+    def advance(self, pose: Pose, to_local: Floats) -> SplatPose:
+        """The Gaussians at a pose of the anchors; call once a frame, in order.
+
+        to_local : (3, 3) L(t)^-1 [local units per m], for column vectors.
+        """
+        x = pose.x
+        if len(self._hanging):
+            turn = nearest_rotation(pose.F[self._hanging])
+            x = x.copy()
+            x[self._hanging] += np.einsum("nab,nb->na", turn, self._arm)
+        local = replace(pose, F=to_local @ pose.F @ self._linear)
+        made = self._track.advance(local)
+        scales = np.clip(made.scales, self._least, self._most)
+        # rounding is no clamp
+        self.clamped += int((np.abs(scales - made.scales) > 1e-9 * self._most).any(axis=1).sum())
+        harmonics = None
+        if self._colours:
+            harmonics = rotate(self._splats.harmonics, self._track.turn)
+        return SplatPose(
+            positions=x, orientations=made.orientations, scales=scales, harmonics=harmonics
+        )
