@@ -40,8 +40,8 @@ def preview(
     show: Annotated[
         str | None,
         typer.Option(
-            help="mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation),"
-            " points, or both (mesh and gaussians).",
+            help="mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard"
+            " deviation), points, or both (mesh and gaussians).",
             show_default="the first of mesh, splats, gaussians, points that is there",
         ),
     ] = None,
