@@ -73,13 +73,14 @@ def bake(
         float | None,
         typer.Option(
             help="Size of the file's unit [m], e.g. 0.01.",
-            show_default="what the file says; 1 for obj, ply, stl and off",
+            show_default="what the file says; 1 for obj, ply, stl, off and splat files",
         ),
     ] = None,
     up_axis: Annotated[
         str | None,
         typer.Option(
-            help="Y or Z.", show_default="what the file says; Y for obj, ply and off, Z for stl"
+            help="Y or Z; -Y or -Z for splat files that hang.",
+            show_default="what the file says; Y for obj, ply, off and splat files, Z for stl",
         ),
     ] = None,
     repair: Annotated[

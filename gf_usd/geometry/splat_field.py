@@ -70,6 +70,8 @@ def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArra
     grid = Grid(low=low - room * h, h=h, shape=(int(n[0]), int(n[1]), int(n[2])))
     inverse = np.linalg.inv(covariance / h**2 + 0.25 * np.eye(3))
     place = grid.cells(points)
+    # In steps of a byte, as most files have them: a capture has one surface in every format.
+    weight = np.rint(255.0 * np.asarray(opacities, float)) / 255.0
     rho = np.zeros(n.prod())
     for r in np.unique(radius):
         span = np.arange(-r, r + 1)
@@ -82,7 +84,7 @@ def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArra
             d = (base - place[rows])[:, None, :] + offsets
             q = np.einsum("nka,nab,nkb->nk", d, inverse[rows], d, optimize=True)
             at = np.ravel_multi_index(np.moveaxis(base[:, None, :] + offsets, -1, 0), grid.shape)
-            value = np.asarray(opacities, float)[rows, None] * np.exp(-0.5 * q)
+            value = weight[rows, None] * np.exp(-0.5 * q)
             rho += np.bincount(at.ravel(), value.ravel(), minlength=len(rho))
     return grid, rho.reshape(grid.shape)
 

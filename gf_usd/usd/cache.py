@@ -125,7 +125,8 @@ class CacheWriter:
         ):
             if set(poses) != set(tracks):
                 raise BakeError(
-                    f"frame {frame.index} has {what} {_list(poses)}, the asset has {_list(tracks)}.",
+                    f"frame {frame.index} has {what} {_list(poses)}, "
+                    f"the asset has {_list(tracks)}.",
                     "this is a fault of the bake, not of the asset: please report it",
                 )
         for path, pose in frame.meshes.items():
