@@ -161,7 +161,7 @@ def _run_look(
     )
     target = plan.outputs.caches[number]
     failure = None
-    carrier = Carrier(plan)
+    carrier = Carrier(plan, number)
     with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
         try:
             for baked in _frames(plan, material, carrier):
@@ -205,7 +205,9 @@ def _frames(plan: Plan, material: Material, carrier: Carrier) -> Iterator[BakedF
     for frame in plan.solver(material).frames():
         poses = skin.poses(frame.particles) if skin else frame.riders
         splats = carrier.poses(poses, plan.settings.time_code(frame.index))
-        yield replace(_baked(plan, frame, poses, track), splats=splats)
+        baked = replace(_baked(plan, frame, poses, track), splats=splats)
+        carrier.export(baked, poses)
+        yield baked
 
 
 def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:

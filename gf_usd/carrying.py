@@ -1,26 +1,42 @@
-"""The part of the street that captured Gaussians take: from a solver's frame to their poses."""
+"""The part of the street that Gaussians take: from a solver's frame to their poses and files."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.model import Pose, SplatPose
+from gf_usd.colour import linear_to_srgb
+from gf_usd.harmonics import Y_0
+from gf_usd.model import BakedFrame, Particles, Pose
+from gf_usd.splat_sequence import clear
+from gf_usd.splats import SplatPose, Splats, joined
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from gf_usd.physics.carried import CarriedSplats
     from gf_usd.plan import Plan
+    from gf_usd.usd.space import Space
+
+TINY = 1e-12  # [stage units] a flattened particle still has a logarithm of its scale
 
 
 class Carrier:
-    """The captured Gaussians of a plan, one bake long."""
+    """The captured Gaussians of a plan, for one bake.
 
-    def __init__(self, plan: Plan) -> None:
+    number : of its material.
+    """
+
+    def __init__(self, plan: Plan, number: int) -> None:
+        self._plan = plan
+        self._files = plan.sequences[number] if plan.sequences else ()
         self._unit = plan.asset.facts.units.length
-        self._tracks = {}
-        self._spaces = {}
+        self._tracks: dict[str, CarriedSplats] = {}
+        self._spaces: dict[str, Space] = {}
+        self._world: dict[str, CarriedSplats] = {}
+        clear(self._files)
         carried = [s for s in plan.asset.surfaces if s.splats is not None]
         if not carried:
             return
@@ -35,6 +51,8 @@ class Carrier:
             prim = self._source.GetPrimAtPath(surface.path)
             self._tracks[surface.path] = CarriedSplats(surface.splats, surface.riding)
             self._spaces[surface.path] = Space(prim, time, self._unit)
+            if self._files and len(carried) > 1:
+                self._world[surface.path] = CarriedSplats(surface.splats, surface.riding)
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one frame, by prim path; riders are the poses of all that rides."""
@@ -43,6 +61,42 @@ class Carrier:
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
             out[path] = track.advance(riders[path], np.asarray(to_local))
         return out
+
+    def export(self, frame: BakedFrame, riders: Mapping[str, Pose]) -> None:
+        """Write the files of a frame, where any were asked for.
+
+        One set of captured Gaussians stays in the space of its prim, which is that of the file
+        where it came from one.  Several stand in the world, in stage units; so do the particles of
+        an asset that has none.
+        """
+        if not self._files:
+            return
+        if self._world:
+            sets = []
+            for path, track in self._world.items():
+                pose = track.advance(riders[path], np.eye(3) / self._unit)
+                at = np.asarray(pose.positions) / self._unit
+                sets.append(posed(track.splats, pose, at))
+            splats = joined(sets)
+        elif self._tracks:
+            ((path, track),) = self._tracks.items()
+            pose = frame.splats[path]
+            at = self._spaces[path].points(pose.positions, frame.time_code)
+            splats = posed(track.splats, pose, at)
+        else:
+            splats = self._flesh(frame)
+        for sequence in self._files:
+            sequence.write(splats, frame.index)
+
+    def _flesh(self, frame: BakedFrame) -> Splats:
+        p: Particles = self._plan.particles
+        return Splats(
+            positions=np.asarray(frame.gaussians.positions) / self._unit,
+            orientations=frame.gaussians.orientations,
+            scales=np.maximum(np.asarray(frame.gaussians.scales) / self._unit, TINY),
+            opacities=p.opacity,
+            harmonics=((linear_to_srgb(p.colour) - 0.5) / Y_0)[:, None, :],
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -55,3 +109,14 @@ class Carrier:
             for path, track in self._tracks.items()
             if track.clamped
         )
+
+
+def posed(rest: Splats, pose: SplatPose, at: np.ndarray) -> Splats:
+    """Gaussians at a pose; at (N, 3) are its positions in the space of its orientations."""
+    return replace(
+        rest,
+        positions=at,
+        orientations=pose.orientations,
+        scales=pose.scales,
+        harmonics=rest.harmonics if pose.harmonics is None else pose.harmonics,
+    )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gf_usd.units import StageUnits
 
 if TYPE_CHECKING:
-    from gf_usd.splats import Splats
+    from gf_usd.splats import SplatPose, Splats
 
 # The width is the maker's business: files hold float32, the solver's bookkeeping float64.
 Floats = NDArray[Any]
@@ -280,16 +280,6 @@ class GaussianPose:
     scales: Floats  # (N, 3) [m] standard deviations
     F: Floats | None = None  # (N, 3, 3) deformation gradient, where asked for
     stress: Floats | None = None  # (N,) [Pa] von Mises, where asked for
-
-
-@dataclass(frozen=True, kw_only=True)
-class SplatPose:
-    """Captured Gaussians at one time."""
-
-    positions: Floats  # (N, 3) [m] world
-    orientations: Floats  # (N, 4) unit, continuous in time, in the space of their prim
-    scales: Floats  # (N, 3) [local units] standard deviations
-    harmonics: Floats | None = None  # (N, K, 3) turned; None where the degree is 0
 
 
 @dataclass(frozen=True, kw_only=True)

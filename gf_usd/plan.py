@@ -17,6 +17,7 @@ from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSa
 from gf_usd.output_files import Outputs
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
+from gf_usd.splat_sequence import SplatSequence
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
@@ -42,6 +43,7 @@ class Plan:
     pins: tuple[Pin, ...] = ()
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
+    sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each material
     command: str = ""  # that bakes the same again
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 

@@ -57,6 +57,8 @@ class Request:
     procrustes: float | None = None  # shape correction a frame, 0 to 1
     clamp: str | None = None  # limits of the stretches, "0.2:5", or "none"
     stress_cap: str | None = None  # largest |P| [Pa], or "none"
+    export_ply: str | None = None  # folder of a sequence of 3DGS PLY files
+    export_spz: str | None = None  # the same of SPZ files
     floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
 
     def check(self) -> None:

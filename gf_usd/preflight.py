@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd import materials as presets
-from gf_usd import paper_options
+from gf_usd import paper_options, splat_sequence
 from gf_usd.errors import InputError, UsageError
 from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
@@ -45,6 +45,10 @@ def prepare(
     names = [look.name for look in looks]
     files = outputs(source, names, None if output is None else str(output))
     require_free(files, overwrite)
+    frames = splat_sequence.sequences(
+        source.stem, names, ply=request.export_ply, spz=request.export_spz
+    )
+    splat_sequence.require_free(frames, overwrite)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
@@ -78,7 +82,7 @@ def prepare(
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
-    return replace(plan, converted=converted, command=command, notes=notes)
+    return replace(plan, converted=converted, command=command, notes=notes, sequences=frames)
 
 
 def inspect(

@@ -11,7 +11,7 @@ f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -74,6 +74,16 @@ class Splats:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class SplatPose:
+    """Captured Gaussians at one time; all but the positions in the space of their prim."""
+
+    positions: Floats  # (N, 3) [m] world
+    orientations: Floats  # (N, 4) unit, continuous in time
+    scales: Floats  # (N, 3) [local units] standard deviations
+    harmonics: Floats | None = None  # (N, K, 3) turned; None where the degree is 0
+
+
 def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
     """The Gaussians that can be what was meant: finite, of some size, with unit quaternions.
 
@@ -118,3 +128,16 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
         half=splats.half,
     )
     return sound if keep.all() else sound.take(np.flatnonzero(keep))
+
+
+def joined(sets: Sequence[Splats]) -> Splats:
+    """Several sets in one space as one; of different degrees, the lower are filled with zeros."""
+    most = max(s.harmonics.shape[1] for s in sets)
+    padded = [np.pad(s.harmonics, ((0, 0), (0, most - s.harmonics.shape[1]), (0, 0))) for s in sets]
+    return Splats(
+        positions=np.concatenate([s.positions for s in sets]),
+        orientations=np.concatenate([s.orientations for s in sets]),
+        scales=np.concatenate([s.scales for s in sets]),
+        opacities=np.concatenate([s.opacities for s in sets]),
+        harmonics=np.concatenate(padded),
+    )

@@ -69,6 +69,17 @@ def bake(
         int | None, typer.Option(help="CPU threads.", show_default="all")
     ] = None,
     prim: Prims = None,
+    export_ply: Annotated[
+        str | None,
+        typer.Option(
+            help="Folder for a sequence of 3DGS PLY files, one for each frame.",
+            show_default="none",
+        ),
+    ] = None,
+    export_spz: Annotated[
+        str | None,
+        typer.Option(help="The same as SPZ files.", show_default="none"),
+    ] = None,
     meters_per_unit: Annotated[
         float | None,
         typer.Option(
@@ -200,7 +211,8 @@ def bake(
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
-        stress_cap=stress_cap, meters_per_unit=meters_per_unit, up_axis=up_axis,
+        stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,
+        meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair,
     )  # fmt: skip
     if dry_run:

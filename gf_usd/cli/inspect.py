@@ -35,7 +35,7 @@ def inspect(
         typer.Option(help="Size of the file's unit [m], e.g. 0.01.", show_default="as for bake"),
     ] = None,
     up_axis: Annotated[
-        str | None, typer.Option(help="Y or Z.", show_default="as for bake")
+        str | None, typer.Option(help="Y or Z; -Y or -Z for splats.", show_default="as for bake")
     ] = None,
     solver: Annotated[str | None, typer.Option(help="tl or ul.", show_default="tl")] = None,
     seed: Seed = 0,

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from gf_usd.harmonics import rotate
-from gf_usd.model import Floats, Pose, SplatPose
+from gf_usd.model import Floats, Pose
 from gf_usd.physics.gaussians import GaussianTrack, nearest_rotation
-from gf_usd.splats import Splats
+from gf_usd.splats import SplatPose, Splats
 
 STRETCH = (
     4.0  # no Gaussian grows or shrinks more than this beyond its own longest and shortest axis
@@ -33,7 +33,7 @@ class CarriedSplats:
     """
 
     def __init__(self, splats: Splats, anchors: Floats) -> None:
-        self._splats = splats
+        self.splats = splats
         self._linear = splats.to_world[:3, :3].T
         self._track = GaussianTrack(splats.orientations, splats.scales)
         scales = np.asarray(splats.scales, float)
@@ -62,7 +62,7 @@ class CarriedSplats:
         self.clamped += int((np.abs(scales - made.scales) > 1e-9 * self._most).any(axis=1).sum())
         harmonics = None
         if self._colours:
-            harmonics = rotate(self._splats.harmonics, self._track.turn)
+            harmonics = rotate(self.splats.harmonics, self._track.turn)
         return SplatPose(
             positions=x, orientations=made.orientations, scales=scales, harmonics=harmonics
         )

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from pxr import Sdf, Usd, Vt
 
-from gf_usd.model import Floats, SplatPose, Surface
+from gf_usd.model import Floats, Surface
 from gf_usd.scene import gaussian_axes
+from gf_usd.splats import SplatPose
 from gf_usd.usd.meshes import check, free_instances
 from gf_usd.usd.space import Space
 from gf_usd.usd.stage import Clock
