@@ -37,7 +37,7 @@ class Carrier:
         self._spaces: dict[str, Space] = {}
         self._world: dict[str, CarriedSplats] = {}
         clear(self._files)
-        carried = [s for s in plan.asset.surfaces if s.splats is not None]
+        carried = [(s.path, s.splats) for s in plan.asset.surfaces if s.splats is not None]
         if not carried:
             return
         from gf_usd.physics.carried import CarriedSplats
@@ -46,13 +46,12 @@ class Carrier:
 
         self._source = open_source(plan.source)  # the spaces read its transforms frame by frame
         time = clock(self._source, plan.settings)
-        for surface in carried:
-            assert surface.splats is not None
-            prim = self._source.GetPrimAtPath(surface.path)
-            self._tracks[surface.path] = CarriedSplats(surface.splats, surface.riding)
-            self._spaces[surface.path] = Space(prim, time, self._unit)
+        for path, splats in carried:
+            prim = self._source.GetPrimAtPath(path)
+            self._tracks[path] = CarriedSplats(splats)
+            self._spaces[path] = Space(prim, time, self._unit)
             if self._files and len(carried) > 1:
-                self._world[surface.path] = CarriedSplats(surface.splats, surface.riding)
+                self._world[path] = CarriedSplats(splats)
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one frame, by prim path; riders are the poses of all that rides."""

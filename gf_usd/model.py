@@ -87,12 +87,6 @@ class Surface:
     materials: tuple[SurfaceMaterial, ...] = ()
     skinned: bool = False  # posed by UsdSkel: the cache must not let it be skinned again
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
-    anchors: Floats | None = None  # (N, 3) [m] the points that carry them, world
-
-    @property
-    def riding(self) -> Floats:
-        """(n, 3) [m] the points that ride on the body: its own, or those that carry Gaussians."""
-        return self.points if self.anchors is None else self.anchors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,7 +90,9 @@ class Plan:
     @property
     def points(self) -> dict[str, Floats]:
         """Points (n, 3) [m] at rest that ride: of every mesh its vertices, by prim path."""
-        return {s.path: s.riding for s in self.asset.surfaces}
+        return {
+            s.path: s.points if s.splats is None else s.splats.riding for s in self.asset.surfaces
+        }
 
 
 def command_line(source: Path, **asked: Any) -> str:

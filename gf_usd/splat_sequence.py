@@ -68,7 +68,7 @@ def require_free(asked: Sequence[Sequence[SplatSequence]], overwrite: bool) -> N
         if there and not overwrite:
             raise UsageError(
                 f"{there[0]} exists already",
-                "add --overwrite to replace it, or name another folder",,
+                "add --overwrite to replace it, or name another folder",
             )
 
 

@@ -36,6 +36,7 @@ class Splats:
     path: str = ""  # prim path; "" for what comes from no stage
     to_world: Floats = field(default_factory=lambda: np.eye(4))  # (4, 4) x_world [m] = x M
     half: bool = False  # the coefficients are authored in half precision only
+    anchors: Floats | None = None  # (N, 3) [m] the points of the body that carry them, world
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -54,6 +55,11 @@ class Splats:
     def axes(self) -> NDArray[np.float64]:
         """(N, 3, 3) [m] A with Sigma = A A^T, world: its columns are the scaled axes."""
         return self.to_world[:3, :3].T @ gaussian_axes(self.orientations, self.scales)
+
+    @property
+    def riding(self) -> Floats:
+        """(N, 3) [m] the points that ride on the body: the centres, or what carries them."""
+        return self.points if self.anchors is None else self.anchors
 
     @property
     def colours(self) -> NDArray[np.float64]:

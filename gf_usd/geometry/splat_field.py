@@ -11,6 +11,7 @@ surface is taken back to where the Gaussians are.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,12 +93,12 @@ def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArra
 def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     """The region that Gaussians around points (n, 3) [m] bound; up is the index of the up axis."""
     solid = rho >= LEVEL
-    away = ndimage.distance_transform_edt(~solid)
+    away = _distance(~solid)
     best: tuple[float, float, NDArray[np.bool_]] | None = None
     for closing in CLOSINGS:
         wall = away <= closing
-        filled = ndimage.binary_fill_holes(wall)
-        leak = (~filled & _blocked(wall, range(6))).sum() / filled.sum()
+        filled = np.asarray(ndimage.binary_fill_holes(wall), bool)
+        leak = float((~filled & _blocked(wall, range(6))).sum() / filled.sum())
         if best is None or leak < best[0]:
             best = (leak, closing, filled)
         if leak <= LEAK:
@@ -111,7 +112,7 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     capped = bool(covered.sum() > 2 * filled.sum())
     if capped:
         filled = covered
-    signed = ndimage.distance_transform_edt(filled) - ndimage.distance_transform_edt(~filled)
+    signed = _distance(filled) - _distance(~filled)
     smooth = ndimage.gaussian_filter(signed, BLUR)
     at = ndimage.map_coordinates(smooth, grid.cells(points).T, order=1)
     # a surface that ate the whole body would be none: stay below the deepest cell
@@ -121,8 +122,13 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
 
 def islands(rho: Floats) -> NDArray[np.int64]:
     """Labels from 1 of the solid cells that hang together, gaps of two cells bridged; 0 outside."""
-    away = ndimage.distance_transform_edt(rho < LEVEL)
-    return np.asarray(ndimage.label(away <= 1.5, np.ones((3, 3, 3)))[0])
+    label: Any = ndimage.label  # its stub knows no pair
+    return label(_distance(rho < LEVEL) <= 1.5, np.ones((3, 3, 3)))[0]
+
+
+def _distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """[cells] from each cell of the mask to the nearest outside it."""
+    return np.asarray(ndimage.distance_transform_edt(mask), float)
 
 
 def _blocked(wall: NDArray[np.bool_], sides: range | list[int]) -> NDArray[np.bool_]:

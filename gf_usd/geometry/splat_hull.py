@@ -80,8 +80,7 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
         triangles=triangles,
         triangle_corners=np.arange(triangles.size).reshape(-1, 3),
         triangle_colours=colours[triangles],
-        splats=splats,
-        anchors=_anchors(splats.points, points, triangles, FAR * grid.h),
+        splats=replace(splats, anchors=_anchors(splats.points, points, triangles, FAR * grid.h)),
     )
     return surface, tuple(notes)
 

@@ -29,17 +29,17 @@ STRETCH = (
 class CarriedSplats:
     """Turns poses of carried points into Gaussians, one frame after another.
 
-    splats : at rest; anchors : (N, 3) [m] the points that ride, world, at rest.
+    splats : at rest.
     """
 
-    def __init__(self, splats: Splats, anchors: Floats) -> None:
+    def __init__(self, splats: Splats) -> None:
         self.splats = splats
         self._linear = splats.to_world[:3, :3].T
         self._track = GaussianTrack(splats.orientations, splats.scales)
         scales = np.asarray(splats.scales, float)
         self._least = scales.min(axis=1, keepdims=True) / STRETCH
         self._most = scales.max(axis=1, keepdims=True) * STRETCH
-        arm = splats.points - anchors
+        arm = splats.points - splats.riding
         self._hanging = np.flatnonzero((arm != 0.0).any(axis=1))
         self._arm = arm[self._hanging]
         self._colours = splats.degree > 0
