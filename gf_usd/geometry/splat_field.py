@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gf_usd.model import Floats
+from gf_usd.model import Floats, Ints
 
 RESOLUTION = 96  # cells along the longest side
 MARGIN = 12  # cells around: the widest dilation and the blur stay inside
@@ -25,6 +25,8 @@ REACH = 2.2  # [standard deviations] a Gaussian is cut off at exp(-2.4) = 0.09
 LEVEL = 0.2  # rho of a solid cell: one opaque Gaussian at the corner of its cell has 0.22
 PAIRS = 150_000_000  # Gaussians times cells looked at: about ten seconds
 CHUNK = 4_000_000  # of them at once: bounds memory
+PER_SPACING = 4.0  # cells between neighbours, at most
+BRIDGES = (1.5, 3.0, 5.0, 8.0)  # [cells]
 CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells]
 LEAK = 0.05  # share of the solid that may lie open and yet be blocked on all six sides
 BLUR = 1.0  # [cells] takes the steps off
@@ -54,10 +56,15 @@ class Region:
     capped: bool  # it was open below and was closed flat
 
 
-def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArray[np.float64]]:
-    """rho of Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m] on a grid around them."""
+def field(
+    points: Floats, axes: Floats, opacities: Floats, spacing: float
+) -> tuple[Grid, NDArray[np.float64]]:
+    """rho of Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m] on a grid around them.
+
+    spacing : [m] between neighbours; finer cells would see nothing but gaps.
+    """
     low, high = points.min(0), points.max(0)
-    h = float((high - low).max()) / RESOLUTION or float(np.abs(axes).max())
+    h = max(float((high - low).max()) / RESOLUTION, spacing / PER_SPACING)
     covariance = axes @ np.swapaxes(axes, 1, 2)
     longest = np.sqrt(np.einsum("naa->na", covariance).max(1))
     while True:
@@ -82,8 +89,10 @@ def field(points: Floats, axes: Floats, opacities: Floats) -> tuple[Grid, NDArra
         for start in range(0, len(mine), step):
             rows = mine[start : start + step]
             base = np.rint(place[rows]).astype(np.int64)
-            d = (base - place[rows])[:, None, :] + offsets
-            q = np.einsum("nka,nab,nkb->nk", d, inverse[rows], d, optimize=True)
+            x, y, z = ((base - place[rows])[:, None, :] + offsets).transpose(2, 0, 1)
+            P = inverse[rows, :, :, None]
+            q = P[:, 0, 0] * x * x + P[:, 1, 1] * y * y + P[:, 2, 2] * z * z
+            q += 2.0 * (x * (P[:, 0, 1] * y + P[:, 0, 2] * z) + P[:, 1, 2] * y * z)
             at = np.ravel_multi_index(np.moveaxis(base[:, None, :] + offsets, -1, 0), grid.shape)
             value = weight[rows, None] * np.exp(-0.5 * q)
             rho += np.bincount(at.ravel(), value.ravel(), minlength=len(rho))
@@ -97,7 +106,7 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     best: tuple[float, float, NDArray[np.bool_]] | None = None
     for closing in CLOSINGS:
         wall = away <= closing
-        filled = np.asarray(ndimage.binary_fill_holes(wall), bool)
+        filled = _filled(wall)
         leak = float((~filled & _blocked(wall, range(6))).sum() / filled.sum())
         if best is None or leak < best[0]:
             best = (leak, closing, filled)
@@ -120,10 +129,29 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     return Region(grid=grid, distance=smooth - level, closing=closing * grid.h, capped=capped)
 
 
-def islands(rho: Floats) -> NDArray[np.int64]:
-    """Labels from 1 of the solid cells that hang together, gaps of two cells bridged; 0 outside."""
+def islands(rho: Floats, cells: tuple[Ints, ...]) -> NDArray[np.int64]:
+    """Labels from 1 of the solid cells that hang together; 0 outside.
+
+    cells : of each Gaussian.  Gaps are bridged until one of them has half of the Gaussians.
+    """
+    away = _distance(rho < LEVEL)
+    for bridge in BRIDGES:
+        labels = _labels(away <= bridge)
+        if 2 * np.bincount(labels[cells]).max() > len(cells[0]):
+            break
+    return labels
+
+
+def _labels(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Labels from 1 of the cells that hang together by faces; 0 outside the mask."""
     label: Any = ndimage.label  # its stub knows no pair
-    return label(_distance(rho < LEVEL) <= 1.5, np.ones((3, 3, 3)))[0]
+    return label(mask)[0]
+
+
+def _filled(wall: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The wall and what cannot be reached from a corner of the grid, which lies outside."""
+    outside = _labels(~wall)
+    return outside != outside[0, 0, 0]
 
 
 def _distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -50,9 +50,8 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
 
     Raises InputError where too few are left, or where they bound nothing.
     """
-    kept, notes = _of_the_body(splats)
-    grid, rho = field(splats.points[kept], splats.axes[kept], splats.opacities[kept])
-    kept, grid, rho = _without_islands(splats, kept, grid, rho, notes)
+    kept, spacing, notes = _of_the_body(splats)
+    kept, grid, rho = _without_islands(splats, kept, spacing, notes)
     region = enclose(grid, rho, splats.points[kept], up)
     points, triangles = _contour(region)
     if len(triangles) == 0:
@@ -85,8 +84,10 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
     return surface, tuple(notes)
 
 
-def _of_the_body(splats: Splats) -> tuple[Ints, list[str]]:
-    """Rows of the Gaussians that may bound the body, and how many of the others there are."""
+def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
+    """Rows of the Gaussians that may bound the body, their mean distance [m] from neighbours, and
+    how many of the others there are.
+    """
     rows = np.arange(len(splats))
     notes: list[str] = []
 
@@ -100,20 +101,22 @@ def _of_the_body(splats: Splats) -> tuple[Ints, list[str]]:
     drop(splats.opacities < FAINT, f"are faint (opacity below {FAINT:g})")
     near, _ = cKDTree(splats.points[rows]).query(splats.points[rows], k=NEIGHBOURS + 1)
     mean = near[:, 1:].mean(axis=1)
-    drop(mean > STRAY * max(float(np.median(mean)), 1e-300), "are strays, far from all others")
+    spacing = float(np.median(mean))
+    drop(mean > STRAY * max(spacing, 1e-300), "are strays, far from all others")
     low, high = np.quantile(splats.points[rows], (0.02, 0.98), axis=0)
     size = float(np.linalg.norm(high - low))
     longest = np.linalg.norm(splats.axes[rows], axis=1).max(axis=1)
     drop(longest > GIANT * size, f"are giants (above {GIANT:g} of the size)")
-    return rows, notes
+    return rows, spacing, notes
 
 
 def _without_islands(
-    splats: Splats, rows: Ints, grid: Grid, rho: Floats, notes: list[str]
+    splats: Splats, rows: Ints, spacing: float, notes: list[str]
 ) -> tuple[Ints, Grid, Floats]:
-    """What is left without the small islands; the field anew where there were any."""
-    labels = islands(rho)
+    """What is left without the small islands, and its field."""
+    grid, rho = _field(splats, rows, spacing)
     cell = np.rint(grid.cells(splats.points[rows])).astype(int)
+    labels = islands(rho, tuple(cell.T))
     label = labels[tuple(cell.T)]
     count = np.bincount(label, minlength=labels.max() + 1)
     # 0 are cells that even their own Gaussian hardly fills
@@ -126,7 +129,11 @@ def _without_islands(
     )
     kept = rows[~small]
     _require(splats, kept)
-    return kept, *field(splats.points[kept], splats.axes[kept], splats.opacities[kept])
+    return kept, *_field(splats, kept, spacing)
+
+
+def _field(splats: Splats, rows: Ints, spacing: float) -> tuple[Grid, Floats]:
+    return field(splats.points[rows], splats.axes[rows], splats.opacities[rows], spacing)
 
 
 def _require(splats: Splats, rows: Ints) -> None:
