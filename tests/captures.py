@@ -64,3 +64,29 @@ def write_ply(path: Path, splats: Splats) -> Path:
     """The capture as a 3DGS PLY file."""
     path.write_bytes(ply_bytes(splats))
     return path
+
+
+def define(stage, path: str, splats: Splats, *, half: bool = False):
+    """A ParticleField3DGaussianSplat prim with the capture, in float or in half precision."""
+    from pxr import Sdf, UsdVol, Vt
+
+    types, mark = Sdf.ValueTypeNames, "h" if half else ""
+    width = np.float16 if half else np.float32
+    three, four = (Vt.Vec3hArray, Vt.QuathArray) if half else (Vt.Vec3fArray, Vt.QuatfArray)
+    prim = UsdVol.ParticleField3DGaussianSplat.Define(stage, path).GetPrim()
+
+    def author(name: str, kind: str, array, values) -> None:
+        made = array.FromNumpy(np.ascontiguousarray(values, width))
+        prim.CreateAttribute(f"{name}{mark}", getattr(types, kind), False).Set(made)
+
+    author("positions", "Point3hArray" if half else "Point3fArray", three, splats.positions)
+    vector = "Half3Array" if half else "Float3Array"
+    author("scales", vector, three, splats.scales)
+    turns = splats.orientations[:, [1, 2, 3, 0]]
+    author("orientations", "QuathArray" if half else "QuatfArray", four, turns)
+    one = Vt.HalfArray if half else Vt.FloatArray
+    author("opacities", "HalfArray" if half else "FloatArray", one, splats.opacities)
+    flat = splats.harmonics.reshape(-1, 3)
+    author("radiance:sphericalHarmonicsCoefficients", vector, three, flat)
+    prim.CreateAttribute("radiance:sphericalHarmonicsDegree", types.Int, False).Set(splats.degree)
+    return prim
