@@ -135,9 +135,8 @@ def _require_mesh(path: Path, tables: dict[str, dict[str, Floats | Ragged]]) -> 
             f"{path} holds triangle strips, which are not read", "export it with faces"
         )
     count = len(np.asarray(vertex["x"]))
-    kind = "Gaussian splats" if "f_dc_0" in vertex else "points"
     raise InputError(
-        f"{path} holds {count} {kind} and no face: it has no surface to fill",
+        f"{path} holds {count} points and no face: it has no surface to fill",
         "give a file with faces; a reconstruction program makes a mesh of a point cloud",
     )
 

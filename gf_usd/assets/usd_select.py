@@ -79,7 +79,7 @@ def _why_not(prim: Usd.Prim) -> str:
     if name == SPLAT_TYPE and is_ours(prim):
         return "these Gaussians are the particles of a bake"
     if not (prim.IsA(UsdGeom.Mesh) or name in IMPLICIT or name == SPLAT_TYPE):
-        return f"{name}: only meshes, solid implicit shapes and Gaussian splats are made soft"
+        return f"{name}: only meshes, solid shapes and splats are made soft"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
 

@@ -140,7 +140,7 @@ def test_a_missing_texture_is_said(tmp_path):
         (header(faces=0) + rows(faces=[]), "holds 8 points and no face"),
         (
             header(vertex="property float f_dc_0\n", faces=0) + b"0 0 0 1\n" * 8,
-            "holds 8 Gaussian splats and no face",
+            "its Gaussian splats have no column opacity",
         ),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
     ],

@@ -112,9 +112,9 @@ def test_what_is_left_alone_has_a_reason(read):
         "/R/Proxy": "purpose proxy",
         "/R/Guides/G": "purpose guide",
         "/R/Off": "invisible",
-        "/R/Hair": "BasisCurves: only meshes and solid implicit shapes are made soft",
-        "/R/Dust": "Points: only meshes and solid implicit shapes are made soft",
-        "/R/Floor": "Plane: only meshes and solid implicit shapes are made soft",
+        "/R/Hair": "BasisCurves: only meshes, solid shapes and splats are made soft",
+        "/R/Dust": "Points: only meshes, solid shapes and splats are made soft",
+        "/R/Floor": "Plane: only meshes, solid shapes and splats are made soft",
         "/R/Grass": "PointInstancer: its instances are not made soft",
         "/R/Empty": "has 0 points and 0 faces",
         "/R/Dot": "its radius is 0",
@@ -176,7 +176,7 @@ def test_instances_are_read_in_place(read):
         (
             'def Points "A" {}\ndef Mesh "M" {}',
             "nothing under /A, /M can be made soft: "
-            "/A (Points: only meshes and solid implicit shapes are made soft) and 1 more",
+            "/A (Points: only meshes, solid shapes and splats are made soft) and 1 more",
             "name other prims with --prim",
         ),
         (
