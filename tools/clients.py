@@ -41,6 +41,11 @@ CLIENTS = {
         ("newton>=1.8,<2", "newton-usd-schemas>=0.6,<1", "usd-core>=25.5,<26.9"),
         "import newton.usd",
     ),
+    "splats": Client(
+        # the converter has no release for Python 3.13 yet
+        ("gsply[spz]>=0.4,<1", "usd-convert-gsplat[usd]>=0.1.15,<1; python_version < '3.13'"),
+        "import gsply",
+    ),
     "blender": Client(
         ("bpy>=5.2,<5.3",),
         "import bpy; print(bpy.app.version_string)",
