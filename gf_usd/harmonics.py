@@ -11,41 +11,56 @@ equation holds at these, hence everywhere, because both sides are of degree l.
 
 from __future__ import annotations
 
+from math import pi, sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.model import Floats
 
 DEGREE = 3  # the highest that is evaluated
-Y_0 = 0.28209479177387814  # the value of the harmonic of degree 0
+Y_0 = 0.28209479177387814  # the value of the harmonic of degree 0: sqrt(1 / 4 pi)
+A = sqrt(3.0 / (4.0 * pi))
+B = sqrt(15.0 / (4.0 * pi))
+C = sqrt(5.0 / (16.0 * pi))
+D = sqrt(35.0 / (32.0 * pi))
+E = sqrt(105.0 / (16.0 * pi))
+F = sqrt(21.0 / (32.0 * pi))
+G = sqrt(7.0 / (16.0 * pi))
+
+
+def terms(x, y, z):
+    """Y_0 to Y_15 as polynomials of unit vectors, with the Condon-Shortley phase (-1)^m.
+
+    A list, of arrays or in a kernel of numbers: hence no annotations, which Taichi would read.
+    """
+    return [
+        Y_0 + 0.0 * x,
+        -A * y,
+        A * z,
+        -A * x,
+        B * x * y,
+        -B * y * z,
+        C * (3.0 * z * z - 1.0),
+        -B * x * z,
+        0.5 * B * (x * x - y * y),
+        -D * y * (3.0 * x * x - y * y),
+        2.0 * E * x * y * z,
+        -F * y * (5.0 * z * z - 1.0),
+        G * z * (5.0 * z * z - 3.0),
+        -F * x * (5.0 * z * z - 1.0),
+        E * z * (x * x - y * y),
+        -D * x * (x * x - 3.0 * y * y),
+    ]
 
 
 def basis(directions: Floats) -> NDArray[np.float64]:
-    """Y (N, 16) at unit directions (N, 3), with the Condon-Shortley phase (-1)^m.
+    """Y (N, 16) at unit directions (N, 3).
 
     Normalised so that the integral of Y_i Y_j over the sphere is 1 where i = j and 0 elsewhere.
     """
     x, y, z = np.asarray(directions, dtype=np.float64).T
-    pi = np.pi
-    terms = [
-        np.full_like(x, 0.5 * np.sqrt(1 / pi)),
-        -np.sqrt(3 / (4 * pi)) * y,
-        np.sqrt(3 / (4 * pi)) * z,
-        -np.sqrt(3 / (4 * pi)) * x,
-        0.5 * np.sqrt(15 / pi) * x * y,
-        -0.5 * np.sqrt(15 / pi) * y * z,
-        0.25 * np.sqrt(5 / pi) * (3 * z * z - 1),
-        -0.5 * np.sqrt(15 / pi) * x * z,
-        0.25 * np.sqrt(15 / pi) * (x * x - y * y),
-        -0.25 * np.sqrt(35 / (2 * pi)) * y * (3 * x * x - y * y),
-        0.5 * np.sqrt(105 / pi) * x * y * z,
-        -0.25 * np.sqrt(21 / (2 * pi)) * y * (5 * z * z - 1),
-        0.25 * np.sqrt(7 / pi) * z * (5 * z * z - 3),
-        -0.25 * np.sqrt(21 / (2 * pi)) * x * (5 * z * z - 1),
-        0.25 * np.sqrt(105 / pi) * z * (x * x - y * y),
-        -0.25 * np.sqrt(35 / (2 * pi)) * x * (x * x - 3 * y * y),
-    ]
-    return np.stack(terms, axis=1)
+    return np.stack(terms(x, y, z), axis=1)
 
 
 def rotate(harmonics: Floats, rotations: Floats) -> NDArray[np.float64]:

@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gf_usd.harmonics import rotate
 from gf_usd.model import Floats, Pose
 from gf_usd.physics.gaussians import GaussianTrack, nearest_rotation
+from gf_usd.physics.harmonics_kernel import rotated
 from gf_usd.splats import SplatPose, Splats
 
 STRETCH = (
@@ -62,7 +62,7 @@ class CarriedSplats:
         self.clamped += int((np.abs(scales - made.scales) > 1e-9 * self._most).any(axis=1).sum())
         harmonics = None
         if self._colours:
-            harmonics = rotate(self.splats.harmonics, self._track.turn)
+            harmonics = rotated(self.splats.harmonics, self._track.turn)
         return SplatPose(
             positions=x, orientations=made.orientations, scales=scales, harmonics=harmonics
         )

@@ -25,6 +25,8 @@ from gf_usd.usd.particles import ParticleTrack
 from gf_usd.usd.splat_cache import SplatTrack
 from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
 
+UNSAVED = 128_000_000  # [bytes] of captured Gaussians that wait in memory
+
 
 @dataclass(frozen=True, kw_only=True)
 class CacheSummary:
@@ -50,7 +52,7 @@ class CacheWriter:
     particles : its particles.
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
-    save_every : frames between two saves.
+    save_every : frames between two saves, at most: captured Gaussians are saved sooner.
 
     Raises
     ------
@@ -68,7 +70,6 @@ class CacheWriter:
         save_every: int = 24,
     ) -> None:
         self.path = Path(path)
-        self._every = save_every
         self._frames = 0
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
@@ -95,6 +96,8 @@ class CacheWriter:
             for surface, prim in zip(asset.surfaces, prims)
             if surface.splats is not None
         }
+        heavy = sum(track.bytes for track in self._splats.values())
+        self._every = max(1, min(save_every, UNSAVED // max(heavy, 1)))
         tracks = list(self._meshes.values())
         block_hints(self._stage, stage, [*tracks, *self._splats.values()])
         self._bounds = skel_bounds(self._stage, stage, tracks, time)

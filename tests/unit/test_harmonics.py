@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gf_usd.harmonics import DIRECTIONS, band, basis, rotate
+from gf_usd.physics.harmonics_kernel import rotated
 
 ROUNDING = 1e-13  # of sums of sixteen terms of size 1
 
@@ -54,6 +55,14 @@ def test_degree_1_turns_like_a_vector():
     w = np.einsum("nab,nb->na", turns, vector)
     expected = np.stack([-w[:, 1], w[:, 2], -w[:, 0]], axis=1)
     np.testing.assert_allclose(rotate(h, turns)[:, 1:, 0], expected, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_the_kernel_does_the_same(degree):
+    turns = Rotation.random(50, random_state=6).as_matrix()
+    h = np.random.default_rng(3).normal(size=(50, (degree + 1) ** 2, 3)).astype(np.float32)
+    # sums of some hundred terms of size 1 in single precision
+    np.testing.assert_allclose(rotated(h, turns), rotate(h, turns), atol=1e-5)
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -16,6 +16,7 @@ from gf_usd.splats import Splats
 from tests.captures import ball
 
 SINGLE = 1e-6  # the captures are float32
+TURNED = 3e-6  # coefficients of size 1, turned by a kernel in single precision
 
 
 def pose(x, F):
@@ -33,7 +34,7 @@ def test_at_rest_nothing_changes():
     np.testing.assert_allclose(made.positions, rest.positions)
     np.testing.assert_allclose(made.scales, rest.scales, rtol=SINGLE)
     np.testing.assert_allclose(made.orientations, rest.orientations, atol=SINGLE)
-    np.testing.assert_allclose(made.harmonics, rest.harmonics, atol=SINGLE)
+    np.testing.assert_allclose(made.harmonics, rest.harmonics, atol=TURNED)
 
 
 def test_covariances_go_with_F():
@@ -55,7 +56,7 @@ def test_radiance_turns_with_the_body():
     for d in np.eye(3):
         seen = np.einsum("k,nkc->nc", basis(d[None])[0], made.harmonics)
         before = np.einsum("k,nkc->nc", basis((R.T @ d)[None])[0], rest.harmonics)
-        np.testing.assert_allclose(seen, before, atol=SINGLE)
+        np.testing.assert_allclose(seen, before, atol=TURNED)
 
 
 def placed(rest: Splats, linear: np.ndarray) -> Splats:
@@ -97,7 +98,7 @@ def test_a_prim_that_moves_under_its_gaussians():
     d = np.array([0.0, 0.6, 0.8])
     seen = np.einsum("k,nkc->nc", basis((turn.T @ d)[None])[0][:4], made.harmonics)
     before = np.einsum("k,nkc->nc", basis(d[None])[0][:4], rest.harmonics)
-    np.testing.assert_allclose(seen, before, atol=SINGLE)
+    np.testing.assert_allclose(seen, before, atol=TURNED)
 
 
 def test_needles_are_clamped_and_counted():
