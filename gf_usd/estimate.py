@@ -47,6 +47,8 @@ def estimate(plan: Plan) -> dict[str, Any]:
     vertices = sum(len(points) for points in plan.points.values())
     normals = sum(0 if s.normals is None else len(s.normals) for s in plan.asset.surfaces)
     disk = frames * (MESH_BYTES * vertices + NORMAL_BYTES * normals + PARTICLE_BYTES * n)
+    captured = [s.splats for s in plan.asset.surfaces if s.splats is not None]
+    disk += frames * sum(s.frame_bytes - MESH_BYTES * len(s) for s in captured)
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n + VERTEX_MEMORY * vertices
     fixed, each = SUBSTEP_SECONDS[plan.settings.solver]
     substep = CONTACT * (fixed + each * n)

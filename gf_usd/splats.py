@@ -66,6 +66,12 @@ class Splats:
         """(N, 3) of degree 0, encoded as the capture is: sRGB in practice."""
         return np.clip(0.5 + Y_0 * np.asarray(self.harmonics[:, 0], float), 0.0, 1.0)
 
+    @property
+    def frame_bytes(self) -> int:
+        """Of one frame in the cache: positions, orientations, scales, and halves for radiance."""
+        halves = 6 * self.harmonics.shape[1] if self.degree else 0
+        return len(self) * (12 + 16 + 12 + halves)
+
     def take(self, rows: Ints) -> Splats:
         """Some of them, in the given order."""
         return Splats(

@@ -96,7 +96,7 @@ class CacheWriter:
             for surface, prim in zip(asset.surfaces, prims)
             if surface.splats is not None
         }
-        heavy = sum(track.bytes for track in self._splats.values())
+        heavy = sum(s.splats.frame_bytes for s in asset.surfaces if s.splats is not None)
         self._every = max(1, min(save_every, UNSAVED // max(heavy, 1)))
         tracks = list(self._meshes.values())
         block_hints(self._stage, stage, [*tracks, *self._splats.values()])

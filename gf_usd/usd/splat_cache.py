@@ -57,12 +57,6 @@ class SplatTrack:
             # float is preferred where both are there
             self._block(over, prim, HARMONICS)
 
-    @property
-    def bytes(self) -> int:
-        """Of one frame, unsaved."""
-        halves = 0 if self._harmonics is None else 6 * self._splats.harmonics[0].size // 3
-        return len(self._splats) * (12 + 16 + 12 + halves)
-
     def write(self, pose: SplatPose, time_code: float) -> None:
         """Author the pose at a time code.
 
