@@ -19,7 +19,7 @@ from gf_usd.errors import InputError
 from gf_usd.geometry.splat_field import Grid, Region, enclose, field, islands
 from gf_usd.model import Asset, Floats, Ints, Surface
 from gf_usd.splats import Splats
-from gf_usd.topology import signed_volume
+from gf_usd.topology import proper, signed_volume, weld
 
 FAINT = 0.1  # opacity below which a Gaussian is haze
 GIANT = 0.25  # of the body's size: a longer standard deviation is background
@@ -170,4 +170,10 @@ def _contour(region: Region) -> tuple[NDArray[np.float64], Ints]:
     values = np.ascontiguousarray(region.distance.transpose(2, 1, 0)).ravel()
     march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
     made = march(values, region.grid.low + region.grid.h * where, *map(int, n), 0.0)
-    return np.asarray(made[0]), np.asarray(made[1], np.int64)
+    points = np.asarray(made[0])
+    # where the surface goes through a corner of the grid, triangles have no size
+    one, _ = weld(points)
+    triangles = one[np.asarray(made[1], np.int64)]
+    triangles = triangles[proper(triangles)]
+    used, inner = np.unique(triangles, return_inverse=True)
+    return points[used], inner.reshape(-1, 3)

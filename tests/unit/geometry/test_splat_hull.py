@@ -10,6 +10,7 @@ import pytest
 
 from gf_usd.colour import srgb_to_linear
 from gf_usd.errors import InputError
+from gf_usd.geometry.diagnosis import diagnose
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.splat_field import RESOLUTION
 from gf_usd.geometry.splat_hull import hull, with_hulls
@@ -39,6 +40,7 @@ def test_a_hollow_ball_is_closed_and_filled():
     surface, notes = hull(ball(2000), up=1)
     assert len(boundary_edges(surface.triangles)) == 0
     assert shells(surface.triangles).max() == 0
+    assert diagnose(surface).collapsed == 0
     assert off(surface).max() < NEAR
     # a layer of half a cell all around, at most
     assert volume(surface) == pytest.approx(BALL, rel=3 * NEAR / 0.5)
