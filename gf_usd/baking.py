@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]  # (frames done, frames in all)
 def bake(
     path: str | Path,
     *,
-    material: str = "rubber",
+    material: str | None = None,
     output: str | Path | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
@@ -48,7 +48,8 @@ def bake(
     ----------
     path : the asset; it is never written to.
     material : a preset (see ``gf-usd materials``), a USD file with a material, or several with
-        commas between them, which become variants of one root layer.
+        commas between them, which become variants of one root layer; default what the stage says,
+        else rubber.
     output : root layer, or a folder; default ``NAME.MATERIAL.usda`` in the current folder.
     law : constitutive law in place of the material's own: corotated or neoHookean.
     prims : prim paths to bake; default all under the default prim.
@@ -144,7 +145,7 @@ def _run_look(
     total = plan.settings.frames
     info = BakeInfo(
         look=material.name,
-        materials=(material,),
+        materials=plan.table(material),
         settings=plan.settings_of(material),
         command=plan.command,
         version=plan.version,
@@ -157,6 +158,7 @@ def _run_look(
         radius=plan.particles.radius,
         particles=len(plan.particles),
         held=bool(plan.pins),
+        bodies=plan.bodies.count if plan.bodies else 1,
     )
     target = plan.outputs.caches[number]
     failure = None

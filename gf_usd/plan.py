@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
+from gf_usd.body_plan import BodyPlan
+from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
@@ -33,13 +35,17 @@ class Plan:
     asset: Asset
     particles: Particles
     samples: SurfaceSamples
-    materials: tuple[Material, ...]  # one bake and one variant each
+    materials: tuple[Material, ...]  # the main one of each look: one bake and one variant each
     settings: Settings  # of the first material
     outputs: Outputs
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     pins: tuple[Pin, ...] = ()
+    tables: tuple[tuple[Material, ...], ...] = ()  # of each look, what particles' materials index
+    bodies: BodyPlan | None = None
+    encounters: Encounters | None = None
+    velocity: tuple[Any, ...] = ()  # at the start, of each body: see `TotalLagrangian`
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
@@ -76,14 +82,26 @@ class Plan:
             self._ready[material.name] = substeps, None, made  # it will have moved
             if made == epoch():
                 return solver
+        more: dict[str, Any] = {}
+        if self.velocity:
+            several = len(self.velocity) > 1
+            more["velocity"] = list(self.velocity) if several else self.velocity[0]
+        if self.settings.solver == "tl" and self.bodies is not None:
+            more |= {"encounters": self.encounters, "rider_body": self.bodies.riders}
         return make_solver(
             self.settings_of(material),
             self.particles,
-            [material],
+            self.table(material),
             samples=self.samples,
             riders=self.points if self.settings.skin == "embed" else {},
             pins=self.pins,
+            **more,
         )
+
+    def table(self, material: Material) -> tuple[Material, ...]:
+        """The materials that particles have in the look whose main one this is."""
+        named = zip(self.materials, self.tables)
+        return next((t for m, t in named if m.name == material.name), (material,))
 
     @property
     def points(self) -> dict[str, Floats]:
@@ -128,12 +146,15 @@ def describe(plan: Plan) -> dict[str, Any]:
         "input_sha256": input_hash(plan),
         "source": str(plan.asset.facts.path),
         "bodies": [s.path for s in plan.asset.surfaces],
+        "separate_bodies": [list(paths) for paths in plan.bodies.surfaces] if plan.bodies else [],
+        "obstacles": [c.path for c in plan.encounters.colliders] if plan.encounters else [],
         "riders": [list(r) for r in plan.riders],
         "particles": len(plan.particles),
         "spacing_m": plan.particles.spacing,
         "volume_m3": plan.particles.volume,
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
+        "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
         "frames": plan.settings.frames,
         "fps": plan.settings.fps,
         "start": plan.settings.start,

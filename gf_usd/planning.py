@@ -38,7 +38,7 @@ class Request:
     start: float | None = None  # time code
     drop: str | None = None  # "3r" or a length in stage units
     gravity: str | None = None  # "9.81" along -up, or "x,y,z" [m/s^2]
-    seed: int = 0
+    seed: int | None = None  # None: 0
     device: str = "cpu"
     threads: int | None = None
     filter_rate: float | None = None  # [1/T]; inf: APIC every substep, 0: none
@@ -57,6 +57,8 @@ class Request:
     procrustes: float | None = None  # shape correction a frame, 0 to 1
     clamp: str | None = None  # limits of the stretches, "0.2:5", or "none"
     stress_cap: str | None = None  # largest |P| [Pa], or "none"
+    combine: bool = False  # all meshes are one body
+    self_contact: bool = False  # bodies meet themselves
     floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
 
     def check(self) -> None:
@@ -89,7 +91,7 @@ class Request:
             )
         if self.device not in ("cpu", "cuda"):
             raise UsageError(f"there is no device {self.device!r}", "choose cpu or cuda")
-        if self.seed < 0:
+        if self.seed is not None and self.seed < 0:
             raise UsageError(f"--seed is {self.seed}", "give a number of 0 or more")
         if self.start is not None and not np.isfinite(self.start):
             raise UsageError(f"--start is {self.start}", "give a finite time code")
@@ -102,7 +104,11 @@ class Request:
         if self.solver not in (None, *SOLVERS):
             raise UsageError(f"there is no solver {self.solver!r}", "choose tl or ul")
         finite = self.filter_rate is not None and np.isfinite(self.filter_rate)
-        for option, given in (("--pin", bool(self.pins)), ("--filter-rate", finite)):
+        for option, given in (
+            ("--pin", bool(self.pins)),
+            ("--filter-rate", finite),
+            ("--self-contact", self.self_contact),
+        ):
             if self.solver == "ul" and given:
                 raise UsageError(
                     f"--solver ul does not know {option}",
@@ -148,7 +154,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         floor=floor,
         floor_normal=None if np.array_equal(normal, facts.up) else _triple(normal),
         lift=_triple(lift * facts.up),
-        seed=request.seed,
+        seed=request.seed or 0,
         filter_rate=float(rate) / T,
         drag=drag,
         device=request.device,

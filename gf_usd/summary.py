@@ -29,6 +29,7 @@ class HealthLog:
     radius : [m] of a ball of the body's volume; with its weight it says what energy is little.
     particles : how many there are; counts over frames are also given as shares of them.
     held : the body is pinned, so that it neither falls freely nor bounces.
+    bodies : how many there are.
     """
 
     def __init__(
@@ -40,9 +41,11 @@ class HealthLog:
         radius: float,
         particles: int,
         held: bool = False,
+        bodies: int = 1,
     ) -> None:
         self._settings, self._spacing, self._drop = settings, spacing, drop
         self._radius, self._particles, self._held = radius, particles, held
+        self._bodies = bodies
         self.frames: list[Health] = []
 
     def add(self, health: Health) -> None:
@@ -53,17 +56,21 @@ class HealthLog:
         """Totals and extremes over the frames so far; None where a question has no answer."""
         h = self.frames
         many = self._particles * len(h)
+        # Of one body that meets nothing but the floor can be said how it bounced.
+        crowd = self._held or self._bodies > 1 or any(f.overlap > 0.0 for f in h)
         return {
             "frames": len(h),
             "substeps": sum(f.substeps for f in h),
             "substeps_max_per_frame": max(f.substeps for f in h),
             "rollbacks": sum(f.rollbacks for f in h),
-            "restitution": None if self._held else restitution(h, self._settings, self._drop),
+            "restitution": None if crowd else restitution(h, self._settings, self._drop),
             "deepest_penetration_m": max(f.penetration for f in h),
             "deepest_penetration_spacings": max(f.penetration for f in h) / self._spacing,
             "penetration_at_end_spacings": h[-1].penetration / self._spacing,
             **self._resting(),
-            "first_contact_frame": next((i for i, f in enumerate(h) if f.penetration > 0.0), None),
+            "deepest_overlap_m": max(f.overlap for f in h),
+            "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
             "min_stretch": min(f.min_stretch for f in h),
@@ -164,8 +171,13 @@ def gain_of_frames(frames: Sequence[Health]) -> list[float]:
 
 def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
     """The frames before anything was touched."""
-    touched = next((i for i, f in enumerate(frames) if f.penetration > 0.0), len(frames))
+    touched = next((i for i, f in enumerate(frames) if touches(f)), len(frames))
     return frames[:touched]
+
+
+def touches(f: Health) -> bool:
+    """Whether the floor, an obstacle or another body was touched."""
+    return f.penetration > 0.0 or f.overlap > 0.0
 
 
 def flight_drift(

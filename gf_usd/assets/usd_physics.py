@@ -28,12 +28,14 @@ def read_physics(
     *,
     rest: float | None,
     times: Sequence[float],
+    elastic: bool = True,
 ) -> StagePhysics:
     """What the USD file says of physics; facts.path is what messages call it.
 
     bodies : prim paths of the surfaces that are baked; every other enabled collider is an obstacle.
     rest : time code of the rest pose; None: the stage's start, or each attribute's earliest sample.
     times : time codes of the frames.
+    elastic : False: the materials of the bodies are not read, whatever they hold.
 
     Raises InputError for values that make no sense, with the prim's path.
     """
@@ -54,7 +56,15 @@ def read_physics(
             scene=scene,
             colliders=colliders,
             bodies=tuple(
-                read_body(prim, readings, materials, time, rest=start, step=step, notes=notes)
+                read_body(
+                    prim,
+                    readings,
+                    materials if elastic else None,
+                    time,
+                    rest=start,
+                    step=step,
+                    notes=notes,
+                )
                 for prim in baked
             ),
             ignored=ignored_pairs(

@@ -8,19 +8,20 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli.options import Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
 
 
 def bake(
     asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
     material: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--material", "-m",
             help="A preset (see gf-usd materials) or a USD file with a material; several with"
             " commas become variants.",
+            show_default="what the stage says, else rubber",
         ),
-    ] = "rubber",
+    ] = None,
     output: Annotated[
         str | None,
         typer.Option(
@@ -63,7 +64,7 @@ def bake(
         str | None,
         typer.Option(help="corotated or neoHookean.", show_default="the material's"),
     ] = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     threads: Annotated[
         int | None, typer.Option(help="CPU threads.", show_default="all")
@@ -124,6 +125,10 @@ def bake(
             show_default="embed; paper with --preset paper",
         ),
     ] = None,
+    combine: Combine = False,
+    self_contact: Annotated[
+        bool, typer.Option("--self-contact", help="A body meets itself, too.")
+    ] = False,
     solver: Annotated[
         str | None,
         typer.Option(
@@ -195,7 +200,7 @@ def bake(
         overwrite=overwrite or dry_run,  # a dry run replaces nothing
         particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
         gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
-        threads=threads, filter_rate=filter_rate,
+        combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,

@@ -105,11 +105,13 @@ def summarise(result: BakeResult) -> None:
 def _measured(bake: LookResult) -> str:
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
+    overlap = h["deepest_overlap_spacings"]
+    met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
     redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
     return (
         f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps{redone}, {rebound}, deepest"
         f" penetration {h['deepest_penetration_spacings']:.2f} spacings"
-        f" ({h['deepest_penetration_m']:.3g} m), volume ratio J {h['min_J']:.2f} to"
+        f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
     )
 

@@ -7,6 +7,7 @@ stage holds together.  What lies apart are bodies of their own, that meet only b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import igl
 import numpy as np
@@ -39,7 +40,7 @@ def find_bodies(
     owners = owners or [""] * count
     low = np.array([p.min(0) for p in points]) - reach
     high = np.array([p.max(0) for p in points]) + reach
-    close = ((low[:, None] <= high) & (low <= high[:, None])).all(2)
+    close: Any = ((low[:, None] <= high) & (low <= high[:, None])).all(2)
     joined = [
         (a, b)
         for a in range(count)

@@ -131,7 +131,7 @@ def sample_surface(
     kept: list[tuple[Floats, Floats, Floats]] = []
     for k in range(int(body.max()) + 1):
         members = np.flatnonzero(body == k)
-        kept.append(_sample_body([solid.outward(s) for s in members], spacing, rng))
+        kept.append(_sample_body([solid.outward(int(s)) for s in members], spacing, rng))
     X, area, normal = (np.concatenate(part) for part in zip(*kept))
     of = np.repeat(np.arange(len(kept)), [len(part[0]) for part in kept])
     return SurfaceSamples(X=X, area=area, normal=normal, body=None if bodies is None else of)

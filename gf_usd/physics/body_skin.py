@@ -38,11 +38,9 @@ class BodySkin:
         x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m] as `Rows` stack them,
         without offset (3,) [m].
         """
-        low, high = X.min(0) - reach, X.max(0) + reach
-        at = x[self._cover]
-        slack = self._reach[:, None] + 2.0 * reach
-        close = ((at >= low - slack) & (at <= high + slack)).all(1)
-        triangles = self.skin.triangles[close]
+        bound = reach + float(self._reach.max())
+        gap = cKDTree(X).query(x, distance_upper_bound=bound)[0]
+        triangles = self.skin.triangles[gap[self._cover] < reach + self._reach]
         used, local = np.unique(triangles, return_inverse=True)
         points = self.skin.points[used] + offset + self._W[used] @ u
         local = local.reshape(-1, 3)

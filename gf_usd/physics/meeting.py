@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Encounters
 from gf_usd.model import Floats, Ints
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 # Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
 # each other strain them twice as fast as one that comes at a wall does.
+COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 CROWD = 4.0 * STIFFER
 
 
@@ -189,10 +191,15 @@ class Meeting:
         return near, hold
 
     def _candidates(self, seen: Looking, mine: int, other: int) -> Ints:
-        """Samples of one body within reach of the other's box."""
+        """Samples of one body so near to samples of the other that they may reach its surface."""
         x, theirs = seen.x[self._members[mine]], seen.x[self._members[other]]
         low, high = theirs.min(0) - seen.reach, theirs.max(0) + seen.reach
-        return self._members[mine][((x >= low) & (x <= high)).all(1)]
+        boxed = self._members[mine][((x >= low) & (x <= high)).all(1)]
+        if len(boxed) == 0:
+            return boxed
+        far = seen.reach + COVER * self._spacing
+        gap = cKDTree(theirs).query(seen.x[boxed], distance_upper_bound=far)[0]
+        return boxed[np.isfinite(gap)]
 
     def _face_body(
         self, seen: Looking, mine: int, other: int, nodes: Floats, offset: Floats

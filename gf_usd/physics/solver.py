@@ -27,6 +27,7 @@ from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
 from gf_usd.physics.health import measure, strains
 from gf_usd.physics.holds import Holder, held_by
+from gf_usd.physics.launch import run
 from gf_usd.physics.marching import Marcher, Passage
 from gf_usd.physics.meeting import CROWD, Meeting, pack_arrays
 from gf_usd.physics.probes import von_mises
@@ -36,8 +37,6 @@ from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
-SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
-FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
 
 class TotalLagrangian(Marcher):
@@ -198,7 +197,7 @@ class TotalLagrangian(Marcher):
                 chunk = self.meeting.look(self, index, dt, (substeps - left), left)
                 watched = np.union1d(near, self.meeting.faced.active)
             active = max(active, attend(self, watched))
-            self._run(chunk, dt, len(watched))
+            run(self, chunk, dt, len(watched))
             left -= chunk
         self.time += substeps * dt
         self._recentre()
@@ -220,40 +219,13 @@ class TotalLagrangian(Marcher):
             penetration=float(self.arrays["sample_depth"].to_numpy().max()),
         )
 
-    def _run(self, substeps: int, dt: float, active: int) -> None:
-        """So many substeps in which these contact samples stay the ones to look at."""
-        s = self.settings
-        every, alpha = self._filter(dt)
-        keep = float(np.exp(-s.drag * dt))
-        g, up = self._vec(list(s.gravity)), self._vec(list(self.normal))
-        lift = float(self.offset @ self.normal)
-        free = self.stencil.free_count
-        counts = (len(self.stencil.cell_nodes), free, self.stencil.node_count - free, active)
-        tail = (g, up, lift, dt, keep, 1.0 / self.h, self.converged)
-        if len(self.particles) < SERIAL_BELOW:
-            phase = self.done % every if every else 0
-            self.kernels.serial(self.pack, *counts, substeps, every, phase, alpha, *tail)
-        else:
-            self.kernels.start(self.pack, *counts[1:3], 0.5 * dt)
-            for k in range(substeps):
-                drift = dt if k < substeps - 1 else 0.5 * dt
-                due = int(every > 0 and (self.done + k) % every == 0)
-                self.kernels.parallel(self.pack, *counts, due, alpha, *tail, drift)
-        self.done += substeps
+    def vector(self, values: Floats) -> Any:
+        """Three numbers as the kernels take them."""
+        return self._vec([float(v) for v in values])
 
     @property
     def converged(self) -> float:
         return 1e-7 if self.real is np.float32 else 1e-15
-
-    def _filter(self, dt: float) -> tuple[int, float]:
-        """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
-        r = self.settings.filter_rate
-        if r <= 0.0:
-            return 0, 0.0
-        if np.isinf(r):
-            return 1, 1.0
-        every = max(1, int(FILTER_STEP / (r * dt)))
-        return every, float(1.0 - np.exp(-r * every * dt))
 
     def _recentre(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""

@@ -33,9 +33,13 @@ ROWS: tuple[Row, ...] = (
     Row("substeps_max_per_frame", "Substeps of a frame", "", "at most"),
     Row("rollbacks", "Frames redone", "", "times a frame was redone with half the step"),
     Row("restitution", "Rebound", "", "speed after the first bounce over the speed before it"),
-    Row("first_contact_frame", "First contact", "", "the first frame, from 0, that felt the floor"),
+    Row(
+        "first_contact_frame", "First contact", "", "the first frame, from 0, that touched anything"
+    ),
     Row("deepest_penetration_m", "Deepest in the floor", "m", "of any point of the surface"),
     Row("deepest_penetration_spacings", "The same", "spacings", "distances between particles"),
+    Row("deepest_overlap_m", "Deepest overlap", "m", "with another body or an obstacle"),
+    Row("deepest_overlap_spacings", "The same", "spacings", "distances between particles"),
     Row("penetration_at_end_spacings", "Deep at the end", "spacings", "in the last frame"),
     Row("resting_penetration_m", "The same", "m", "in the last frame, where it lies still"),
     Row("resting_penetration_spacings", "Deep at rest", "spacings", "where it lies still"),
@@ -59,8 +63,8 @@ ROWS: tuple[Row, ...] = (
     Row("energy_gain_max_J", "Most energy gained", "J", "in a frame, out of nothing; rounding"),
     Row("energy_gain_max_share", "Energy out of nothing", "", "most in a frame, of what counts"),
     Row("dissipated_J", "Energy lost", "J", "to damping, friction, drag and the filter"),
-    Row("work_of_pins_J", "Work of the pins", "J", "done on the body"),
-    Row("injected_J", "Work of corrections", "J", "of WLS and the shape correction on the body"),
+    Row("work_of_pins_J", "Work of pins", "J", "and of moving obstacles, done on the bodies"),
+    Row("injected_J", "Work of corrections", "J", "of the shape, and of new contact planes"),
     Row("momentum_end", "Momentum at the end", "kg m/s", ""),
     Row("angular_momentum_end", "Angular momentum", "kg m²/s", "at the end, about the origin"),
     Row("free_flight_frames", "Free flight", "", "frames before the first touch"),
@@ -85,6 +89,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "stress-cap": ("stress_capped_particle_frames", "stress_capped_share"),
     "injected": ("injected_J",),
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
+    "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),
     "free-flight": ("momentum_drift", "angular_momentum_drift"),
 }
