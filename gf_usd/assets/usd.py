@@ -18,6 +18,8 @@ from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, StageFacts, Surface
 
+INSTANCE = "is an instance: the bake makes it an ordinary prim, since what is in it moves"
+
 
 def read_usd(
     path: Path,
@@ -78,7 +80,16 @@ def _surfaces(
             surfaces.append(read_surface(prim, context))
         except LeftAlone as reason:
             skipped[str(prim.GetPath())] = str(reason)
+        else:
+            _note_instances(prim, notes)
     return surfaces, skipped
+
+
+def _note_instances(prim: Usd.Prim, notes: Notes) -> None:
+    while prim.IsInstanceProxy():
+        prim = prim.GetParent()
+        if prim.IsInstance():
+            notes.add(INSTANCE, str(prim.GetPath()))
 
 
 def _nothing(
