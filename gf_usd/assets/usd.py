@@ -18,7 +18,7 @@ from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, StageFacts, Surface
 
-INSTANCE = "is an instance: the bake makes it an ordinary prim, since what is in it moves"
+INSTANCE = "is an instance: in the bake it is an ordinary prim, since what is in it moves"
 
 
 def read_usd(

@@ -158,7 +158,8 @@ def test_instances_are_read_in_place(read):
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
     assert asset.facts.notes == (
-        "/One and /Two: is an instance: the bake makes it an ordinary prim, since what is in it moves",
+        "/One and /Two: is an instance: in the bake it is an ordinary prim, "
+        "since what is in it moves",
     )
 
 
