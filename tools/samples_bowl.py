@@ -15,9 +15,7 @@ TILT, PERIOD, BOB, EASE = 9.0, 2.2, 0.3, 0.6  # [deg], [s], [m], [s]
 
 def profile() -> Floats:
     """(K, 2) radius and height, from the middle of the hollow over the rim to the middle below."""
-    curve = (RADIUS**2 + DEPTH**2) / (
-        2.0 * DEPTH
-    )  # radius of the sphere that the hollow is part of
+    curve = (RADIUS**2 + DEPTH**2) / (2.0 * DEPTH)  # radius of the sphere inside
     end = np.arcsin(RADIUS / curve)
     middle = np.array([0.0, curve])
     angle = np.linspace(0.0, end, 15)

@@ -1,4 +1,4 @@
-"""The sample stage of ten ducks: what it says of physics, and that nothing overlaps at its start."""
+"""The stage of ten ducks: what it says of physics, and that nothing overlaps at its start."""
 
 from __future__ import annotations
 
