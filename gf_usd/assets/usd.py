@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Usd, UsdGeom
 
 from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_instances import instances_above
 from gf_usd.assets.usd_material import Looks
 from gf_usd.assets.usd_mesh import Reading, read_surface
 from gf_usd.assets.usd_place import LeftAlone
@@ -81,15 +82,9 @@ def _surfaces(
         except LeftAlone as reason:
             skipped[str(prim.GetPath())] = str(reason)
         else:
-            _note_instances(prim, notes)
+            for instance in instances_above(prim):
+                notes.add(INSTANCE, str(instance.GetPath()))
     return surfaces, skipped
-
-
-def _note_instances(prim: Usd.Prim, notes: Notes) -> None:
-    while prim.IsInstanceProxy():
-        prim = prim.GetParent()
-        if prim.IsInstance():
-            notes.add(INSTANCE, str(prim.GetPath()))
 
 
 def _nothing(

@@ -11,6 +11,7 @@ from pathlib import Path
 from pxr import Pcp, Sdf, Usd, UsdGeom
 
 from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.assets.usd_instances import not_to_be_freed
 from gf_usd.errors import InputError
 
 # Prims of an instance are read in place, as if it were not one.
@@ -64,6 +65,9 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
                     skipped[str(prim.GetPath())] = reason
                 else:
                     geometry[prim.GetPath()] = prim
+    for where, why in not_to_be_freed(stage, geometry.values()).items():
+        skipped[str(where)] = why
+        del geometry[where]
     for where, prim in list(geometry.items()):
         if model := _model(prim, geometry):
             skipped[str(where)] = f"inherits from <{model}>, which is baked, and follows it"
