@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from production_layers import SHOT, mesh, write_props
+from production_layers import SHOT, mesh
+from production_props import write_props
 
 SET = f"""#usda 1.0
 (
