@@ -30,11 +30,10 @@ def not_to_be_freed(stage: Usd.Stage, prims: Iterable[Usd.Prim]) -> dict[Sdf.Pat
     if not above:
         return {}
     session = Sdf.Layer.CreateAnonymous(".usda")
-    freed = Usd.Stage.Open(stage.GetRootLayer(), session, Usd.Stage.LoadAll)
-    freed.SetEditTarget(session)
     for instances in above.values():
-        for instance in reversed(instances):
-            freed.GetPrimAtPath(instance.GetPath()).SetInstanceable(False)
+        for instance in instances:
+            Sdf.CreatePrimInLayer(session, instance.GetPath()).SetInfo("instanceable", False)
+    freed = Usd.Stage.Open(stage.GetRootLayer(), session, Usd.Stage.LoadAll)
     outermost = {instances[-1].GetPath() for instances in above.values()}
     hidden = {path: _first_hidden(stage, freed, path) for path in outermost}
     reasons = {}
