@@ -36,6 +36,7 @@ class StageFacts:
     end_time_code: float | None
     root_prims: tuple[str, ...]  # every root prim path, in order
     default_prim: str | None
+    animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
     notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
 

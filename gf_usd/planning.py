@@ -10,6 +10,7 @@ from gf_usd import paper_options
 from gf_usd.errors import UsageError
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
+from gf_usd.playback import authored_rate, first_time_code
 
 DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
 DEFAULT_FPS = 24.0
@@ -122,7 +123,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     """
     paper = request.preset == "paper"
-    authored = facts.time_codes_per_second
+    authored = authored_rate(facts)
     T = time_scale(radius)
     # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
     fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
@@ -137,7 +138,6 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         lift = height
     slow = parse_time_scale(request.time_scale, T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
-    start = request.start if request.start is not None else facts.start_time_code
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
@@ -148,7 +148,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         frames=request.frames or (PAPER_FRAMES if paper else shot),
         fps=fps,
         time_codes_per_second=authored or fps,
-        start=1.0 if start is None else start,
+        start=first_time_code(facts, request.start),
         gravity=parse_gravity(request.gravity, facts.up),
         up=_triple(facts.up),
         floor=floor,

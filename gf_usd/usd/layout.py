@@ -22,6 +22,7 @@ from gf_usd.model import Asset, Material, Settings
 from gf_usd.publish import partial_path, publish
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
 from gf_usd.usd.retarget import repeat_edits, restore_rest
+from gf_usd.usd.roots import reference_roots
 from gf_usd.usd.stage import (
     VARIANT_SET,
     Home,
@@ -98,10 +99,7 @@ def write_root(
     home = find_home(stage, asset)
     layer = new_layer(path, source_path)
     _author_metadata(layer, stage, asset, home, bakes)
-    reference = asset_path(source_path, path.parent)
-    for prim in stage.GetPseudoRoot().GetAllChildren():
-        spec = Sdf.PrimSpec(layer.pseudoRoot, prim.GetName(), prim.GetSpecifier())
-        spec.referenceList.prependedItems = [Sdf.Reference(reference, prim.GetPath())]
+    reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
     display_set = free_display_set(stage, asset, home)
     switches = roots_of(asset, home)
     for root in switches:

@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.errors import BakeError
 from gf_usd.model import Floats, MeshPose, Surface
+from gf_usd.usd.elements import hold_elements
 from gf_usd.usd.shading import CornerNormals
 from gf_usd.usd.space import Space
 from gf_usd.usd.stage import Clock
@@ -54,6 +55,7 @@ class MeshTrack:
             topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
             if any(attr.ValueMightBeTimeVarying() for attr in topology):
                 self._author_topology(over)
+                hold_elements(cache, prim, clock.source_time(clock.start))
         else:
             self._become_mesh(over)
         if prim.GetAttribute("accelerations").HasAuthoredValue():
