@@ -19,6 +19,7 @@ from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
 from gf_usd.publish import partial_path, publish, publish_text
 from gf_usd.summary import HealthLog
+from gf_usd.timeline import sampled, with_held
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -112,7 +113,9 @@ def run(
     # Nothing has its final name before all of it is there.
     for path in plan.outputs.caches:
         publish(path)
-    root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source)
+    root = write_root(
+        plan.outputs.root, plan.asset, looks, source=plan.source, choices=plan.choices
+    )
     notes += root.notes
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
@@ -142,6 +145,8 @@ def _run_look(
     from gf_usd.usd.variants import BakedLook
 
     total = plan.settings.frames
+    settings = sampled(plan.settings_of(material))
+    n = plan.settings.samples_per_frame
     info = BakeInfo(
         look=material.name,
         materials=(material,),
@@ -160,13 +165,19 @@ def _run_look(
     )
     target = plan.outputs.caches[number]
     failure = None
-    with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
+    with CacheWriter(
+        target, plan.asset, plan.particles, info, source=plan.source, choices=plan.choices
+    ) as cache:
         try:
-            for baked in _frames(plan, material):
-                cache.write(baked)
+            for baked in with_held(_samples(plan, material), settings):
+                if baked.index >= settings.first:
+                    cache.write(baked)
+                if baked.index < 0:
+                    continue
                 log.add(baked.health)
-                if progress:
-                    progress(number * total + baked.index + 1, total * len(plan.materials))
+                if progress and baked.index % n == 0:
+                    done = number * total + baked.index // n + 1
+                    progress(done, total * len(plan.materials))
         except SolverError as error:
             failure = error
         summary = cache.close()
@@ -191,14 +202,14 @@ def _run_look(
     return result, look, summary.notes, failure
 
 
-def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
-    """Poses of meshes and Gaussians, frame by frame, in playback time."""
+def _samples(plan: Plan, material: Material) -> Iterator[BakedFrame]:
+    """Poses of meshes and Gaussians, sample by sample, in playback time."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
     skin = None
-    if plan.settings.skin != "embed":
+    if plan.choices.mesh and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     for frame in plan.solver(material).frames():
         poses = skin.poses(frame.particles) if skin else frame.riders
@@ -208,9 +219,9 @@ def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
 def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
     from gf_usd.physics.embedding import deform_normals
 
-    s = plan.settings
+    s = sampled(plan.settings)
     meshes = {}
-    for surface in plan.asset.surfaces:
+    for surface in plan.asset.surfaces if plan.choices.mesh else ():
         pose = poses[surface.path]
         normals = None
         if surface.normals is not None and surface.normal_points is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from gf_usd.errors import BakeError, SolverError
 from gf_usd.output_files import report_of_failure
 from gf_usd.plan import LookResult, Plan, report_json
 from gf_usd.publish import publish_text
+from gf_usd.timeline import sampled
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -31,8 +33,8 @@ def place(plan: Plan, look: str, error: SolverError) -> dict[str, Any]:
         }
     return {
         "look": look,
-        "frame": error.frame,
-        "time_code": plan.settings.time_code(error.frame),
+        "frame": math.ceil(error.frame / plan.settings.samples_per_frame),
+        "time_code": sampled(plan.settings).time_code(error.frame),
         **found,
         "why": error.message.removeprefix(f"frame {error.frame}: "),
         "hint": error.hint,
@@ -61,7 +63,10 @@ def leave(
     findings: list[dict[str, str]] = []
     opened = ""
     try:
-        root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source, partial=True)
+        root = write_root(
+            plan.outputs.root, plan.asset, looks, source=plan.source, choices=plan.choices,
+            partial=True,
+        )  # fmt: skip
         notes = [*notes, *root.notes]
         files = [root.path, *files]
         findings = review(root.path, plan.source)
@@ -82,7 +87,7 @@ def leave(
         f"the frames before it are kept in {', '.join(str(file) for file in files)}{opened};"
         f" the report is {path}",
         error.hint,
-        frame=error.frame,
+        frame=failed["frame"],
         particle=error.particle,
     )
 

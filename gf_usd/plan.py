@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
+from gf_usd.choices import Choices
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
+from gf_usd.timeline import sampled, written
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
@@ -43,6 +45,7 @@ class Plan:
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
+    choices: Choices = field(default_factory=Choices)  # of the output
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
@@ -60,12 +63,15 @@ class Plan:
         return next((s for m, s in named if m.name == material.name), self.settings)
 
     def substeps(self, material: Material) -> int:
-        """Substeps a frame.  The solver that knows is kept for `solver`: it is dear to build."""
+        """Substeps a frame, all samples together.
+
+        The solver that knows is kept for `solver`: it is dear to build.
+        """
         if material.name not in self._ready:
             solver = self.solver(material)
             kept = len(self.particles) * (1 + len(self._ready)) <= KEPT
             self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
-        return self._ready[material.name][0]
+        return self._ready[material.name][0] * self.settings.samples_per_frame
 
     def solver(self, material: Material) -> Marcher:
         """The solver of one material, at its start."""
@@ -77,11 +83,11 @@ class Plan:
             if made == epoch():
                 return solver
         return make_solver(
-            self.settings_of(material),
+            sampled(self.settings_of(material)),
             self.particles,
             [material],
             samples=self.samples,
-            riders=self.points if self.settings.skin == "embed" else {},
+            riders=self.points if self.choices.mesh and self.settings.skin == "embed" else {},
             pins=self.pins,
         )
 
@@ -134,9 +140,9 @@ def describe(plan: Plan) -> dict[str, Any]:
         "volume_m3": plan.particles.volume,
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
-        "frames": plan.settings.frames,
+        "frames": written(plan.settings),
         "fps": plan.settings.fps,
-        "start": plan.settings.start,
+        "start": plan.settings.time_code(plan.settings.first),
         "drop_m": plan.drop,
         "pins": [p.name for p in plan.pins],
         "outputs": [str(p) for p in plan.outputs.all],

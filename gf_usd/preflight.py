@@ -12,13 +12,16 @@ import numpy as np
 
 from gf_usd import materials as presets
 from gf_usd import paper_options
+from gf_usd.choices import Choices, clip_length, parse_only
 from gf_usd.errors import InputError, UsageError
+from gf_usd.estimate import frame_bytes
 from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
 from gf_usd.pinning import make_pins
 from gf_usd.plan import Plan, command_line
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
 from gf_usd.runtime import init_taichi
+from gf_usd.timeline import sampled, written
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
@@ -43,7 +46,7 @@ def prepare(
     request, looks = _asked(material, law, options)
     source = Path(path)
     names = [look.name for look in looks]
-    files = outputs(source, names, None if output is None else str(output))
+    files = outputs(source, names, None if output is None else str(output), request.flatten)
     require_free(files, overwrite)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
@@ -182,11 +185,12 @@ def _fill(
     lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)
     settings = resolve(request, asset.facts, particles.radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, settings, file, rest=request.start)
+    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     skin = SKIN_NOTES.get(settings.skin, ())
     made = tuple(_made(look, particles.radius, law, request) for look in looks)
+    choices = _chosen(request, files, settings, asset, len(particles))
     each = tuple(paper_options.of_material(settings, request, m, particles.radius) for m in made)
     plan = Plan(
         asset=asset,
@@ -200,8 +204,20 @@ def _fill(
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
         notes=(*asset.facts.notes, *mended, *ridden, *left, *skin, *_options(made, each)),
+        choices=choices,
     )
     return plan, solid
+
+
+def _chosen(
+    request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
+) -> Choices:
+    choices = Choices(
+        shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
+    )
+    size = frame_bytes(asset, particles, settings, choices)
+    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    return replace(choices, clip_frames=length)
 
 
 def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:

@@ -44,9 +44,18 @@ def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
     for prim in prims:
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
-            if set(sets.GetVariantSet(name).GetVariantNames()) == DISPLAYS:
+            if "mesh" in displays_in(prim, name):
                 sets.SetSelection(name, "mesh")
     return chosen
+
+
+def displays_in(prim: Usd.Prim, name: str) -> set[str]:
+    """The shapes that a variant set switches between; empty where it is no display of ours.
+
+    A bake need not hold all of the shapes.
+    """
+    names = set(prim.GetVariantSet(name).GetVariantNames())
+    return names if name.lower().endswith("display") and names <= DISPLAYS else set()
 
 
 def _switches(stage: Usd.Stage) -> list[Usd.Prim]:

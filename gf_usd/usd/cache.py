@@ -15,14 +15,23 @@ from types import TracebackType
 
 from pxr import Usd
 
+from gf_usd.choices import Choices
 from gf_usd.errors import BakeError
 from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
 from gf_usd.publish import partial_path
 from gf_usd.usd.bounds import block_hints, skel_bounds
 from gf_usd.usd.health import HealthTrack, bake_root
-from gf_usd.usd.meshes import MeshTrack
+from gf_usd.usd.meshes import MeshTrack, free_instances
 from gf_usd.usd.particles import ParticleTrack
-from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
+from gf_usd.usd.stage import (
+    author_facts,
+    clock,
+    find_home,
+    new_layer,
+    open_source,
+    roots_of,
+    save,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +58,7 @@ class CacheWriter:
     particles : its particles.
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
+    choices : which shapes are written; default all.
     save_every : frames between two saves.
 
     Raises
@@ -64,9 +74,12 @@ class CacheWriter:
         info: BakeInfo,
         *,
         source: Path | None = None,
+        choices: Choices | None = None,
         save_every: int = 24,
     ) -> None:
         self.path = Path(path)
+        choices = choices or Choices()
+        surfaces = asset.surfaces if choices.mesh else ()
         self._every = save_every
         self._frames = 0
         self._time_code = float("-inf")
@@ -75,7 +88,7 @@ class CacheWriter:
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         time = clock(stage, info.settings)
-        home = find_home(stage, asset)
+        home = find_home(stage, asset, choices)
         prims = [_require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
         author_facts(self._layer, asset.facts, info.settings, stage)
@@ -83,16 +96,28 @@ class CacheWriter:
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
         self._stage = Usd.Stage.Open(self._layer)
+        for prim in prims:
+            free_instances(self._stage, prim)
         unit = asset.facts.units.length
         self._meshes = {
             surface.path: MeshTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(asset.surfaces, prims)
+            for surface, prim in zip(surfaces, prims)
         }
-        tracks = list(self._meshes.values())
-        block_hints(self._stage, stage, tracks)
-        self._bounds = skel_bounds(self._stage, stage, tracks, time)
+        # every root prim that a display hides something of has its payload
+        for path in roots_of(asset, home):
+            self._stage.OverridePrim(path)
         root = stage.GetPrimAtPath(home.root)
-        self._particles = ParticleTrack(self._stage, root, home, asset, particles, info, time)
+        self._particles = None
+        if choices.particles:
+            self._particles = ParticleTrack(
+                self._stage, root, home, asset, particles, info, time, choices
+            )
+        tracks = [*self._meshes.values(), *([self._particles] if self._particles else [])]
+        block_hints(self._stage, stage, tracks)
+        # the particles of a mesh are inside its box
+        self._bounds = skel_bounds(
+            self._stage, stage, tracks[: len(surfaces)] if surfaces else tracks, time
+        )
         self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
         self._source = stage  # the tracks read its transforms frame by frame
         save(self._layer)
@@ -120,9 +145,10 @@ class CacheWriter:
             )
         for path, pose in frame.meshes.items():
             self._meshes[path].write(pose, time_code)
+        if self._particles:
+            self._particles.write(frame.gaussians, time_code)
         for bound in self._bounds:
             bound.write(time_code)
-        self._particles.write(frame.gaussians, time_code)
         self._health.write(frame.health, time_code)
         self._time_code = time_code
         self._frames += 1
