@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gf_usd.delivery import deliver
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
@@ -17,7 +18,7 @@ from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
 from gf_usd.output_files import claim
 from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
-from gf_usd.publish import partial_path, publish, publish_text
+from gf_usd.publish import partial_path, publish_text
 from gf_usd.summary import HealthLog
 from gf_usd.timeline import sampled, with_held
 
@@ -89,14 +90,13 @@ def run(
     Raises InputError where it would take longer than max_hours, SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
-    from gf_usd.usd.layout import write_root
     from gf_usd.usd.review import review
 
     require_affordable(plan, max_hours)
     claim(plan.outputs)
     began = time.perf_counter()
-    if plan.converted is not None:
-        plan.converted.write(plan.source)
+    if plan.converted is not None and plan.outputs.source is not None:
+        plan.converted.write(plan.outputs.source)
     results: list[LookResult] = []
     looks: list[BakedLook] = []
     notes = list(plan.notes)
@@ -107,16 +107,10 @@ def run(
         notes += more
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
-            results = [replace(result, cache=partial_path(result.cache)) for result in results]
+            results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
-    # Nothing has its final name before all of it is there.
-    for path in plan.outputs.caches:
-        publish(path)
-    root = write_root(
-        plan.outputs.root, plan.asset, looks, source=plan.source, choices=plan.choices
-    )
-    notes += root.notes
+    notes += deliver(plan, looks)
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
@@ -184,7 +178,7 @@ def _run_look(
     health = log.summary()
     result = LookResult(
         look=material.name,
-        cache=target,
+        cache=plan.outputs.root if plan.outputs.flat else target,
         material=material,
         frames=summary.frames,
         health=health,

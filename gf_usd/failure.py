@@ -64,7 +64,7 @@ def leave(
     opened = ""
     try:
         root = write_root(
-            plan.outputs.root, plan.asset, looks, source=plan.source, choices=plan.choices,
+            plan.outputs.layers, plan.asset, looks, source=plan.source, choices=plan.choices,
             partial=True,
         )  # fmt: skip
         notes = [*notes, *root.notes]

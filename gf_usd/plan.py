@@ -51,6 +51,8 @@ class Plan:
     @property
     def source(self) -> Path:
         """The USD file to lie over: the asset, or the layer that is made of it."""
+        if self.outputs.source is None and self.converted is not None:
+            return self.converted.layer  # of a flat bake, in a temporary folder
         return self.outputs.source or self.asset.facts.path
 
     @property

@@ -63,10 +63,12 @@ def prepare(
         )
     else:
         asset = converted.asset(prims=tuple(prims), time_code=request.start)
-        target = files.source
-        assert target is not None
-        files = replace(files, textures=converted.textures(target))
-        require_source_free(files, converted.is_at(target), overwrite)
+        if files.source is not None:
+            files = replace(files, textures=converted.textures(files.source))
+            require_source_free(files, converted.is_at(files.source), overwrite)
+        elif files.root.suffix != ".usdz":
+            files = replace(files, textures=converted.textures(files.root))
+            require_free(files, overwrite)
     from gf_usd.inspection import implausible_size
 
     file = source if converted is None else converted.layer
