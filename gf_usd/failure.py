@@ -63,6 +63,7 @@ def leave(
     findings: list[dict[str, str]] = []
     opened = ""
     try:
+        _require_source(plan)
         root = write_root(
             plan.outputs.layers, plan.asset, looks, source=plan.source, choices=plan.choices,
             partial=True,
@@ -90,6 +91,14 @@ def leave(
         frame=failed["frame"],
         particle=error.particle,
     )
+
+
+def _require_source(plan: Plan) -> None:
+    if plan.outputs.source is None and plan.converted is not None:
+        raise BakeError(
+            "no root layer was written: the layer of a mesh file is not kept for one file",
+            "bake without --flatten",
+        )
 
 
 def _where(plan: Plan, failed: dict[str, Any]) -> str:

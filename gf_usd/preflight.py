@@ -214,6 +214,11 @@ def _fill(
 def _chosen(
     request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
 ) -> Choices:
+    if files.flat and request.clip_frames:
+        raise UsageError(
+            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            "a package is one file: leave one of them out",
+        )
     choices = Choices(
         shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
     )
