@@ -81,7 +81,8 @@ class CacheWriter:
         choices = choices or Choices()
         surfaces = asset.surfaces if choices.mesh else ()
         self._every = save_every
-        self._frames = 0
+        self._frames = 0  # written, each sample one
+        self._per_frame = info.settings.samples_per_frame
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
@@ -167,7 +168,7 @@ class CacheWriter:
                 path=self.path,
                 partial=partial,
                 bytes=partial.stat().st_size,
-                frames=self._frames,
+                frames=-(-self._frames // self._per_frame),
                 notes=tuple(note for track in self._meshes.values() for note in track.notes),
             )
             self._release()
