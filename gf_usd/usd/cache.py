@@ -1,8 +1,9 @@
 """The cache layer: one bake's frames, streamed into ``NAME.partial.usdc``.
 
 The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
-the source.  Memory does not grow with the number of frames, because the layer is saved as it goes;
-a save also leaves a readable file behind should the process be killed.
+the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
+the number of frames, because the layer is saved as it goes; a save also leaves a readable file
+behind should the process be killed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from gf_usd.errors import BakeError
 from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
 from gf_usd.publish import partial_path
 from gf_usd.usd.bounds import block_hints, skel_bounds
+from gf_usd.usd.clips import ClipStore
 from gf_usd.usd.health import HealthTrack, bake_root
 from gf_usd.usd.meshes import MeshTrack, free_instances
 from gf_usd.usd.particles import ParticleTrack
@@ -33,6 +35,8 @@ from gf_usd.usd.stage import (
     save,
 )
 
+SAVE = 64e6  # [bytes] that are held before they are saved
+
 
 @dataclass(frozen=True, kw_only=True)
 class CacheSummary:
@@ -42,6 +46,7 @@ class CacheSummary:
     partial: Path
     bytes: int
     frames: int
+    clips: tuple[Path, ...] = ()  # published already
     notes: tuple[str, ...] = ()  # what was left out, in words
 
 
@@ -58,8 +63,8 @@ class CacheWriter:
     particles : its particles.
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
-    choices : which shapes are written; default all.
-    save_every : frames between two saves.
+    choices : which shapes are written, and whether in clips; default all in one file.
+    save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
     Raises
     ------
@@ -75,12 +80,12 @@ class CacheWriter:
         *,
         source: Path | None = None,
         choices: Choices | None = None,
-        save_every: int = 24,
+        save_every: int | None = None,
     ) -> None:
         self.path = Path(path)
         choices = choices or Choices()
         surfaces = asset.surfaces if choices.mesh else ()
-        self._every = save_every
+        self._every = save_every or _samples_in(SAVE, asset, particles)
         self._frames = 0  # written, each sample one
         self._per_frame = info.settings.samples_per_frame
         self._time_code = float("-inf")
@@ -96,7 +101,11 @@ class CacheWriter:
         self._layer.startTimeCode = time.start
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
-        self._stage = Usd.Stage.Open(self._layer)
+        self._clips = None
+        if choices.clip_frames:
+            length = choices.clip_frames * self._per_frame
+            self._clips = ClipStore(self.path, self._layer, length)
+        self._stage = self._clips.stage if self._clips else Usd.Stage.Open(self._layer)
         for prim in prims:
             free_instances(self._stage, prim)
         unit = asset.facts.units.length
@@ -122,6 +131,8 @@ class CacheWriter:
         self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
         self._source = stage  # the tracks read its transforms frame by frame
         save(self._layer)
+        if self._clips:
+            self._clips.begin()
 
     def write(self, frame: BakedFrame) -> None:
         """Add one frame.
@@ -151,6 +162,8 @@ class CacheWriter:
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)
+        if self._clips:
+            self._keep(time_code)
         self._time_code = time_code
         self._frames += 1
         if self._frames % self._every == 0:
@@ -163,12 +176,16 @@ class CacheWriter:
         """
         if self._summary is None:
             self._save()
+            if self._clips:
+                self._clips.close()
             partial = partial_path(self.path)
+            files = [partial, *(self._clips.files if self._clips else ())]
             self._summary = CacheSummary(
                 path=self.path,
                 partial=partial,
-                bytes=partial.stat().st_size,
+                bytes=sum(file.stat().st_size for file in files),
                 frames=-(-self._frames // self._per_frame),
+                clips=tuple(files[1:]),
                 notes=tuple(note for track in self._meshes.values() for note in track.notes),
             )
             self._release()
@@ -197,6 +214,16 @@ class CacheWriter:
             self._layer.endTimeCode = self._time_code
         try:
             save(self._layer)
+            if self._clips:
+                self._clips.save()
+        except BakeError as error:
+            self._lost = error
+            raise
+
+    def _keep(self, time_code: float) -> None:
+        assert self._clips is not None
+        try:
+            self._clips.keep(time_code)
         except BakeError as error:
             self._lost = error
             raise
@@ -208,7 +235,7 @@ class CacheWriter:
 
     def _release(self) -> None:
         del self._meshes, self._bounds, self._particles, self._health
-        del self._stage, self._source, self._layer
+        del self._stage, self._source, self._layer, self._clips
 
 
 def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
@@ -219,6 +246,12 @@ def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
             "the file changed since it was read: run the bake again",
         )
     return prim
+
+
+def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
+    """How many samples are about so many bytes: 1 to 24."""
+    each = 76 * len(particles) + 24 * sum(len(s.points) for s in asset.surfaces)
+    return int(min(24, max(1, size // each)))
 
 
 def _list(paths: Iterable[str]) -> str:
