@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.delivery import deliver
+from gf_usd.delivery import deliver, sweep
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
@@ -93,6 +93,7 @@ def run(
     from gf_usd.usd.review import review
 
     require_affordable(plan, max_hours)
+    earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
     if plan.converted is not None and plan.outputs.source is not None:
@@ -110,7 +111,7 @@ def run(
             results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
-    notes += deliver(plan, looks)
+    notes += deliver(plan, looks, earlier)
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
@@ -124,7 +125,7 @@ def run(
         settings=plan.settings,
         notes=tuple(notes),
         findings=tuple(findings),
-        outputs=plan.outputs.all,
+        outputs=(*plan.outputs.all, *(clip for r in results for clip in r.clips)),
     )
 
 
@@ -181,6 +182,7 @@ def _run_look(
         cache=plan.outputs.root if plan.outputs.flat else target,
         material=material,
         frames=summary.frames,
+        clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
         warnings=judge(health),

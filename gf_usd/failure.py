@@ -60,6 +60,7 @@ def leave(
 
     failed = place(plan, results[-1].look, error)
     files = [bake.cache for bake in results]
+    clips = [clip for bake in results for clip in bake.clips]
     findings: list[dict[str, str]] = []
     opened = ""
     try:
@@ -77,7 +78,8 @@ def leave(
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
     path = report_of_failure(plan.outputs)
     text = json.dumps(
-        {**report, "outputs": [str(file) for file in (*files, path)], "failed": failed}, indent=1
+        {**report, "outputs": [str(file) for file in (*files, *clips, path)], "failed": failed},
+        indent=1,
     )
     if path == plan.outputs.report:
         publish_text(path, text + "\n")

@@ -171,6 +171,7 @@ def report_json(
     warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
     return {
         **describe(plan),
+        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
         "notes": list(notes),
         "seconds": seconds,
         "settings": settings_json(plan.settings),
@@ -191,6 +192,7 @@ class LookResult:
     health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[Caution, ...] = ()
+    clips: tuple[Path, ...] = ()  # files beside the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""

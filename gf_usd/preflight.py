@@ -192,7 +192,7 @@ def _fill(
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     skin = SKIN_NOTES.get(settings.skin, ())
     made = tuple(_made(look, particles.radius, law, request) for look in looks)
-    choices = _chosen(request, files, settings, asset, len(particles))
+    choices, split = _chosen(request, files, settings, asset, len(particles))
     each = tuple(paper_options.of_material(settings, request, m, particles.radius) for m in made)
     plan = Plan(
         asset=asset,
@@ -205,7 +205,7 @@ def _fill(
         riders=solid.riders,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
-        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin, *_options(made, each)),
+        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin, *_options(made, each), *split),
         choices=choices,
     )
     return plan, solid
@@ -213,7 +213,8 @@ def _fill(
 
 def _chosen(
     request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
-) -> Choices:
+) -> tuple[Choices, tuple[str, ...]]:
+    """The output choices, with notes on what nobody asked for."""
     if files.flat and request.clip_frames:
         raise UsageError(
             f"--clip-frames {request.clip_frames} and a package were both asked for",
@@ -224,7 +225,13 @@ def _chosen(
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
-    return replace(choices, clip_frames=length)
+    notes = ()
+    if length and request.clip_frames is None:
+        notes = (
+            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
+            f" of {length} frames: --clip-frames 0 keeps it in one file",
+        )
+    return replace(choices, clip_frames=length), notes
 
 
 def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:

@@ -89,8 +89,12 @@ def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
 
 def summarise(result: BakeResult) -> None:
     """Files, sizes and what was measured."""
-    files = [path for path in result.outputs if path.exists()]
+    clips = [clip for bake in result.bakes for clip in bake.clips]
+    files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
+    for folder in dict.fromkeys(clip.parent for clip in clips):
+        sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
+        lines.append(f"{folder}/  {len(sizes)} files, {_bytes(sum(sizes))}")
     lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
     for bake in result.bakes:
         lines.append(_measured(bake))
