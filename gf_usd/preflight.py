@@ -63,9 +63,10 @@ def prepare(
         )
     else:
         asset = converted.asset(prims=tuple(prims), time_code=request.start)
-        if files.source is not None:
-            files = replace(files, textures=converted.textures(files.source))
-            require_source_free(files, converted.is_at(files.source), overwrite)
+        target = files.source
+        if target is not None:
+            files = replace(files, textures=converted.textures(target))
+            require_source_free(files, converted.is_at(target), overwrite)
         elif files.root.suffix != ".usdz":
             files = replace(files, textures=converted.textures(files.root))
             require_free(files, overwrite)

@@ -186,7 +186,7 @@ class CacheWriter:
                 bytes=sum(file.stat().st_size for file in files),
                 frames=-(-self._frames // self._per_frame),
                 clips=tuple(files[1:]),
-                notes=tuple(note for track in self._meshes.values() for note in track.notes),
+                notes=self._notes(),
             )
             self._release()
         return self._summary
@@ -227,6 +227,10 @@ class CacheWriter:
         except BakeError as error:
             self._lost = error
             raise
+
+    def _notes(self) -> tuple[str, ...]:
+        of_meshes = (note for track in self._meshes.values() for note in track.notes)
+        return (*of_meshes, *(self._particles.notes if self._particles else ()))
 
     def _raise_if_lost(self) -> None:
         # USD crashes when a layer that met a full disk is touched again

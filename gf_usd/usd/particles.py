@@ -55,7 +55,9 @@ class ParticleTrack:
         self._splats = self._twin = None
         if "gaussians" in choices.shapes:
             where = home.scope.AppendChild("Gaussians")
-            self._splats = SplatTrack(cache, where, particles, info.settings, asset.facts.units)
+            self._splats = SplatTrack(
+                cache, where, particles, info.settings, asset.facts.units, choices.half
+            )
         if "points" in choices.shapes:
             where = home.scope.AppendChild("Points")
             self._twin = PointsTrack(cache, where, particles, self._unit)
@@ -100,6 +102,11 @@ class ParticleTrack:
             matrix = Gf.Matrix4d(self.space.from_world(time_code))
             for transform in self._transforms:
                 transform.Set(matrix, time_code)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was rounded, in words."""
+        return self._splats.notes if self._splats else ()
 
     def to_world(self, time_code: float) -> Floats:
         """Where ``low`` and ``high`` are: in the world, whatever the time."""

@@ -8,7 +8,8 @@ from pxr import Sdf, Usd, UsdVol, Vt
 from gf_usd.model import Floats, GaussianPose, Particles, Settings
 from gf_usd.units import StageUnits
 from gf_usd.usd.meshes import check
-from gf_usd.usd.values import box, f32, quaternions
+from gf_usd.usd.precision import NUMBERS, QUATERNIONS, VECTORS, Track, halves_do
+from gf_usd.usd.values import box, f32, xyzw
 
 Types = Sdf.ValueTypeNames
 UNIFORM = Sdf.VariabilityUniform
@@ -27,6 +28,7 @@ class SplatTrack:
     p : the particles.
     settings : of the bake: whether deformation gradients and stress are written.
     units : of the stage.
+    half : half precision where it is safe.
     """
 
     def __init__(
@@ -36,26 +38,32 @@ class SplatTrack:
         p: Particles,
         settings: Settings,
         units: StageUnits,
+        half: bool = False,
     ) -> None:
         self._path, self._count, self._units = path, len(p), units
         splats = UsdVol.ParticleField3DGaussianSplat.Define(cache, path)
         self.prim = prim = splats.GetPrim()
         self.low = self.high = np.zeros(3)
         self._positions = self._varying("positions", Types.Point3fArray)
-        self._orientations = self._varying("orientations", Types.QuatfArray)
-        self._scales = self._varying("scales", Types.Float3Array)
+        rest = np.asarray(p.scale, np.float64) / units.length
+        fits = halves_do(rest)
+        self._range = "" if fits or not half else f"{rest.min():.3g} to {rest.max():.3g}"
+        self._orientations = Track(prim, "orientations", QUATERNIONS, half)
+        self._scales = Track(prim, "scales", VECTORS, half and fits, relative=True)
         self._velocities = self._varying("gaussianFlesh:velocities", Types.Vector3fArray)
         self._extent = splats.CreateExtentAttr()
-        opacities = Vt.FloatArray.FromNumpy(f32(p.opacity))
-        prim.CreateAttribute("opacities", Types.FloatArray, False).Set(opacities)
+        opacities = Track(prim, "opacities", NUMBERS, half)
+        opacities.write(p.opacity, Usd.TimeCode.Default())
         degree = prim.CreateAttribute(
             "radiance:sphericalHarmonicsDegree", Types.Int, False, UNIFORM
         )
         degree.Set(0)
         flat = (np.asarray(p.colour, np.float64) - 0.5) / SH_0
-        prim.CreateAttribute(
-            "radiance:sphericalHarmonicsCoefficients", Types.Float3Array, False
-        ).Set(Vt.Vec3fArray.FromNumpy(f32(flat)))
+        colours = Track(prim, "radiance:sphericalHarmonicsCoefficients", VECTORS, half)
+        colours.write(flat, Usd.TimeCode.Default())
+        self._halves = [
+            track for track in (self._orientations, self._scales, opacities, colours) if track.half
+        ]
         for name, value in (("projectionModeHint", "perspective"), ("sortingModeHint", "zDepth")):
             prim.CreateAttribute(name, Types.Token, False, UNIFORM).Set(value)
         if settings.deformation_gradients:
@@ -75,8 +83,8 @@ class SplatTrack:
             check(getattr(pose, name), (self._count, width), self._named(name), time_code)
         scales = np.asarray(pose.scales, np.float64) / self._units.length
         self._positions.Set(Vt.Vec3fArray.FromNumpy(f32(positions)), time_code)
-        self._orientations.Set(quaternions(pose.orientations), time_code)
-        self._scales.Set(Vt.Vec3fArray.FromNumpy(f32(scales)), time_code)
+        self._orientations.write(xyzw(pose.orientations), time_code)
+        scales = self._scales.write(scales, time_code).astype(np.float64)
         self._velocities.Set(velocities, time_code)
         if pose.F is not None:
             check(pose.F, (self._count, 3, 3), self._named("deformation gradients"), time_code)
@@ -90,6 +98,18 @@ class SplatTrack:
         self.low = (positions - reach).min(axis=0)
         self.high = (positions + reach).max(axis=0)
         self._extent.Set(box(self.low, self.high), time_code)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What half precision costs, in words."""
+        if not self._halves:
+            return ()
+        off = ", ".join(track.said for track in self._halves)
+        notes = (f"<{self._path}>: in half precision, off by at most: {off}",)
+        if self._range:
+            why = f"half precision is too coarse for {self._range}"
+            notes += (f"<{self._path}>: its scales stay in single precision: {why}",)
+        return notes
 
     def _varying(self, name: str, kind: Sdf.ValueTypeName) -> Usd.Attribute:
         return self.prim.CreateAttribute(name, kind, False)
