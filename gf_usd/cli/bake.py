@@ -234,6 +234,6 @@ def bake(
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:
-        summarise(result)
+        summarise(result, plan)
     if strict:
         require_healthy(result)

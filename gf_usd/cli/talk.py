@@ -87,8 +87,8 @@ def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done)
 
 
-def summarise(result: BakeResult) -> None:
-    """Files, sizes and what was measured."""
+def summarise(result: BakeResult, plan: Plan) -> None:
+    """Files, sizes and what was measured; what was noted only while it ran."""
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
@@ -96,6 +96,7 @@ def summarise(result: BakeResult) -> None:
         sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
         lines.append(f"{folder}/  {len(sizes)} files, {_bytes(sum(sizes))}")
     lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
+    lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
         lines.append(_measured(bake))
         lines += [f"warning: {bake.look}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
