@@ -151,7 +151,8 @@ class ClipStore:
                 "manifestAssetPath": manifest,
                 "primPath": str(root),
             }
-            self._cache.GetPrimAtPath(root).SetInfo("clips", {"default": told})
+            # a name of our own: clip sets of one name are merged with those of the source
+            self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: told})
         self._cache.endTimeCode = clip.times[-1]
         save(self._cache)
 

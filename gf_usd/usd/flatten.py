@@ -59,9 +59,6 @@ def write_flat(
     layer = stage.Flatten(addSourceFileComment=False)
     anchor_tiles(stage, layer)
     _restore_displays(layer, root, asset, source, choices)
-    for key in ("clips", "clipSets"):
-        # their values are in the layer now
-        _strip(layer, key)
     if path.suffix != PACKAGE:
         files = Beside(path.parent.absolute(), moved or {})
         UsdUtils.ModifyAssetPaths(layer, files.place)
@@ -104,14 +101,6 @@ def _restore_displays(
             authored = layer.GetPropertyAtPath(path.AppendProperty("visibility"))
             if authored:
                 layer.GetPrimAtPath(path).RemoveProperty(authored)
-
-
-def _strip(layer: Sdf.Layer, key: str) -> None:
-    sites: list[Sdf.Path] = []
-    layer.Traverse(Sdf.Path.absoluteRootPath, sites.append)
-    for site in sites:
-        if site.IsPrimPath() and layer.GetPrimAtPath(site).HasInfo(key):
-            layer.GetPrimAtPath(site).ClearInfo(key)
 
 
 def _export(layer: Sdf.Layer, path: Path) -> None:

@@ -6,9 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, Vt
 from small_sources import PLAIN, SOURCES, Source
-from small_stages import ALL, bake, frames_of, info_of, particles_of, write_cache
+from small_stages import (
+    ALL,
+    asset_of,
+    bake,
+    frames_of,
+    info_of,
+    open_with,
+    particles_of,
+    write_cache,
+)
 
 from gf_usd.choices import CLIP, LARGE, Choices, clip_length
 from gf_usd.publish import partial_path
@@ -108,6 +117,33 @@ def test_a_shot_at_another_rate_sees_the_same(tmp_path: Path) -> None:
     assert same_values(*stages, start=27.0, step=2.0) > 10
 
 
+def test_a_source_that_has_clips_itself(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    stage = Usd.Stage.Open(str(asset.facts.path))
+    points = stage.GetAttributeAtPath("/duck/geo/body.points")
+    moved = np.array(points.Get()) + 1.0
+    clip = Usd.Stage.CreateNew(str(tmp_path / "their.usda"))
+    over = clip.OverridePrim("/duck/geo/body")
+    theirs = over.CreateAttribute("points", Sdf.ValueTypeNames.Point3fArray, False)
+    theirs.Set(points.Get(), 10.0)
+    theirs.Set(Vt.Vec3fArray.FromNumpy(moved.astype(np.float32)), 12.0)
+    clip.Save()
+    api = Usd.ClipsAPI(stage.GetPrimAtPath("/duck"))
+    api.SetClipAssetPaths([Sdf.AssetPath("./their.usda")])
+    api.SetClipPrimPath("/duck")
+    api.SetClipActive([(10.0, 0.0)])
+    api.SetClipTimes([(10.0, 10.0), (30.0, 12.0)])
+    # clips are weaker than what the layer with them says itself
+    points.Clear()
+    stage.Save()
+    assert np.array_equal(np.array(points.Get(30.0)), moved)
+    one, clips = both(asset_of(asset.facts.path), tmp_path, 3)
+    assert same_values(Usd.Stage.Open(str(one)), Usd.Stage.Open(str(clips)), 10.0) > 10
+    without = open_with(clips, "none")
+    bare = without.GetAttributeAtPath("/duck/geo/body.points")
+    assert np.array_equal(np.array(bare.Get(30.0)), moved)
+
+
 def test_the_check_has_nothing_to_say(source: Source, tmp_path: Path) -> None:
     asset = source.asset(tmp_path)
     one, clips = both(asset, tmp_path, 3)
@@ -128,7 +164,7 @@ def test_a_full_clip_is_there_before_the_bake_is_done(tmp_path: Path) -> None:
             if frame.index == 5:
                 # what a kill at this moment would leave
                 stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(partial_path(cache))))
-                told = stage.GetRootLayer().GetPrimAtPath("/duck").GetInfo("clips")["default"]
+                told = stage.GetRootLayer().GetPrimAtPath("/duck").GetInfo("clips")["gaussianFlesh"]
                 names = [Path(path.path).name for path in told["assetPaths"]]
                 assert names == ["0001.usdc", "0002.usdc"]
                 assert stage.GetEndTimeCode() == 14.0
