@@ -131,3 +131,14 @@ def test_a_failure_leaves_the_layers_it_worked_on(
     monkeypatch.setattr(Marcher, "next", sound)
     assert gf_usd("bake", SAMPLES / "sphere.usda", *SMALL, "-o", "a.usdz", "-q").status == 0
     assert names(here) == ["a.report.json", "a.usdz"]
+
+
+def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) -> None:
+    from gf_usd.assets.usd_motion_read import BakedMotion
+
+    assert gf_usd("bake", block, *SMALL, "-q", "-o", "a.usdz").status == 0
+    motion = BakedMotion(here / "a.usdz")
+    assert (motion.looks, motion.look) == (("rubber",), "rubber")
+    assert motion.recording().ground == 0.0
+    assert gf_usd("report", "a.usdz").status == 0
+    assert "does not say how it was baked" not in (here / "a.html").read_text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -188,3 +189,22 @@ def test_a_pin_follows_the_animation_between_frames(gf_usd, here: Path, tmp_path
     for code in points.GetTimeSamples():
         # held points stay at rest in the moving frame of the mesh, between frames as well
         np.testing.assert_allclose(np.array(points.Get(code))[top], rest[top], atol=1e-3)
+
+
+def test_a_report_draws_health_where_it_was(baked) -> None:
+    from gf_usd.assets.usd_motion_read import BakedMotion
+    from gf_usd.view.report_curves import _health
+    from gf_usd.view.report_record import load_report, make_record
+
+    root, _ = baked("part", "--range", "103:105", "--handles", "3", "--samples-per-frame", "2")
+    recording = BakedMotion(root).recording()
+    record = make_record(recording, *load_report(root))
+    curve = _health(
+        SimpleNamespace(recording=recording),
+        record,
+        "energy",
+        [row["energy"] for row in record.frames],
+    )
+    # written from 100; simulated, and judged, from 101
+    assert curve["x"] == pytest.approx([k / 48.0 for k in range(1, 9)])
+    assert curve["y"] == [row["energy"] for row in record.frames]
