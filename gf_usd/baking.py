@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gf_usd.delivery import deliver, sweep
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
@@ -17,8 +18,9 @@ from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
 from gf_usd.output_files import claim
 from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
-from gf_usd.publish import partial_path, publish, publish_text
+from gf_usd.publish import partial_path, publish_text
 from gf_usd.summary import HealthLog
+from gf_usd.timeline import sampled, with_held
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -89,14 +91,14 @@ def run(
     Raises InputError where it would take longer than max_hours, SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
-    from gf_usd.usd.layout import write_root
     from gf_usd.usd.review import review
 
     require_affordable(plan, max_hours)
+    earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
-    if plan.converted is not None:
-        plan.converted.write(plan.source)
+    if plan.converted is not None and plan.outputs.source is not None:
+        plan.converted.write(plan.outputs.source)
     results: list[LookResult] = []
     looks: list[BakedLook] = []
     notes = list(plan.notes)
@@ -107,14 +109,10 @@ def run(
         notes += more
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
-            results = [replace(result, cache=partial_path(result.cache)) for result in results]
+            results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
-    # Nothing has its final name before all of it is there.
-    for path in plan.outputs.caches:
-        publish(path)
-    root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source)
-    notes += root.notes
+    notes += deliver(plan, looks, earlier)
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
@@ -128,7 +126,7 @@ def run(
         settings=plan.settings,
         notes=tuple(notes),
         findings=tuple(findings),
-        outputs=plan.outputs.all,
+        outputs=(*plan.outputs.all, *(clip for r in results for clip in r.clips)),
     )
 
 
@@ -143,6 +141,8 @@ def _run_look(
     from gf_usd.usd.variants import BakedLook
 
     total = plan.settings.frames
+    settings = sampled(plan.settings_of(material))
+    n = plan.settings.samples_per_frame
     info = BakeInfo(
         look=material.name,
         materials=plan.table(material),
@@ -162,22 +162,29 @@ def _run_look(
     )
     target = plan.outputs.caches[number]
     failure = None
-    with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
+    with CacheWriter(
+        target, plan.asset, plan.particles, info, source=plan.source, choices=plan.choices
+    ) as cache:
         try:
-            for baked in _frames(plan, material):
-                cache.write(baked)
+            for baked in with_held(_samples(plan, material), settings):
+                if baked.index >= settings.first:
+                    cache.write(baked)
+                if baked.index < 0:
+                    continue
                 log.add(baked.health)
-                if progress:
-                    progress(number * total + baked.index + 1, total * len(plan.materials))
+                if progress and baked.index % n == 0:
+                    done = number * total + baked.index // n + 1
+                    progress(done, total * len(plan.materials))
         except SolverError as error:
             failure = error
         summary = cache.close()
     health = log.summary()
     result = LookResult(
         look=material.name,
-        cache=target,
+        cache=plan.outputs.root if plan.outputs.flat else target,
         material=material,
         frames=summary.frames,
+        clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
         warnings=judge(health),
@@ -193,14 +200,14 @@ def _run_look(
     return result, look, summary.notes, failure
 
 
-def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
-    """Poses of meshes and Gaussians, frame by frame, in playback time."""
+def _samples(plan: Plan, material: Material) -> Iterator[BakedFrame]:
+    """Poses of meshes and Gaussians, sample by sample, in playback time."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
     skin = None
-    if plan.settings.skin != "embed":
+    if plan.choices.mesh and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     for frame in plan.solver(material).frames():
         poses = skin.poses(frame.particles) if skin else frame.riders
@@ -210,9 +217,9 @@ def _frames(plan: Plan, material: Material) -> Iterator[BakedFrame]:
 def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
     from gf_usd.physics.embedding import deform_normals
 
-    s = plan.settings
+    s = sampled(plan.settings)
     meshes = {}
-    for surface in plan.asset.surfaces:
+    for surface in plan.asset.surfaces if plan.choices.mesh else ():
         pose = poses[surface.path]
         normals = None
         if surface.normals is not None and surface.normal_points is not None:

@@ -11,13 +11,16 @@ import numpy as np
 
 from gf_usd import body_materials, paper_options
 from gf_usd.body_plan import encounters, plan_bodies, start_velocities
+from gf_usd.choices import Choices, clip_length, parse_only
 from gf_usd.errors import UsageError
+from gf_usd.estimate import frame_bytes
 from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pinning import make_pins
 from gf_usd.plan import Plan
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
 from gf_usd.stage_reading import StageWords, one_said, read_motion
+from gf_usd.timeline import sampled, written
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
@@ -94,10 +97,11 @@ def fill(
     radius = float(bodies.radius.max())
     settings = resolve(request, asset.facts, radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, settings, file, rest=request.start)
+    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
     physics = words.physics
-    if any(c.moves for c in physics.colliders) or physics.colliders:
-        times = [settings.time_code(i) for i in range(settings.frames)]
+    if physics.colliders:
+        every = sampled(settings)
+        times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
     parts = body_materials.slots(solid, words)
     slot = body_materials.slot_of_particles(solid, particles, parts)
@@ -119,6 +123,7 @@ def fill(
         for look, table in zip(looks, tables)
     )
     each = tuple(paper_options.of_material(settings, request, m, radius) for m in made)
+    choices, split = _chosen(request, files, settings, asset, len(particles))
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     skin = SKIN_NOTES.get(settings.skin, ())
@@ -134,12 +139,13 @@ def fill(
         riders=solid.riders,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
+        choices=choices,
         bodies=bodies,
         encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
         velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
         notes=(
             *asset.facts.notes, *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each),
+            *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
         ),
     )  # fmt: skip
     return plan, solid
@@ -198,6 +204,29 @@ def _require_one_body(request: Request, count: int) -> None:
 def _main(table: Sequence[Material], index: Any, V0: Any) -> Material:
     """The material that most of the volume has."""
     return table[int(np.bincount(index, V0).argmax())]
+
+
+def _chosen(
+    request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
+) -> tuple[Choices, tuple[str, ...]]:
+    """The output choices, with notes on what nobody asked for."""
+    if files.flat and request.clip_frames:
+        raise UsageError(
+            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            "a package is one file: leave one of them out",
+        )
+    choices = Choices(
+        shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
+    )
+    size = frame_bytes(asset, particles, settings, choices)
+    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    notes = ()
+    if length and request.clip_frames is None:
+        notes = (
+            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
+            f" of {length} frames: --clip-frames 0 keeps it in one file",
+        )
+    return replace(choices, clip_frames=length), notes
 
 
 def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:

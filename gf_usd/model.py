@@ -1,8 +1,7 @@
 """The immutable values that cross rooms.
 
-Everything here is SI, in the world frame of the source stage (its up axis is kept; positions are
-stage positions times metersPerUnit).  Shapes and units stand beside each field.  Quaternions are
-(w, x, y, z).  Colours are linear Rec. 709.
+SI, in the world frame of the source stage (its up axis is kept; positions are stage positions times
+metersPerUnit).  Quaternions are (w, x, y, z), colours linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from gf_usd.units import StageUnits
 
-# The width is the maker's business: files hold float32, the solver's bookkeeping float64.
+# Of any width: files hold float32, the solver's bookkeeping float64.
 Floats = NDArray[Any]
 Ints = NDArray[Any]
 
@@ -166,7 +165,7 @@ class SurfaceSamples:
 class Settings:
     """Everything that decides a bake, resolved: no None is left to interpret."""
 
-    frames: int  # number of frames written
+    frames: int  # number of frames simulated; the last is written
     fps: float  # frames per second of playback
     time_codes_per_second: float  # of the output layers
     start: float  # time code of the first frame
@@ -195,8 +194,10 @@ class Settings:
     procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
     clamp: tuple[float, float] | None = None  # limits of the singular values of F
     stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
+    samples_per_frame: int = 1  # states written a frame, for motion blur
+    first: int = 0  # frame that is written first; below 0 the rest pose is held
 
-    def time_code(self, index: int) -> float:
+    def time_code(self, index: float) -> float:
         """Time code of a frame."""
         return self.start + index * self.time_codes_per_second / self.fps
 

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import gf_usd
 from gf_usd.body_plan import BodyPlan
+from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
+from gf_usd.timeline import sampled, written
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
@@ -49,11 +51,14 @@ class Plan:
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
+    choices: Choices = field(default_factory=Choices)  # of the output
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
     def source(self) -> Path:
         """The USD file to lie over: the asset, or the layer that is made of it."""
+        if self.outputs.source is None and self.converted is not None:
+            return self.converted.layer  # of a flat bake, in a temporary folder
         return self.outputs.source or self.asset.facts.path
 
     @property
@@ -66,12 +71,15 @@ class Plan:
         return next((s for m, s in named if m.name == material.name), self.settings)
 
     def substeps(self, material: Material) -> int:
-        """Substeps a frame.  The solver that knows is kept for `solver`: it is dear to build."""
+        """Substeps a frame, all samples together.
+
+        The solver that knows is kept for `solver`: it is dear to build.
+        """
         if material.name not in self._ready:
             solver = self.solver(material)
             kept = len(self.particles) * (1 + len(self._ready)) <= KEPT
             self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
-        return self._ready[material.name][0]
+        return self._ready[material.name][0] * self.settings.samples_per_frame
 
     def solver(self, material: Material) -> Marcher:
         """The solver of one material, at its start."""
@@ -89,11 +97,11 @@ class Plan:
         if self.settings.solver == "tl" and self.bodies is not None:
             more |= {"encounters": self.encounters, "rider_body": self.bodies.riders}
         return make_solver(
-            self.settings_of(material),
+            sampled(self.settings_of(material)),
             self.particles,
             self.table(material),
             samples=self.samples,
-            riders=self.points if self.settings.skin == "embed" else {},
+            riders=self.points if self.choices.mesh and self.settings.skin == "embed" else {},
             pins=self.pins,
             **more,
         )
@@ -155,9 +163,9 @@ def describe(plan: Plan) -> dict[str, Any]:
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
         "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
-        "frames": plan.settings.frames,
+        "frames": written(plan.settings),
         "fps": plan.settings.fps,
-        "start": plan.settings.start,
+        "start": plan.settings.time_code(plan.settings.first),
         "drop_m": plan.drop,
         "pins": [p.name for p in plan.pins],
         "outputs": [str(p) for p in plan.outputs.all],
@@ -184,6 +192,7 @@ def report_json(
     warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
     return {
         **describe(plan),
+        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
         "notes": list(notes),
         "seconds": seconds,
         "settings": settings_json(plan.settings),
@@ -204,6 +213,7 @@ class LookResult:
     health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[Caution, ...] = ()
+    clips: tuple[Path, ...] = ()  # files beside the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd import paper_options
+from gf_usd.choices import parse_only
 from gf_usd.errors import UsageError
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
 from gf_usd.playback import authored_rate, first_time_code
+from gf_usd.timeline import parse_range, span
 
 DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
 DEFAULT_FPS = 24.0
@@ -61,6 +63,13 @@ class Request:
     combine: bool = False  # all meshes are one body
     self_contact: bool = False  # bodies meet themselves
     floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
+    only: str | None = None  # "mesh", "gaussians,points", ...
+    flatten: bool = False  # one file
+    samples_per_frame: int | None = None
+    range: str | None = None  # time codes "FIRST:LAST" that are written
+    handles: int | None = None  # frames written on both sides besides
+    clip_frames: int | None = None  # of a value clip; 0: one file
+    half: bool = False
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -96,9 +105,35 @@ class Request:
             raise UsageError(f"--seed is {self.seed}", "give a number of 0 or more")
         if self.start is not None and not np.isfinite(self.start):
             raise UsageError(f"--start is {self.start}", "give a finite time code")
+        self._check_output()
         parse_length("--drop", self.drop or DEFAULT_DROP, 1.0, 1.0)
         parse_gravity(self.gravity, np.array([0.0, 1.0, 0.0]))
         parse_floor(self.floor, np.array([0.0, 1.0, 0.0]), 1.0)
+
+    def _check_output(self) -> None:
+        """Raise UsageError for output choices that make no sense."""
+        parse_only(self.only)
+        if self.range is not None:
+            parse_range(self.range)
+        for option, value, low in (
+            ("--samples-per-frame", self.samples_per_frame, 1),
+            ("--handles", self.handles, 0),
+            ("--clip-frames", self.clip_frames, 0),
+        ):
+            if value is not None and value < low:
+                raise UsageError(f"{option} is {value}", f"give a number of {low} or more")
+        if self.flatten and self.clip_frames:
+            raise UsageError(
+                f"--clip-frames {self.clip_frames} and --flatten were both given",
+                "give one: a flattened bake is one file",
+            )
+        asked = (self.preset, self.wls, self.procrustes)
+        if (self.samples_per_frame or 1) > 1 and any(asked):
+            raise UsageError(
+                f"--samples-per-frame {self.samples_per_frame} does not go with --preset paper,"
+                " --wls or --procrustes",
+                "leave them out: what they do once a frame would be done at every sample",
+            )
 
     def _check_solver(self) -> None:
         """Raise UsageError for options that the solver asked for does not know."""
@@ -138,6 +173,9 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         lift = height
     slow = parse_time_scale(request.time_scale, T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
+    start = first_time_code(facts, request.start)
+    frames = request.frames or (PAPER_FRAMES if paper else shot)
+    first, frames = span(request, start, (authored or fps) / fps, frames)
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
@@ -145,10 +183,12 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     if drag is None:
         drag = PAPER_DRAG / T if paper else 0.0
     return Settings(
-        frames=request.frames or (PAPER_FRAMES if paper else shot),
+        frames=frames,
+        first=first,
+        samples_per_frame=request.samples_per_frame or 1,
         fps=fps,
         time_codes_per_second=authored or fps,
-        start=first_time_code(facts, request.start),
+        start=start,
         gravity=parse_gravity(request.gravity, facts.up),
         up=_triple(facts.up),
         floor=floor,

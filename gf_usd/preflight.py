@@ -41,7 +41,8 @@ def prepare(
     source = Path(path)
     target_name = None if output is None else str(output)
     if looks:
-        require_free(outputs(source, [look.name for look in looks], target_name), overwrite)
+        names = [look.name for look in looks]
+        require_free(outputs(source, names, target_name, request.flatten), overwrite)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
@@ -58,13 +59,17 @@ def prepare(
     else:
         asset = converted.asset(prims=tuple(prims), time_code=request.start)
     asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
-    files = outputs(source, [look.name for look in looks], target_name)
+    names = [look.name for look in looks]
+    files = outputs(source, names, target_name, request.flatten)
     require_free(files, overwrite)
     if converted is not None:
         target = files.source
-        assert target is not None
-        files = replace(files, textures=converted.textures(target))
-        require_source_free(files, converted.is_at(target), overwrite)
+        if target is not None:
+            files = replace(files, textures=converted.textures(target))
+            require_source_free(files, converted.is_at(target), overwrite)
+        elif files.root.suffix != ".usdz":
+            files = replace(files, textures=converted.textures(files.root))
+            require_free(files, overwrite)
     from gf_usd.inspection import implausible_size
 
     file = source if converted is None else converted.layer

@@ -14,6 +14,7 @@ from typing import Any
 
 from gf_usd.materials import G0
 from gf_usd.model import Health, Settings
+from gf_usd.timeline import joined
 
 REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
 
@@ -47,10 +48,14 @@ class HealthLog:
         self._radius, self._particles, self._held = radius, particles, held
         self._bodies = bodies
         self.frames: list[Health] = []
+        self._passing: list[Health] = []  # samples since the last frame
 
     def add(self, health: Health) -> None:
-        """Append the next frame's health."""
-        self.frames.append(health)
+        """Append the health of the next sample; every `samples_per_frame` make a frame."""
+        self._passing.append(health)
+        if not self.frames or len(self._passing) == self._settings.samples_per_frame:
+            self.frames.append(joined(self._passing))
+            self._passing = []
 
     def summary(self) -> dict[str, Any]:
         """Totals and extremes over the frames so far; None where a question has no answer."""

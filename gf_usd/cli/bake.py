@@ -9,6 +9,15 @@ from typing import Annotated
 import typer
 
 from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.output_options import (
+    ClipFrames,
+    Flatten,
+    Half,
+    Handles,
+    Only,
+    Range,
+    SamplesPerFrame,
+)
 
 
 def bake(
@@ -25,7 +34,8 @@ def bake(
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", help="Root layer, or a folder if it ends in / or is one.",
+            "--output", "-o",
+            help="Root layer, a package (.usdz), or a folder if it ends in / or is one.",
             show_default="NAME.MATERIAL.usda in this folder",
         ),
     ] = None,
@@ -171,6 +181,13 @@ def bake(
     stress: Annotated[
         bool, typer.Option("--stress", help="Write the von Mises stress of every particle.")
     ] = False,
+    only: Only = None,
+    flatten: Flatten = False,
+    half: Half = False,
+    samples_per_frame: SamplesPerFrame = None,
+    range: Range = None,
+    handles: Handles = None,
+    clip_frames: ClipFrames = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
@@ -205,7 +222,8 @@ def bake(
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair,
+        repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
+        range=range, handles=handles, clip_frames=clip_frames,
     )  # fmt: skip
     if dry_run:
         show_plan(plan, as_json=as_json, max_hours=max_hours)
@@ -221,6 +239,6 @@ def bake(
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:
-        summarise(result)
+        summarise(result, plan)
     if strict:
         require_healthy(result)

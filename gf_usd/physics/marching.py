@@ -122,7 +122,7 @@ class Marcher(ABC):
         raise SolverError(
             f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
             f" halvings of the step to {self.dt:.3g} s",
-            self._hint() + f"; frames up to {index - 1} are in the partial cache",
+            self._hint() + "; the frames before it are in the partial cache",
             frame=index,
             particle=particle,
         )

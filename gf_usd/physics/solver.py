@@ -219,7 +219,7 @@ class TotalLagrangian(Marcher):
             penetration=float(self.arrays["sample_depth"].to_numpy().max()),
         )
 
-    def vector(self, values: Floats) -> Any:
+    def vector(self, values: Any) -> Any:
         """Three numbers as the kernels take them."""
         return self._vec([float(v) for v in values])
 

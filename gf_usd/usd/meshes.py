@@ -42,7 +42,6 @@ class MeshTrack:
         self.space = Space(prim, clock, meters_per_unit)
         self.low = self.high = np.zeros(3)
         self._surface = surface
-        _free_instances(cache, prim)
         over = cache.OverridePrim(self.path)
         self._points = over.CreateAttribute("points", Types.Point3fArray, False)
         self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
@@ -81,6 +80,10 @@ class MeshTrack:
         normals = self._local_normals(pose, points, time_code)
         if self._normals is not None and normals is not None:
             self._normals.Set(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)), time_code)
+
+    def to_world(self, time_code: float) -> Floats:
+        """Local-to-world matrix (4, 4) for row vectors, stage units."""
+        return np.linalg.inv(self.space.from_world(time_code))
 
     def _local_normals(self, pose: MeshPose, points: Floats, time_code: float) -> Floats | None:
         if self._shading is not None:
@@ -147,8 +150,8 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
         )
 
 
-def _free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
-    # opinions on instance proxies are ignored
+def free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
+    """End every instance above a prim: opinions on instance proxies are ignored."""
     if not prim.IsInstanceProxy():
         return
     parent = prim.GetParent()

@@ -95,10 +95,12 @@ MARKS: dict[str, tuple[str, ...]] = {
 }
 
 SETTINGS: dict[str, tuple[str, str]] = {
-    "frames": ("Frames", ""),
+    "frames": ("Frames simulated", ""),
+    "first": ("First frame written, from 0", ""),
+    "samples_per_frame": ("Samples per frame", ""),
     "fps": ("Frames per second", "1/s"),
     "time_codes_per_second": ("Time codes per second", "1/s"),
-    "start": ("First time code", ""),
+    "start": ("Time code of frame 0", ""),
     "gravity": ("Gravity", "m/s²"),
     "up": ("Up axis", ""),
     "floor": ("Height of the floor", "m"),
