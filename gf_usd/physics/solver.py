@@ -125,7 +125,7 @@ class TotalLagrangian(Marcher):
         self.law = LAWS[law]
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
-        self.cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+        self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
     def save(self) -> dict[str, Any]:
@@ -169,7 +169,7 @@ class TotalLagrangian(Marcher):
         keep = float(np.exp(-s.drag * dt))
         g, up = self._vec(list(s.gravity)), self._vec(list(self.normal))
         free = self.stencil.free_count
-        counts = (len(self.stencil.cell_nodes), free, self.stencil.node_count - free, active)
+        counts = (self.batches.groups, free, self.stencil.node_count - free, active)
         tail = (g, up, lift, dt, keep, 1.0 / self.h, self.converged)
         if len(self.particles) < SERIAL_BELOW:
             phase = self.done % every if every else 0

@@ -1,17 +1,14 @@
-"""Splines, gathers and deposits of one cell's particles, eight at a time.
+"""Splines, gathers and deposits of eight cells at once, one in each lane.
 
-A cell's particles share its 27 nodes, so a node's value is loaded once for eight of them, and sums
-over the 27 are factorised by axis.
+A batch holds a particle of each of a group's eight cells.  So what the cells know of their nodes is
+lane vectors too, fetched once for all batches of the group, a deposit is a sum in its own lane, and
+sums over the 27 nodes are factorised by axis.  A group's block is 27 x 3 lane vectors: first what
+is gathered, in the end what is deposited.
 """
 
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES
-
-
-@ti.func
-def load(A: ti.template(), o):
-    return ti.Vector([A[o], A[o + 1], A[o + 2], A[o + 3], A[o + 4], A[o + 5], A[o + 6], A[o + 7]])
 
 
 @ti.func
@@ -29,7 +26,43 @@ def spline(f):
 
 
 @ti.func
-def gradient(body: ti.template(), field: ti.template(), cell, w: ti.template(), dw: ti.template()):
+def splines(body: ti.template(), b):
+    """w and dw of batch b along the three axes."""
+    w0, d0 = spline(body.fx[3 * b])
+    w1, d1 = spline(body.fx[3 * b + 1])
+    w2, d2 = spline(body.fx[3 * b + 2])
+    return [w0, w1, w2], [d0, d1, d2]
+
+
+@ti.func
+def gather(body: ti.template(), field: ti.template(), group):
+    """A nodal vector field at the 27 nodes of eight cells: 27 x 3 lane vectors, node by node."""
+    for n in range(27 * group, 27 * group + 27):
+        o = n * LANES
+        i0 = body.group_nodes[o]
+        i1 = body.group_nodes[o + 1]
+        i2 = body.group_nodes[o + 2]
+        i3 = body.group_nodes[o + 3]
+        i4 = body.group_nodes[o + 4]
+        i5 = body.group_nodes[o + 5]
+        i6 = body.group_nodes[o + 6]
+        i7 = body.group_nodes[o + 7]
+        for d in ti.static(range(3)):
+            body.block[3 * n + d] = ti.Vector(
+                [field[i0 + d], field[i1 + d], field[i2 + d], field[i3 + d],
+                 field[i4 + d], field[i5 + d], field[i6 + d], field[i7 + d]]
+            )  # fmt: skip
+    return block(body, group)
+
+
+@ti.func
+def block(body: ti.template(), group):
+    """The 27 x 3 lane vectors of a group's block."""
+    return [body.block[81 * group + n] for n in ti.static(range(81))]
+
+
+@ti.func
+def gradient(q: ti.template(), w: ti.template(), dw: ti.template()):
     """sum_i q_i (x) dw_i, per cell spacing, of a nodal vector field q: nine lane vectors."""
     zero = w[0][0] * 0.0
     out = [zero, zero, zero, zero, zero, zero, zero, zero, zero]
@@ -42,10 +75,10 @@ def gradient(body: ti.template(), field: ti.template(), cell, w: ti.template(), 
             tj = zero
             tk = zero
             for j in ti.static(range(3)):
-                o = cell * 27 + 9 * i + 3 * j
-                q0 = field[body.cell_nodes[o] * 3 + d]
-                q1 = field[body.cell_nodes[o + 1] * 3 + d]
-                q2 = field[body.cell_nodes[o + 2] * 3 + d]
+                o = ti.static(3 * (9 * i + 3 * j) + d)
+                q0 = q[o]
+                q1 = q[o + 3]
+                q2 = q[o + 6]
                 s = w[2][0] * q0 + w[2][1] * q1 + w[2][2] * q2
                 sk = dw[2][0] * q0 + dw[2][1] * q1 + dw[2][2] * q2
                 t += w[1][j] * s
@@ -58,38 +91,3 @@ def gradient(body: ti.template(), field: ti.template(), cell, w: ti.template(), 
         out[3 * d + 1] = g1
         out[3 * d + 2] = g2
     return out
-
-
-@ti.func
-def deposit(body: ti.template(), o, x, first):
-    """Add the sum of the lanes to a cell's own block (cleared by its first batch)."""
-    s = lane_sum(x)
-    if first == 0:
-        s += body.block[o]
-    body.block[o] = s
-
-
-@ti.func
-def strain(
-    body: ti.template(), cell, b, w: ti.template(), dw: ti.template(), ih, options: ti.template()
-):
-    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
-    F = gradient(body, body.u, cell, w, dw)
-    for a in ti.static(range(9)):
-        F[a] = F[a] * ih
-    if ti.static(options.anchored):
-        for a in ti.static(range(9)):
-            F[a] = F[a] + load(body.F0, (9 * b + a) * LANES)
-    else:
-        for a in ti.static(range(3)):
-            F[4 * a] = F[4 * a] + 1.0
-    return F
-
-
-@ti.func
-def deformation(body: ti.template(), cell, b, ih, options: ti.template()):
-    """F of one batch, as `strain`."""
-    w0, d0 = spline(load(body.fx, b * 24))
-    w1, d1 = spline(load(body.fx, b * 24 + 8))
-    w2, d2 = spline(load(body.fx, b * 24 + 16))
-    return strain(body, cell, b, [w0, w1, w2], [d0, d1, d2], ih, options)
