@@ -6,16 +6,24 @@ A group writes to a block of its own, 27 nodes x 3 for each cell, so groups neve
 import taichi as ti
 
 from gf_usd.physics.option_kernel import clip, cut
-from gf_usd.physics.stencil_kernel import gather, gradient, splines
+from gf_usd.physics.stencil_kernel import (
+    differences,
+    differences_transposed,
+    gather,
+    gradient,
+    middle,
+    spline,
+    spread,
+)
 
 
 @ti.func
-def strain(body: ti.template(), b, u: ti.template(), w: ti.template(), dw: ti.template(), ih,
+def strain(body: ti.template(), b, u: ti.template(), s: ti.template(), h: ti.template(), ih,
            options: ti.template()):  # fmt: skip
     """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
-    F = gradient(u, w, dw)
+    F = gradient(u, s, h)
     for a in ti.static(range(9)):
-        F[a] = F[a] * ih
+        F[a] = F[a] * (0.5 * ih)
     if ti.static(options.anchored):
         for a in ti.static(range(9)):
             F[a] = F[a] + body.F0[9 * b + a]
@@ -32,43 +40,36 @@ def stress_group(
 ):  # fmt: skip
     """-V0 P G of the particles of eight cells into their block."""
     u = gather(body, body.u, group)
+    differences(u)
     rate = gather(body, body.v, group) if ti.static(damped) else u
+    if ti.static(damped):
+        differences(rate)
     zero = u[0] * 0.0
     out = [zero for n in ti.static(range(81))]
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
-        w, dw = splines(body, b)
-        F = strain(body, b, u, w, dw, ih, options)
+        s, h = middle(body, b)
+        F = strain(body, b, u, s, h, ih, options)
         if ti.static(options.clamped):
             clip(body, b, F, True)
         P = law.pk1(F, body.mu[b], body.lam[b], converged)
         if ti.static(damped):
             # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), objective.
-            D = gradient(rate, w, dw)
-            k = body.viscosity[b] * ih
+            D = gradient(rate, s, h)
+            k = body.viscosity[b] * (0.25 * ih)
             for a in ti.static(range(3)):
                 for c in ti.static(range(3)):
-                    s = 0.5 * k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
-                    # s_ac enters sym twice: F (s + s^T).
+                    e = k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
+                    # e_ac enters sym twice: F (e + e^T).
                     for r in ti.static(range(3)):
-                        P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * s
-                        P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * s
+                        P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * e
+                        P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * e
         if ti.static(options.capped):
             cut(body, b, P, True)
-        k = (0.0 - ih) * body.V0[b]
-        for d in ti.static(range(3)):
-            T0 = k * P[3 * d]
-            T1 = k * P[3 * d + 1]
-            T2 = k * P[3 * d + 2]
-            for i in ti.static(range(3)):
-                a = dw[0][i] * T0
-                bb = w[0][i] * T1
-                c = w[0][i] * T2
-                for j in ti.static(range(3)):
-                    e = w[1][j] * a + dw[1][j] * bb
-                    f = w[1][j] * c
-                    for m in ti.static(range(3)):
-                        n = ti.static((9 * i + 3 * j + m) * 3 + d)
-                        out[n] = out[n] + (w[2][m] * e + dw[2][m] * f)
+        k = (0.0 - 0.5 * ih) * body.V0[b]
+        for a in ti.static(range(9)):
+            P[a] = k * P[a]
+        spread(P, s, h, out)
+    differences_transposed(out)
     for n in ti.static(range(81)):
         body.block[81 * group + n] = out[n]
 
@@ -86,7 +87,7 @@ def filter_group(body: ti.template(), group):
         f0 = body.fx[3 * b]
         f1 = body.fx[3 * b + 1]
         f2 = body.fx[3 * b + 2]
-        w, _ = splines(body, b)
+        w = [spline(f0), spline(f1), spline(f2)]
         m = body.m[b]
         for d in ti.static(range(3)):
             v = zero

@@ -30,7 +30,7 @@ from gf_usd.physics.node_kernel import (
 )  # fmt: skip
 from gf_usd.physics.option_kernel import clip, cut
 from gf_usd.physics.options import PLAIN, Options
-from gf_usd.physics.stencil_kernel import gather, splines
+from gf_usd.physics.stencil_kernel import differences, gather, middle
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -153,10 +153,11 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
             if z % STRIDE == 0:
                 group = z // STRIDE
                 q = gather(body, body.u, group)
+                differences(q)
                 total = q[0] * 0.0
                 for b in range(body.group_batch[group], body.group_batch[group + 1]):
-                    w, dw = splines(body, b)
-                    F = strain(body, b, q, w, dw, ih, options)
+                    s, h = middle(body, b)
+                    F = strain(body, b, q, s, h, ih, options)
                     if ti.static(options.clamped):
                         clip(body, b, F, False)
                     total += body.V0[b] * law.psi(F, body.mu[b], body.lam[b], converged)
@@ -173,9 +174,10 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
             if z % STRIDE == 0:
                 group = z // STRIDE
                 q = gather(body, body.u, group)
+                differences(q)
                 for b in range(body.group_batch[group], body.group_batch[group + 1]):
-                    w, dw = splines(body, b)
-                    F = strain(body, b, q, w, dw, ih, options)
+                    s, h = middle(body, b)
+                    F = strain(body, b, q, s, h, ih, options)
                     if ti.static(options.clamped):
                         clip(body, b, F, False)
                     P = law.pk1(F, body.mu[b], body.lam[b], converged)

@@ -1,14 +1,24 @@
-"""Splines, gathers and deposits of eight cells at once, one in each lane.
+"""What eight cells know of their nodes, one cell in each lane, and the way back.
 
-A batch holds a particle of each of a group's eight cells.  So what the cells know of their nodes is
-lane vectors too, fetched once for all batches of the group, a deposit is a sum in its own lane, and
-sums over the 27 nodes are factorised by axis.  A group's block is 27 x 3 lane vectors: first what
-is gathered, in the end what is deposited.
+A batch holds a particle of each of a group's eight cells.  So nodal values are lane vectors too,
+fetched once for all batches of the group, and a deposit is a sum in its own lane.
+
+On a cell a nodal field q is a quadratic along each axis.  With s = f - 1 in [-1/2, 1/2) and h = s/2
+the three nodes' splines add up to
+
+    q(s) = a + h (b + c s),    2 dq/ds = b + 2 c s,    a = q1 + c/8,  b = q2 - q0,  c = q0 - 2 q1 + q2
+
+which takes a third fewer operations than the weights, and loses no digits where the q are alike.
+Forces go the same way back: moments about the middle of the cell, then the transposed differences.
 """
 
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES
+
+# Component d of node (i, j, k) is number 27 i + 9 j + 3 k + d.
+STEPS = (27, 9, 3)
+LINES = tuple(tuple(n for n in range(81) if n // step % 3 == 0) for step in STEPS)
 
 
 @ti.func
@@ -18,20 +28,20 @@ def lane_sum(x):
 
 @ti.func
 def spline(f):
-    """w and dw (per cell) of the three nodes along one axis; f in [0.5, 1.5)."""
+    """The splines of the three nodes along one axis; f in [0.5, 1.5)."""
     a = 1.5 - f
     b = f - 1.0
     c = f - 0.5
-    return [0.5 * a * a, 0.75 - b * b, 0.5 * c * c], [f - 1.5, -2.0 * b, c]
+    return [0.5 * a * a, 0.75 - b * b, 0.5 * c * c]
 
 
 @ti.func
-def splines(body: ti.template(), b):
-    """w and dw of batch b along the three axes."""
-    w0, d0 = spline(body.fx[3 * b])
-    w1, d1 = spline(body.fx[3 * b + 1])
-    w2, d2 = spline(body.fx[3 * b + 2])
-    return [w0, w1, w2], [d0, d1, d2]
+def middle(body: ti.template(), b):
+    """s and h of batch b along the three axes."""
+    s0 = body.fx[3 * b] - 1.0
+    s1 = body.fx[3 * b + 1] - 1.0
+    s2 = body.fx[3 * b + 2] - 1.0
+    return [s0, s1, s2], [0.5 * s0, 0.5 * s1, 0.5 * s2]
 
 
 @ti.func
@@ -62,32 +72,90 @@ def block(body: ti.template(), group):
 
 
 @ti.func
-def gradient(q: ti.template(), w: ti.template(), dw: ti.template()):
-    """sum_i q_i (x) dw_i, per cell spacing, of a nodal vector field q: nine lane vectors."""
-    zero = w[0][0] * 0.0
-    out = [zero, zero, zero, zero, zero, zero, zero, zero, zero]
+def evaluate(a, b, c, s, h):
+    """q(s) and 2 dq/ds."""
+    t = c * s
+    e = b + t
+    return a + h * e, e + t
+
+
+@ti.func
+def differences(q: ti.template()):
+    """a, b, c along each axis in place of the 27 values q, for each of three components."""
+    for axis in ti.static(range(3)):
+        for o in ti.static(LINES[axis]):
+            n = ti.static(STEPS[axis])
+            b = q[o + 2 * n] - q[o]
+            c = (q[o + 2 * n] - q[o + n]) - (q[o + n] - q[o])
+            q[o] = q[o + n] + 0.125 * c
+            q[o + n] = b
+            q[o + 2 * n] = c
+
+
+@ti.func
+def differences_transposed(q: ti.template()):
+    """The transpose of `differences`: moments to nodes, in place."""
+    for axis in ti.static(range(3)):
+        for o in ti.static(LINES[axis]):
+            n = ti.static(STEPS[axis])
+            a = q[o]
+            b = q[o + n]
+            c = q[o + 2 * n] + 0.125 * a
+            q[o] = c - b
+            q[o + n] = a - 2.0 * c
+            q[o + 2 * n] = c + b
+
+
+@ti.func
+def gradient(q: ti.template(), s: ti.template(), h: ti.template()):
+    """2 dq/ds, nine lane vectors row by row, of the field with `differences` q."""
+    out = [s[0], s[0], s[0], s[0], s[0], s[0], s[0], s[0], s[0]]
     for d in ti.static(range(3)):
-        g0 = zero
-        g1 = zero
-        g2 = zero
+        along_j = [s[0], s[0], s[0]]
+        along_k = [s[0], s[0], s[0]]
+        value = [s[0], s[0], s[0]]
         for i in ti.static(range(3)):
-            t = zero
-            tj = zero
-            tk = zero
-            for j in ti.static(range(3)):
-                o = ti.static(3 * (9 * i + 3 * j) + d)
-                q0 = q[o]
-                q1 = q[o + 3]
-                q2 = q[o + 6]
-                s = w[2][0] * q0 + w[2][1] * q1 + w[2][2] * q2
-                sk = dw[2][0] * q0 + dw[2][1] * q1 + dw[2][2] * q2
-                t += w[1][j] * s
-                tj += dw[1][j] * s
-                tk += w[1][j] * sk
-            g0 += dw[0][i] * t
-            g1 += w[0][i] * tj
-            g2 += w[0][i] * tk
-        out[3 * d] = g0
-        out[3 * d + 1] = g1
-        out[3 * d + 2] = g2
+            o = ti.static(27 * i + d)
+            q0, r0 = evaluate(q[o], q[o + 3], q[o + 6], s[2], h[2])
+            q1, r1 = evaluate(q[o + 9], q[o + 12], q[o + 15], s[2], h[2])
+            q2, r2 = evaluate(q[o + 18], q[o + 21], q[o + 24], s[2], h[2])
+            x, y = evaluate(q0, q1, q2, s[1], h[1])
+            z, _ = evaluate(r0, r1, r2, s[1], h[1])
+            value[i] = x
+            along_j[i] = y
+            along_k[i] = z
+        _, x = evaluate(value[0], value[1], value[2], s[0], h[0])
+        y, _1 = evaluate(along_j[0], along_j[1], along_j[2], s[0], h[0])
+        z, _2 = evaluate(along_k[0], along_k[1], along_k[2], s[0], h[0])
+        out[3 * d] = x
+        out[3 * d + 1] = y
+        out[3 * d + 2] = z
     return out
+
+
+@ti.func
+def spread(T: ti.template(), s: ti.template(), h: ti.template(), q: ti.template()):
+    """The transpose of `gradient`: add to q what nine lane vectors T on 2 dq/ds give it.
+
+    x on q(s) and y on 2 dq/ds give x to a, h x + y to b and s (h x + 2 y) to c.
+    """
+    for d in ti.static(range(3)):
+        x = [T[3 * d], T[3 * d], 2.0 * s[0] * T[3 * d]]  # nothing for a
+        y = [T[3 * d + 1], h[0] * T[3 * d + 1], s[0] * h[0] * T[3 * d + 1]]
+        z = [T[3 * d + 2], h[0] * T[3 * d + 2], s[0] * h[0] * T[3 * d + 2]]
+        for i in ti.static(range(3)):
+            values = [x[i], y[i], 2.0 * s[1] * y[i]]
+            if ti.static(i > 0):
+                b = h[1] * x[i] + y[i]
+                values[1] = b
+                values[2] = s[1] * (b + y[i])
+            b = h[1] * z[i]
+            slopes = [z[i], b, s[1] * b]
+            for j in ti.static(range(3)):
+                o = ti.static(27 * i + 9 * j + d)
+                b = slopes[j]
+                if ti.static(i > 0 or j > 0):
+                    q[o] = q[o] + values[j]
+                    b += h[2] * values[j]
+                q[o + 3] = q[o + 3] + b
+                q[o + 6] = q[o + 6] + s[2] * (b + slopes[j])
