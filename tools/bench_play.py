@@ -25,13 +25,18 @@ import bench_scene as scene
 import numpy as np
 
 
+def chunk(dt: float) -> int:
+    """Substeps in a frame of `FPS`."""
+    return max(1, round(1.0 / (scene.FPS * dt)))
+
+
 def main(solver: Any, versions: dict[str, str]) -> None:
     """Do the job of the command line with a solver class."""
     job = json.loads(sys.argv[1])
     n, threads = int(job["n"]), len(os.sched_getaffinity(0))
     dt = float(job.get("dt") or getattr(solver, "STEP", 1.0) * scene.step(n))
     body = solver(n, dt, threads)
-    body.advance(1)
+    body.advance(chunk(dt))
     out: dict[str, Any] = {
         "versions": versions,
         "particles": len(body.positions()),
@@ -50,7 +55,7 @@ def main(solver: Any, versions: dict[str, str]) -> None:
 def speed(solver: Any, arguments: tuple[int, float, int], seconds: float) -> dict[str, float]:
     """Seconds per substep, wall and CPU, along the drop."""
     dt = arguments[1]
-    frame = max(1, round(1.0 / (60.0 * dt)))
+    frame = 2 * chunk(dt)  # a frame of 60 Hz
     body = solver(*arguments)
     body.advance(frame)  # whatever is still made at the first call
     done, wall, cpu = 0, 0.0, 0.0
@@ -70,7 +75,7 @@ def speed(solver: Any, arguments: tuple[int, float, int], seconds: float) -> dic
 
 def drop(body: Any, dt: float) -> dict[str, Any]:
     """Least height of the ball over its height at rest, and the top of the rebound [m]."""
-    every = max(1, round(1.0 / (scene.FPS * dt)))
+    every = chunk(dt)
     heights, centres = [], []
     wall, cpu = 0.0, 0.0
     rest = float(np.ptp(body.positions()[:, 1]))

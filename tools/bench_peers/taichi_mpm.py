@@ -39,9 +39,9 @@ def kernels(n: int, dt: float, threads: int):
 
     @ti.kernel
     def substep():
-        for I in ti.grouped(grid_m):
-            grid_v[I] = ti.zero(grid_v[I])
-            grid_m[I] = 0
+        for node in ti.grouped(grid_m):
+            grid_v[node] = ti.zero(grid_v[node])
+            grid_m[node] = 0
         for p in x:
             Xp = x[p] / dx
             base = int(Xp - 0.5)
@@ -61,15 +61,15 @@ def kernels(n: int, dt: float, threads: int):
                     weight *= w[offset[i]][i]
                 grid_v[base + offset] += weight * (p_mass * v[p] + affine @ dpos)
                 grid_m[base + offset] += weight * p_mass
-        for I in ti.grouped(grid_m):
-            if grid_m[I] > 0:
-                grid_v[I] /= grid_m[I]
-            grid_v[I] += dt * ti.Vector([0.0, -scene.GRAVITY, 0.0])
+        for node in ti.grouped(grid_m):
+            if grid_m[node] > 0:
+                grid_v[node] /= grid_m[node]
+            grid_v[node] += dt * ti.Vector([0.0, -scene.GRAVITY, 0.0])
             for d in ti.static(range(3)):
-                if I[d] < BOUND and grid_v[I][d] < 0:
-                    grid_v[I][d] = 0
-                if I[d] > grid[d] - BOUND and grid_v[I][d] > 0:
-                    grid_v[I][d] = 0
+                if node[d] < BOUND and grid_v[node][d] < 0:
+                    grid_v[node][d] = 0
+                if node[d] > grid[d] - BOUND and grid_v[node][d] > 0:
+                    grid_v[node][d] = 0
         for p in x:
             Xp = x[p] / dx
             base = int(Xp - 0.5)
