@@ -4,8 +4,8 @@
                                   [--cores 1] [--seconds 2] [--jobs speed,drop] [--json FILE]
 
 Peers are installed from PyPI into environments of their own below --into, once.  Runs are taken in
-turns, so that what else the machine does strikes all alike; every figure is a median, and ratios are
-taken of CPU time.  POSIX only: processes are held to their cores by sched_setaffinity.
+turns, so that what else the machine does strikes all alike; every figure is a median, and ratios
+are taken of CPU time.  POSIX only: processes are held to their cores by sched_setaffinity.
 """
 
 from __future__ import annotations
