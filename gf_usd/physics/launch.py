@@ -21,7 +21,7 @@ def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
     g, up = solver.vector(s.gravity), solver.vector(solver.normal)
     lift = float(solver.offset @ solver.normal)
     free = solver.stencil.free_count
-    counts = (len(solver.stencil.cell_nodes), free, solver.stencil.node_count - free, active)
+    counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
     tail = (g, up, lift, dt, keep, 1.0 / solver.h, solver.converged)
     if len(solver.particles) < SERIAL_BELOW:
         phase = solver.done % every if every else 0

@@ -50,9 +50,9 @@ def arrays(batches: layout.Batches, settings: Settings) -> dict[str, Floats]:
     asked, lanes = options_of(settings), batches.source.size
     low, high = settings.clamp or (0.0, 0.0)
     return {
-        "F0": np.zeros(1),  # `Reanchor` puts what belongs here
+        "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
         "limits": np.array([low, high, settings.stress_cap or 0.0]),
-        "clip_room": np.zeros(9 * lanes if asked.clamped else 1),
+        "clip_room": np.zeros((9 * len(batches.source) if asked.clamped else 1, layout.LANES)),
         "clamped": np.zeros(lanes if asked.clamped else 1, int),
         "stress_capped": np.zeros(lanes if asked.capped else 1, int),
     }

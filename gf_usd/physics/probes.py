@@ -17,7 +17,7 @@ def elastic_energy(solver: TotalLagrangian) -> float:
     """sum_p V0 psi(F_p) [J]; with a clamp, of the F that the stress is taken of."""
     solver.kernels.energy(
         solver.pack,
-        len(solver.stencil.cell_nodes),
+        solver.batches.groups,
         solver.cell_energy,
         1.0 / solver.h,
         solver.converged,
@@ -27,8 +27,8 @@ def elastic_energy(solver: TotalLagrangian) -> float:
 
 def von_mises(solver: TotalLagrangian) -> Floats:
     """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
-    cells = len(solver.stencil.cell_nodes)
-    solver.kernels.stress(solver.pack, cells, solver.lane_stress, 1.0 / solver.h, solver.converged)
+    groups = solver.batches.groups
+    solver.kernels.stress(solver.pack, groups, solver.lane_stress, 1.0 / solver.h, solver.converged)
     out = np.empty(len(solver.particles))
     lanes = solver.lane_stress.to_numpy().astype(float)
     filled = solver.batches.filled.ravel() > 0.0

@@ -143,7 +143,7 @@ def arrays(
     """
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
-    slot_start, slot = layout.node_slots(stencil)
+    slot_start, slot = layout.node_slots(stencil, batches)
     height = np.zeros(1)
     if contact:
         height = contact.rows.X @ settings.normal - floor_height(settings)
@@ -155,7 +155,7 @@ def arrays(
         "mu": layout.lanes(batches, per["mu"], fill=True),
         "lam": layout.lanes(batches, per["lam"], fill=True),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
-        "block": np.zeros(81 * len(stencil.cell_nodes)),
+        "block": np.zeros((81 * batches.groups, layout.LANES)),
         "u": np.zeros(3 * stencil.node_count),
         "v": velocity.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
@@ -165,8 +165,8 @@ def arrays(
         "anchor": np.zeros(3 * followers),
         "anchor_rate": np.zeros(3 * followers),
         "work": np.zeros(followers),
-        "cell_batch": batches.cell_batch,
-        "cell_nodes": stencil.cell_nodes.ravel(),
+        "group_batch": batches.batch,
+        "group_nodes": layout.group_nodes(stencil, batches),
         "node_slot_start": slot_start,
         "node_slot": slot,
         **layout.follower_arrays(stencil),
@@ -176,7 +176,10 @@ def arrays(
 
 
 def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
-    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64)."""
+    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
+
+    Rows of lanes become vectors.
+    """
     import taichi as ti
 
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -184,6 +187,9 @@ def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
     for name, value in values.items():
         whole = np.issubdtype(value.dtype, np.integer)
         value = np.ascontiguousarray(value, dtype=np.int32 if whole else real)
-        out[name] = ti.ndarray(ti.i32 if whole else kind, value.shape)
+        made = ti.i32 if whole else kind
+        if value.ndim > 1:
+            made = ti.types.vector(value.shape[1], made)
+        out[name] = ti.ndarray(made, value.shape[:1])
         out[name].from_numpy(value)
     return out

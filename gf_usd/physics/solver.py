@@ -146,7 +146,7 @@ class TotalLagrangian(Marcher):
         self.law = LAWS[law]
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
-        self.cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+        self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
     def save(self) -> dict[str, Any]:
