@@ -47,6 +47,8 @@ class Board:
         if row is None:
             return None
         kind = event["event"]
+        if row.state not in ("waiting", "running"):
+            return row  # a cluster may tell what was before the end after it
         if kind == "started":
             row.state, row.attempt, row.began = "running", event["attempt"], self._clock()
             row.done, row.frames_per_second = 0, 0.0

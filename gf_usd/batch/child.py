@@ -66,17 +66,18 @@ class Child:
         timeout : [s] after which it is stopped.
         """
         process = self._process
-        assert process.stdout is not None
-        assert process.stderr is not None
+        stdout, stderr = process.stdout, process.stderr
+        assert stdout is not None
+        assert stderr is not None
         out: list[str] = []
-        reader = threading.Thread(target=lambda: out.append(process.stdout.read()), daemon=True)
+        reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
         reader.start()
         timer = threading.Timer(timeout or 0.0, self._time_out)
         if timeout:
             timer.daemon = True
             timer.start()
         tail = ""
-        for line in process.stderr:
+        for line in stderr:
             tail = (tail + line)[-TAIL:]
             on_line(line.rstrip("\n"))
         reader.join()
@@ -85,8 +86,8 @@ class Child:
         with self._lock:
             self._reaped = True
         timer.cancel()
-        process.stdout.close()
-        process.stderr.close()
+        stdout.close()
+        stderr.close()
         process.returncode = os.waitstatus_to_exitcode(code)
         return Ended(
             status=process.returncode,

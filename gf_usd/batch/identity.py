@@ -16,20 +16,26 @@ from gf_usd.batch.options import decisive, material_files
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SCHEMA = "generatedSchema.usda"
+APART = ("batch", "verify", "view")  # no bake runs any of it
 # their versions may round differently, or write differently
 LIBRARIES = ("usd-core", "taichi", "numpy", "scipy", "trimesh", "libigl", "pillow")
 
 
 @cache
 def program() -> dict[str, Any]:
-    """What bakes: a hash of the package's source, one of the schema, versions of libraries."""
+    """What bakes: a hash of its source, one of the schema, versions of libraries."""
     schemas = (PACKAGE / "schemas", PACKAGE.parent / "schemas")
     schema = next((p for folder in schemas for p in folder.glob(f"*/{SCHEMA}")), None)
     return {
-        "code": _hash_files(sorted(PACKAGE.rglob("*.py")), PACKAGE),
+        "code": _hash_files(_sources(), PACKAGE),
         "schema": _hash_files([schema], schema.parent) if schema else "",
         "libraries": {name: _version(name) for name in LIBRARIES},
     }
+
+
+def _sources() -> list[Path]:
+    files = sorted(PACKAGE.rglob("*.py"))
+    return [file for file in files if file.relative_to(PACKAGE).parts[0] not in APART]
 
 
 def _version(name: str) -> str:

@@ -1,8 +1,8 @@
 """Locks of the operating system, which end with the process that holds them, however it ends.
 
 A lock is an advisory `flock` on a file of its own, which stays: a file that is removed while
-another process waits for it would be two locks.  A child that inherits the descriptor holds the lock as
-well, until it ends or the lock is released.
+another process waits for it would be two locks.  A child that inherits the descriptor holds the
+lock as well, until it ends or the lock is released.
 """
 
 from __future__ import annotations

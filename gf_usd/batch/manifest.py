@@ -38,7 +38,7 @@ class Manifest:
 
     groups: tuple[Group, ...]
     folder: Path  # that relative paths are meant from
-    title: str = "batch"
+    title: str
     out: Path = Path(OUT)  # absolute
     timeout: float | None = None  # [s] of one attempt
     retries: int = RETRIES  # of jobs whose process died or took too long

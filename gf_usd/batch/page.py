@@ -21,21 +21,20 @@ from gf_usd.view.report_html import Html, join, policy, script, tag
 # head, whether it is a number, what it says
 COLUMNS = (
     ("", False, ""),
-    ("job", False, "name under the batch's folder"),
+    ("job", False, "name under the batch's folder, and what there is to know"),
     ("state", False, "how it ended"),
-    ("warnings", True, "what the bake warns of"),
+    ("warn\u00adings", True, "what the bake warns of"),
     ("redone", True, "frames redone with half the step"),
     ("inside out", True, "particles with J <= 0, summed over frames"),
     ("depth [s]", True, "deepest penetration of the floor, in spacings of particles"),
     ("energy gain", True, "largest of a frame that nobody accounts for, of the energy scale"),
-    ("particles", True, ""),
-    ("frames", True, ""),
-    ("frames/s", True, "between the first and the last frame"),
+    ("par\u00adticles", True, "how many"),
+    ("frames", True, "of all looks"),
+    ("frames /s", True, "between the first and the last frame"),
     ("time [s]", True, "of all attempts"),
     ("CPU [s]", True, "of all attempts"),
-    ("memory [MB]", True, "peak of the last attempt"),
+    ("mem. [MB]", True, "peak of the last attempt"),
     ("tries", True, "attempts"),
-    ("what to know", False, ""),
 )
 
 
@@ -107,7 +106,8 @@ def _header(
         line += f", {duration(float(entry['seconds']))} for the last run"
     parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
     if bad:
-        words = [tag("div", f"{len(bad)} need a look. To repeat just these:")]
+        many = "One job needs" if len(bad) == 1 else f"{len(bad)} jobs need"
+        words = [tag("div", f"{many} a look. To repeat just these:")]
         words.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
         parts.append(tag("div", *words, class_="banner"))
     if unknown:
@@ -145,7 +145,11 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
     shown = tag("img", src=picture, alt=outcome.job, loading="lazy") if picture else None
     cells = [
         tag("td", shown or tag("div", class_="none")),
-        tag("td", outcome.job, tag("small", asset), class_="name"),
+        tag(
+            "td",
+            outcome.job, tag("small", asset), tag("div", *_why(outcome, undrawn), class_="why"),
+            class_="name", data_value=outcome.job,
+        ),
         tag(
             "td",
             tag(
@@ -153,7 +157,7 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
                 class_="state good" if outcome.state in GOOD else "state",
             ),
             # failures come first where the column is sorted
-            data_value=f"{list(STATES).index(outcome.state):02d}",
+            data_value=f"{len(STATES) - list(STATES).index(outcome.state):02d}",
         ),
         _number(len(outcome.warnings) if health else None, "{:d}"),
         _number(health.get("rollbacks"), "{:d}"),
@@ -167,7 +171,6 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
         _number(outcome.cpu_seconds or None, "{:.1f}"),
         _number(outcome.peak_memory / 1e6 or None, "{:.0f}"),
         _number(outcome.attempts or None, "{:d}"),
-        tag("td", *_why(outcome, undrawn), class_="why"),
     ]  # fmt: skip
     text = " ".join((outcome.job, asset, outcome.state, outcome.message, outcome.command)).lower()
     return tag("tr", *cells, data_kind=kind, data_text=text)

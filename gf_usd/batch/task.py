@@ -78,7 +78,9 @@ def _run_locked(
     outcome = replace(
         outcome,
         host=socket.gethostname(),
-        notes=tuple(f"not to be skipped the next time: {why}" for why in unread),
+        notes=tuple(f"it will be baked again the next time: {why}" for why in unread)
+        if outcome.good
+        else (),
     )
     if outcome.good and stamps(inputs) != before:
         outcome = replace(

@@ -69,11 +69,10 @@ def plan_of(sources: Sequence[str], asked: Asked) -> BatchPlan:
             "--path-mapping goes with the jobs of a bundle", "give the bundle's jobs.json"
         )
     manifest = read_manifest(Path(sources[0])) if kinds == [True] else _of_assets(sources, asked)
-    here = Path.cwd()
     if kinds == [True]:
         manifest = _overridden(manifest, asked)
     if asked.out is not None:
-        manifest = replace(manifest, out=absolute(here / asked.out))
+        manifest = replace(manifest, out=absolute(asked.out))
     if asked.timeout is not None:
         manifest = replace(manifest, timeout=asked.timeout)
     if asked.retries is not None:
@@ -107,7 +106,8 @@ def _of_assets(sources: Sequence[str], asked: Asked) -> Manifest:
         sources, settings=asked.settings or {}, matrix={"material": ["rubber"], **_axes(asked)},
         name=asked.name, folder=Path.cwd(), where="the command line",
     )  # fmt: skip
-    return Manifest(groups=(group,), folder=Path.cwd(), out=absolute(Path.cwd() / OUT))
+    out = absolute(asked.out or Path(OUT))
+    return Manifest(groups=(group,), folder=Path.cwd(), title=out.name, out=out)
 
 
 def _overridden(manifest: Manifest, asked: Asked) -> Manifest:
