@@ -93,7 +93,9 @@ def _run_locked(
     try:
         write_record(job, outcome, identity=known, description=description, outputs=files)
     except GfUsdError as error:
-        return replace(outcome, state="failed", message=error.message, hint=error.hint)
+        if outcome.good:
+            return replace(outcome, state="failed", message=error.message, hint=error.hint)
+        return replace(outcome, notes=(*outcome.notes, error.message))
     return outcome
 
 
