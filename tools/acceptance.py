@@ -95,7 +95,7 @@ def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
 
 
 def read_batch(done: subprocess.CompletedProcess[str]) -> Outcome:
-    """What `tools/batch_acceptance.py --json` found.  Raises SystemExit where it printed nothing."""
+    """What `tools/batch_acceptance.py --json` found.  Raises SystemExit where that is nothing."""
     if not done.stdout:
         raise SystemExit(f"tools/batch_acceptance.py printed nothing, status {done.returncode}")
     tree = json.loads(done.stdout.splitlines()[-1])

@@ -40,7 +40,10 @@ def read_inputs(path: Path) -> Inputs:
     return Inputs(
         asset=path,
         files=tuple(sorted(rows.items())),
-        missing=tuple(sorted({relative(Path(name), folder) for name in missing})),
+        # what is searched for has no folder
+        missing=tuple(
+            sorted({relative(Path(n), folder) if Path(n).is_absolute() else n for n in missing})
+        ),
     )
 
 

@@ -17,7 +17,7 @@ from gf_usd.batch.options import material_files
 from gf_usd.errors import UsageError
 from gf_usd.output_files import outputs
 
-UNFIT = re.compile(r"[^A-Za-z0-9._+-]+")
+UNFIT = re.compile(r"[^A-Za-z0-9._+]+")
 
 
 @dataclass(frozen=True, kw_only=True)

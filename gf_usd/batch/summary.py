@@ -33,9 +33,10 @@ def counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
 
 def words(outcomes: Sequence[Outcome]) -> str:
     """``2 failed, 1 crashed, 197 done`` for a line."""
-    found = counts(ordered(outcomes))
-    good = [f"{found[s]} {s}" for s in GOOD if s in found]
-    return ", ".join([*(f"{n} {s}" for s, n in found.items() if s not in GOOD), *good]) or "no jobs"
+    found = counts(outcomes)
+    names = [state for state in reversed(STATES) if state in found and state not in GOOD]
+    names += [state for state in GOOD if state in found]
+    return ", ".join(f"{found[state]} {state}" for state in names) or "no jobs"
 
 
 def again(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
