@@ -36,7 +36,7 @@ class Table(HTMLParser):
             self.images.append(dict(attrs)["src"] or "")
 
     def handle_endtag(self, tag: str) -> None:
-        self.open = tag != "table"
+        self.open = self.open and tag != "table"
 
     def handle_data(self, data: str) -> None:
         if self.open and self.rows and self.rows[-1][1]:

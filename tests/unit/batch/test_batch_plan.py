@@ -34,7 +34,8 @@ def test_every_combination_is_a_job_named_by_what_differs(tmp_path: Path) -> Non
     matrix = {"seed": [0, 1], "material": ["rubber", "jelly"], "frames": [4]}
     found = plan(tmp_path, {"files": ["a.usda", "b.usda"], "matrix": matrix})
     assert names(found) == [
-        f"{asset}.{look}.seed{seed}" for asset in "ab" for look in ("rubber", "jelly") for seed in (0, 1)
+        f"{asset}.{look}.seed{seed}"
+        for asset in "ab" for look in ("rubber", "jelly") for seed in (0, 1)
     ]  # fmt: skip
     job = found.jobs[3]
     assert job.root == tmp_path / "out" / "a.jelly.seed1.usda"
@@ -71,7 +72,7 @@ def test_flags_and_lists_become_words(tmp_path: Path) -> None:
         # two assets of one name
         ([{"files": ["x/a.usda", "y/a.usda"]}], "would both write"),
         # a template that leaves an axis out
-        ([{"files": ["a.usda"], "matrix": {"seed": [0, 1]}, "name": "{asset}"}], "would both write"),
+        ([{"files": ["a.usda"], "matrix": {"seed": [0, 1]}, "name": "{asset}"}], "both write"),
         # two mesh files of one name would share a layer under it
         ([{"files": ["x/a.obj", "y/a.obj"], "name": "{folder}.{asset}"}], "a.source.usdc"),
         # and one that is read in two ways as well

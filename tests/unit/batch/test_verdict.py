@@ -19,9 +19,7 @@ RESULT = {
     "check": [],
     "bakes": [{"frames": 4, "health": {"rollbacks": 1, "min_J": 0.9}}, {"frames": 4, "health": {}}],
 }
-ERROR = (
-    "note: centimetres\nerror: /x.usda is damaged: 12:3\nin two lines\n\nhint: export it again\n"
-)
+ERROR = "note: centimetres\nerror: " + DAMAGED + "\n\nhint: export it again\n"
 
 
 def ended(status: int, out: str = "", err: str = "", **more: Any) -> Ended:
@@ -42,9 +40,9 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("process", "state", "message", "hint"),
     [
-        (ended(1, err=ERROR), "failed", "/x.usda is damaged: 12:3\nin two lines", "export it again"),
-        (ended(2, err=ERROR), "refused", "/x.usda is damaged: 12:3\nin two lines", "export it again"),
-        (ended(3, err=ERROR), "refused", "/x.usda is damaged: 12:3\nin two lines", "export it again"),
+        (ended(1, err=ERROR), "failed", DAMAGED, "export it again"),
+        (ended(2, err=ERROR), "refused", DAMAGED, "export it again"),
+        (ended(3, err=ERROR), "refused", DAMAGED, "export it again"),
         (ended(0, '{"outputs": ['), "crashed", "the bake ended without a result", ""),
         (ended(-11), "crashed", "the bake was ended by SIGSEGV", ""),
         (ended(143), "crashed", "the bake was ended by SIGTERM", ""),
