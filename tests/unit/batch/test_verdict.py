@@ -19,7 +19,8 @@ RESULT = {
     "check": [],
     "bakes": [{"frames": 4, "health": {"rollbacks": 1, "min_J": 0.9}}, {"frames": 4, "health": {}}],
 }
-ERROR = "note: centimetres\nerror: " + DAMAGED + "\n\nhint: export it again\n"
+DAMAGED = "/x.usda is damaged: 12:3\nin two lines"
+ERROR = f"note: centimetres\nerror: {DAMAGED}\n\nhint: export it again\n"
 
 
 def ended(status: int, out: str = "", err: str = "", **more: Any) -> Ended:
