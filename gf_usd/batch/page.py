@@ -141,7 +141,7 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
     health = outcome.health
     kind = "bad" if not outcome.good else "warned" if outcome.warnings else "good"
     asset = job.asset.name if job else ""
-    picture = data_uri(picture_of(Path(outcome.root))) if outcome.health else ""
+    picture = data_uri(picture_of(Path(outcome.root))) if outcome.root else ""
     shown = tag("img", src=picture, alt=outcome.job, loading="lazy") if picture else None
     cells = [
         tag("td", shown or tag("div", class_="none")),
