@@ -30,9 +30,14 @@ def draw(roots: Sequence[Path], *, at_once: int) -> dict[Path, str]:
     share = max(1, min(AT_ONCE, -(-len(todo) // at_once)))
     groups = [todo[i : i + share] for i in range(0, len(todo), share)]
     failed: dict[Path, str] = {}
+    children = Children()
     with ThreadPoolExecutor(max_workers=at_once) as pool:
-        for found in pool.map(_draw_some, groups):
-            failed.update(found)
+        try:
+            for found in pool.map(lambda group: _draw_some(children, group), groups):
+                failed.update(found)
+        finally:
+            # an interrupt is not to wait for the rest
+            children.stop()
     return failed
 
 
@@ -43,12 +48,13 @@ def _is_new(root: Path) -> bool:
         return False
 
 
-def _draw_some(roots: Sequence[Path]) -> dict[Path, str]:
-    children, failed, left = Children(), dict[Path, str](), list(roots)
+def _draw_some(children: Children, roots: Sequence[Path]) -> dict[Path, str]:
+    failed, left = dict[Path, str](), list(roots)
     while left:
         command = [sys.executable, "-m", "gf_usd", "thumbnails", *map(str, left)]
         ended = children.run(command, lambda line: None, timeout=PATIENCE + len(left))
-        assert ended is not None
+        if ended is None or ended.stopped:
+            break
         for line in ended.out[: ended.out.rfind("\n") + 1].splitlines():
             row = json.loads(line)
             root = Path(row["root"])

@@ -116,8 +116,9 @@ def table(board: Board) -> Any:
         )
     left = board.left
     line = (
-        f"{len(board.ended)} of {len(board.rows)} jobs, {len(board.bad)} of them not good,"
-        f" {len(board.of('running'))} running, {duration(board.seconds)}"
+        f"{len(board.ended)} of {len(board.rows)} jobs"
+        + (f", {len(board.bad)} of them not good" if board.bad else "")
+        + f", {len(board.of('running'))} running, {duration(board.seconds)}"
         + (f", about {duration(left)} left" if left is not None else "")
     )
     return Group(rows, Text(line, style="bold"))
