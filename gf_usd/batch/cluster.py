@@ -16,7 +16,7 @@ from gf_usd.batch.identity import program
 from gf_usd.batch.inputs import InputTable
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.run import BEAT, Event
-from gf_usd.batch.task import Limits, finished_event, run_job
+from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.errors import UsageError
 
 if TYPE_CHECKING:
@@ -113,8 +113,8 @@ def _outcome(future: Future, job: Job) -> Outcome:
         return Outcome.of(future.result())
     if future.status in ("cancelled", "lost"):
         return _lost(job, "crashed", f"the scheduler lost it ({future.status})")
-    error = future.exception()
-    return _lost(job, "crashed", f"its workers died: {error}")
+    error: Any = future.exception()
+    return unforeseen(job, error)
 
 
 def _lost(job: Job, state: str, message: str) -> Outcome:

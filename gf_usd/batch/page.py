@@ -26,7 +26,7 @@ COLUMNS = (
     ("warn\u00adings", True, "what the bake warns of"),
     ("redone", True, "frames redone with half the step"),
     ("inside out", True, "particles with J <= 0, summed over frames"),
-    ("depth [s]", True, "deepest penetration of the floor, in spacings of particles"),
+    ("depth [spac\u00adings]", True, "deepest penetration of the floor, in spacings of particles"),
     ("energy gain", True, "largest of a frame that nobody accounts for, of the energy scale"),
     ("par\u00adticles", True, "how many"),
     ("frames", True, "of all looks"),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import queue
-import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from gf_usd.batch.child import Children
 from gf_usd.batch.identity import read_by
 from gf_usd.batch.inputs import InputTable
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.task import Limits, finished_event, run_job
+from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 
 BEAT = 0.25  # [s] between looks at the clock, for whoever draws
 
@@ -28,27 +28,21 @@ def run_here(
     """
     events: queue.Queue[Event] = queue.Queue()
     table = InputTable(children)
-    waiting = queue.SimpleQueue[Job]()
-    for job in jobs:
-        waiting.put(job)
-
-    def work() -> None:
-        while True:
-            try:
-                job = waiting.get_nowait()
-            except queue.Empty:
-                return
-            outcome = run_job(job, limits, children=children, table=table, emit=events.put)
-            events.put(finished_event(outcome))
-
-    def start() -> None:
+    with ThreadPoolExecutor(max_workers=at_once) as pool:
         # one child reads the assets of all jobs: starting it costs more than most assets do
-        table.read(path for job in jobs for path in read_by(job))
-        for _ in range(at_once):
-            threading.Thread(target=work, daemon=True).start()
+        pool.submit(table.read, [path for job in jobs for path in read_by(job)])
+        for job in jobs:
+            future = pool.submit(
+                run_job, job, limits, children=children, table=table, emit=events.put
+            )
+            future.add_done_callback(lambda done, job=job: events.put(_end(job, done)))
+        yield from hear(events, len(jobs))
 
-    threading.Thread(target=start, daemon=True).start()
-    yield from hear(events, len(jobs))
+
+def _end(job: Job, done: Future[Outcome]) -> Event:
+    """The event of a job's end, also where it could not even be started."""
+    error = done.exception()
+    return finished_event(done.result() if error is None else unforeseen(job, error))
 
 
 def hear(events: queue.Queue[Event], jobs: int) -> Iterator[Event | None]:

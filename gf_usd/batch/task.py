@@ -41,7 +41,7 @@ class Limits:
 def run_job(
     job: Job, limits: Limits, *, children: Children, table: InputTable, emit: Emit
 ) -> Outcome:
-    """Bake, unless the same is there already; nothing that happens to a job raises."""
+    """Bake, unless the same is there already; nothing that happens to a bake raises."""
     if children.stopping:
         return _none(job, "stopped", "interrupted before it began")
     try:
@@ -186,6 +186,11 @@ def _none(job: Job, state: str, message: str, hint: str = "") -> Outcome:
         job=job.name, state=state, message=message, hint=hint, root=str(job.root),
         command=job.command, host=socket.gethostname(),
     )  # fmt: skip
+
+
+def unforeseen(job: Job, error: BaseException) -> Outcome:
+    """The outcome of a job that an error outside its bake ended, such as no process to be had."""
+    return _none(job, "crashed", f"{type(error).__name__}: {error}")
 
 
 def finished_event(outcome: Outcome) -> dict[str, Any]:
