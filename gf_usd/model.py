@@ -140,6 +140,7 @@ class Particles:
     volume: float  # [m^3] of the solid
     lattice: float  # [m] edge of the strata the particles were drawn from
     corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
+    body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
 
     def __len__(self) -> int:
         return len(self.X)
@@ -156,6 +157,8 @@ class SurfaceSamples:
 
     X: Floats  # (n, 3) [m] rest positions, world
     area: Floats  # (n,) [m^2] of surface that each stands for
+    normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
+    body: Ints | None = None  # (n,) as in Particles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,13 +232,14 @@ class Health:
     min_stretch: float = 1.0  # smallest singular value of F
     max_stretch: float = 1.0
     inverted: int = 0  # particles with J <= 0
-    penetration: float = 0.0  # [m] deepest of a contact sample during the frame
+    penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
+    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
     friction_capped: int = 0  # contact samples whose friction met its stability limit
     rollbacks: int = 0  # times the frame was redone with half the step
-    work: float = 0.0  # [J] done on the body by its pins during the frame
+    work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
-    injected: float = 0.0  # [J] given by WLS and the shape correction at the end of the frame
+    injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
 
 
 @dataclass(frozen=True, kw_only=True)

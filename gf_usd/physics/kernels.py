@@ -30,6 +30,7 @@ from gf_usd.physics.node_kernel import (
 )  # fmt: skip
 from gf_usd.physics.option_kernel import clip, cut
 from gf_usd.physics.options import PLAIN, Options
+from gf_usd.physics.pair_kernel import pair_contact, pair_total, sample_motion
 from gf_usd.physics.stencil_kernel import deformation, lane_sum, load
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
@@ -60,13 +61,14 @@ def pack_type(real, epoch: int):
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
         *("F0", "limits", "clip_room"),
+        "pair",
     )
     ints = (
         *("cell_batch", "cell_nodes", "node_slot_start", "node_slot"),
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
-        *("clamped", "stress_capped"),
+        *("clamped", "stress_capped", "links"),
     )
     members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
     members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in ints}
@@ -107,8 +109,16 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
                     follow(body, n, free, 0.0 * dt)
             for c in range(cells):
                 stress_cell(body, c, law, damped, ih, converged, options)
+            if ti.static(options.meets):
+                for k in range(active):
+                    sample_motion(body, body.sample_active[k], dt)
             for k in range(active):
                 sample_contact(body, body.sample_active[k], up, lift, dt)
+            if ti.static(options.meets):
+                for k in range(active):
+                    pair_contact(body, body.sample_active[k], dt)
+                for k in range(active):
+                    pair_total(body, body.sample_active[k])
             for n in range(followers):
                 follower_share(body, n, free, dt)
             for n in range(free):
@@ -135,8 +145,16 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
         for z in range(cells * STRIDE):
             if z % STRIDE == 0:
                 stress_cell(body, z // STRIDE, law, damped, ih, converged, options)
+        if ti.static(options.meets):
+            for k in range(active):
+                sample_motion(body, body.sample_active[k], dt)
         for k in range(active):
             sample_contact(body, body.sample_active[k], up, lift, dt)
+        if ti.static(options.meets):
+            for k in range(active):
+                pair_contact(body, body.sample_active[k], dt)
+            for k in range(active):
+                pair_total(body, body.sample_active[k])
         for n in range(followers):
             follower_share(body, n, free, dt)
         for n in range(free):

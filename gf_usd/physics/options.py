@@ -29,17 +29,19 @@ class Options:
     anchored: bool = False  # F = F0 + G u with an F0 of each particle, in place of I
     clamped: bool = False
     capped: bool = False
+    meets: bool = False  # bodies meet each other, themselves or obstacles
 
 
 PLAIN = Options()
 
 
-def options_of(settings: Settings) -> Options:
+def options_of(settings: Settings, meets: bool = False) -> Options:
     """The options that the settings ask for."""
     return Options(
         anchored=settings.wls,
         clamped=settings.clamp is not None,
         capped=settings.stress_cap is not None,
+        meets=meets,
     )
 
 
