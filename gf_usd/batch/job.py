@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-LISTS = {"prims": "--prim", "pins": "--pin"}  # options that are given once for each value
 NO = ("wls",)  # flags whose "no" says something
 REPORT, RECORD = ".report.json", ".job.json"
 
@@ -62,9 +61,9 @@ class Job:
         words = ["bake", str(self.asset), "--output", str(self.root)]
         for name, value in self.options.items():
             option = f"--{name.replace('_', '-')}"
-            if name in LISTS:
+            if isinstance(value, list | tuple):
                 for each in value:
-                    words += [LISTS[name], str(each)]
+                    words += [option.removesuffix("s"), str(each)]
             elif value is True:
                 words.append(option)
             elif value is False:

@@ -18,7 +18,6 @@ OWN = {
     "material": "str",
     "law": "str",
     "prims": "list",
-    "pins": "list",
     "meters_per_unit": "float",
     "up_axis": "str",
     "repair": "bool",
@@ -34,7 +33,8 @@ def known() -> dict[str, str]:
     """Every option and its type: str, int, float, bool or list."""
     fields = Request.__dataclass_fields__
     types = {name: str(field.type).partition(" ")[0] for name, field in fields.items()}
-    return {**types, **OWN}
+    lists = {name: "list" for name, kind in types.items() if kind.startswith("tuple")}
+    return {**types, **lists, **OWN}
 
 
 def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
@@ -58,9 +58,14 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
                 f"{guess}the options are {', '.join(sorted(types))}",
             )
         out[name] = _typed(name, value, types[name], where)
-    asked = {name: value for name, value in out.items() if name not in OWN}
+    fields = Request.__dataclass_fields__
+    asked: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in out.items()
+        if name in fields
+    }
     try:
-        Request(**asked, pins=tuple(out.get("pins", ()))).check()
+        Request(**asked).check()
         if "law" in out:
             presets.check_law(out["law"])
         if "material" in out:
