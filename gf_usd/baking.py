@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.carrying import Carrier
+from gf_usd.delivery import deliver, sweep
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
@@ -18,8 +19,9 @@ from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
 from gf_usd.output_files import claim
 from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
-from gf_usd.publish import partial_path, publish, publish_text
+from gf_usd.publish import partial_path, publish_text
 from gf_usd.summary import HealthLog
+from gf_usd.timeline import sampled, with_held
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -30,7 +32,7 @@ Progress = Callable[[int, int], None]  # (frames done, frames in all)
 def bake(
     path: str | Path,
     *,
-    material: str = "rubber",
+    material: str | None = None,
     output: str | Path | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
@@ -49,7 +51,8 @@ def bake(
     ----------
     path : the asset; it is never written to.
     material : a preset (see ``gf-usd materials``), a USD file with a material, or several with
-        commas between them, which become variants of one root layer.
+        commas between them, which become variants of one root layer; default what the stage says,
+        else rubber.
     output : root layer, or a folder; default ``NAME.MATERIAL.usda`` in the current folder.
     law : constitutive law in place of the material's own: corotated or neoHookean.
     prims : prim paths to bake; default all under the default prim.
@@ -89,14 +92,14 @@ def run(
     Raises InputError where it would take longer than max_hours, SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
-    from gf_usd.usd.layout import write_root
     from gf_usd.usd.review import review
 
     require_affordable(plan, max_hours)
+    earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
-    if plan.converted is not None:
-        plan.converted.write(plan.source)
+    if plan.converted is not None and plan.outputs.source is not None:
+        plan.converted.write(plan.outputs.source)
     results: list[LookResult] = []
     looks: list[BakedLook] = []
     notes = list(plan.notes)
@@ -107,14 +110,10 @@ def run(
         notes += more
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
-            results = [replace(result, cache=partial_path(result.cache)) for result in results]
+            results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
-    # Nothing has its final name before all of it is there.
-    for path in plan.outputs.caches:
-        publish(path)
-    root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source)
-    notes += root.notes
+    notes += deliver(plan, looks, earlier)
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
@@ -128,7 +127,7 @@ def run(
         settings=plan.settings,
         notes=tuple(notes),
         findings=tuple(findings),
-        outputs=plan.outputs.all,
+        outputs=(*plan.outputs.all, *(clip for r in results for clip in r.clips)),
     )
 
 
@@ -143,9 +142,11 @@ def _run_look(
     from gf_usd.usd.variants import BakedLook
 
     total = plan.settings.frames
+    settings = sampled(plan.settings_of(material))
+    n = plan.settings.samples_per_frame
     info = BakeInfo(
         look=material.name,
-        materials=(material,),
+        materials=plan.table(material),
         settings=plan.settings_of(material),
         command=plan.command,
         version=plan.version,
@@ -158,26 +159,36 @@ def _run_look(
         radius=plan.particles.radius,
         particles=len(plan.particles),
         held=bool(plan.pins),
+        bodies=plan.bodies.count if plan.bodies else 1,
     )
     target = plan.outputs.caches[number]
     failure = None
     carrier = Carrier(plan, number)
-    with CacheWriter(target, plan.asset, plan.particles, info, source=plan.source) as cache:
+    with CacheWriter(
+        target, plan.asset, plan.particles, info, source=plan.source, choices=plan.choices
+    ) as cache:
         try:
-            for baked in _frames(plan, material, carrier):
-                cache.write(baked)
+            for baked in with_held(_samples(plan, material, carrier), settings):
+                if baked.index >= settings.first:
+                    cache.write(baked)
+                    if baked.index % n == 0:
+                        carrier.export(baked, (baked.index - settings.first) // n)
+                if baked.index < 0:
+                    continue
                 log.add(baked.health)
-                if progress:
-                    progress(number * total + baked.index + 1, total * len(plan.materials))
+                if progress and baked.index % n == 0:
+                    done = number * total + baked.index // n + 1
+                    progress(done, total * len(plan.materials))
         except SolverError as error:
             failure = error
         summary = cache.close()
     health = log.summary()
     result = LookResult(
         look=material.name,
-        cache=target,
+        cache=plan.outputs.root if plan.outputs.flat else target,
         material=material,
         frames=summary.frames,
+        clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
         warnings=judge(health),
@@ -193,29 +204,29 @@ def _run_look(
     return result, look, (*summary.notes, *carrier.notes), failure
 
 
-def _frames(plan: Plan, material: Material, carrier: Carrier) -> Iterator[BakedFrame]:
-    """Poses of meshes and Gaussians, frame by frame, in playback time."""
+def _samples(plan: Plan, material: Material, carrier: Carrier) -> Iterator[BakedFrame]:
+    """Poses of meshes and Gaussians, sample by sample, in playback time."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
     skin = None
-    if plan.settings.skin != "embed":
+    if plan.points and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
+    settings = sampled(plan.settings)
     for frame in plan.solver(material).frames():
         poses = skin.poses(frame.particles) if skin else frame.riders
-        splats = carrier.poses(poses, plan.settings.time_code(frame.index))
-        baked = replace(_baked(plan, frame, poses, track), splats=splats)
-        carrier.export(baked, poses)
-        yield baked
+        splats = carrier.poses(poses, settings.time_code(frame.index))
+        baked = _baked(plan, frame, poses, track)
+        yield replace(baked, splats=splats if plan.choices.mesh else {})
 
 
 def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
     from gf_usd.physics.embedding import deform_normals
 
-    s = plan.settings
+    s = sampled(plan.settings)
     meshes = {}
-    for surface in plan.asset.surfaces:
+    for surface in plan.asset.surfaces if plan.choices.mesh else ():
         if surface.splats is not None:
             continue
         pose = poses[surface.path]

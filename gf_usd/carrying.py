@@ -36,8 +36,11 @@ class Carrier:
         self._tracks: dict[str, CarriedSplats] = {}
         self._spaces: dict[str, Space] = {}
         self._world: dict[str, CarriedSplats] = {}
+        self._now: dict[str, SplatPose] = {}
+        self._in_world: dict[str, SplatPose] = {}
         clear(self._files)
-        carried = [(s.path, s.splats) for s in plan.asset.surfaces if s.splats is not None]
+        ridden = [s for s in plan.asset.surfaces if s.path in plan.points]
+        carried = [(s.path, s.splats) for s in ridden if s.splats is not None]
         if not carried:
             return
         from gf_usd.physics.carried import CarriedSplats
@@ -54,15 +57,18 @@ class Carrier:
                 self._world[path] = CarriedSplats(splats)
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
-        """The Gaussians at one frame, by prim path; riders are the poses of all that rides."""
-        out = {}
+        """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""
         for path, track in self._tracks.items():
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
-            out[path] = track.advance(riders[path], np.asarray(to_local))
-        return out
+            self._now[path] = track.advance(riders[path], np.asarray(to_local))
+        for path, track in self._world.items():
+            self._in_world[path] = track.advance(riders[path], np.eye(3) / self._unit)
+        return dict(self._now)
 
-    def export(self, frame: BakedFrame, riders: Mapping[str, Pose]) -> None:
-        """Write the files of a frame, where any were asked for.
+    def export(self, frame: BakedFrame, number: int) -> None:
+        """Write the files of a frame, the one that `poses` was asked for last.
+
+        number : of the frame, 0 for the first that is written.
 
         One set of captured Gaussians stays in the space of its prim, which is that of the file
         where it came from one.  Several stand in the world, in stage units; so do the particles of
@@ -72,20 +78,18 @@ class Carrier:
             return
         if self._world:
             sets = []
-            for path, track in self._world.items():
-                pose = track.advance(riders[path], np.eye(3) / self._unit)
+            for path, pose in self._in_world.items():
                 at = np.asarray(pose.positions) / self._unit
-                sets.append(posed(track.splats, pose, at))
+                sets.append(posed(self._world[path].splats, pose, at))
             splats = joined(sets)
         elif self._tracks:
-            ((path, track),) = self._tracks.items()
-            pose = frame.splats[path]
+            ((path, pose),) = self._now.items()
             at = self._spaces[path].points(pose.positions, frame.time_code)
-            splats = posed(track.splats, pose, at)
+            splats = posed(self._tracks[path].splats, pose, at)
         else:
             splats = self._flesh(frame)
         for sequence in self._files:
-            sequence.write(splats, frame.index)
+            sequence.write(splats, number)
 
     def _flesh(self, frame: BakedFrame) -> Splats:
         p: Particles = self._plan.particles

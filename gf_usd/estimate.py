@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.errors import InputError
+from gf_usd.timeline import written
 
 if TYPE_CHECKING:
+    from gf_usd.choices import Choices
+    from gf_usd.model import Asset, Settings
     from gf_usd.plan import Plan
 
 # [s] of a substep, and of each particle in it, by solver; free flight, measured
@@ -26,9 +29,13 @@ PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files, final check
 FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
+# [bytes] of a sample
 MESH_BYTES = 24  # points and velocities of a vertex, float32
 NORMAL_BYTES = 12
-PARTICLE_BYTES = 76  # positions, velocities, orientation, scale, and the Points twin
+SPLAT_BYTES = 52  # positions, velocities, orientation, scale
+HALF_BYTES = 14  # less: orientation and scale in half precision
+POINT_BYTES = 24
+GRADIENT_BYTES, STRESS_BYTES = 72, 4
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
 VERTEX_MEMORY = 4400.0  # [bytes] a vertex, likewise
@@ -43,12 +50,9 @@ def estimate(plan: Plan) -> dict[str, Any]:
     Materials are baked one after another: disk adds up, memory does not, and seconds do but for
     what is started once.  The frame is None where the asset touches nothing within the bake.
     """
-    frames, n = plan.settings.frames, len(plan.particles)
-    vertices = sum(len(points) for points in plan.points.values())
-    normals = sum(0 if s.normals is None else len(s.normals) for s in plan.asset.surfaces)
-    disk = frames * (MESH_BYTES * vertices + NORMAL_BYTES * normals + PARTICLE_BYTES * n)
-    captured = [s.splats for s in plan.asset.surfaces if s.splats is not None]
-    disk += frames * sum(s.frame_bytes - MESH_BYTES * len(s) for s in captured)
+    frames, n, samples = plan.settings.frames, len(plan.particles), plan.settings.samples_per_frame
+    vertices = sum(len(s.points if s.splats is None else s.splats) for s in plan.asset.surfaces)
+    disk = written(plan.settings) * frame_bytes(plan.asset, n, plan.settings, plan.choices)
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n + VERTEX_MEMORY * vertices
     fixed, each = SUBSTEP_SECONDS[plan.settings.solver]
     substep = CONTACT * (fixed + each * n)
@@ -58,7 +62,7 @@ def estimate(plan: Plan) -> dict[str, Any]:
     for material in plan.materials:
         substeps = plan.substeps(material)
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n
-        seconds += frames * frame + (frames - 1) * substeps * substep
+        seconds += frames * samples * frame + (frames - 1) * substeps * substep
         rows.append(
             {
                 "name": material.name,
@@ -78,6 +82,24 @@ def estimate(plan: Plan) -> dict[str, Any]:
         "first_contact_frame": _first_contact(plan),
         "per_material": rows,
     }
+
+
+def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choices) -> int:
+    """[bytes] on the disk of a frame with all its samples."""
+    size = 0
+    for s in asset.surfaces if choices.mesh else ():
+        if s.splats is not None:
+            size += s.splats.frame_bytes
+        else:
+            normals = 0 if s.normals is None else len(s.normals)
+            size += MESH_BYTES * len(s.points) + NORMAL_BYTES * normals
+    if "gaussians" in choices.shapes:
+        each = SPLAT_BYTES - HALF_BYTES * choices.half
+        each += GRADIENT_BYTES * settings.deformation_gradients + STRESS_BYTES * settings.stress
+        size += each * particles
+    if "points" in choices.shapes:
+        size += POINT_BYTES * particles
+    return size * settings.samples_per_frame
 
 
 def require_affordable(plan: Plan, max_hours: float) -> None:

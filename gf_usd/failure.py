@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from gf_usd.errors import BakeError, SolverError
 from gf_usd.output_files import report_of_failure
 from gf_usd.plan import LookResult, Plan, report_json
 from gf_usd.publish import publish_text
+from gf_usd.timeline import sampled
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -31,8 +33,8 @@ def place(plan: Plan, look: str, error: SolverError) -> dict[str, Any]:
         }
     return {
         "look": look,
-        "frame": error.frame,
-        "time_code": plan.settings.time_code(error.frame),
+        "frame": math.ceil(error.frame / plan.settings.samples_per_frame),
+        "time_code": sampled(plan.settings).time_code(error.frame),
         **found,
         "why": error.message.removeprefix(f"frame {error.frame}: "),
         "hint": error.hint,
@@ -58,10 +60,15 @@ def leave(
 
     failed = place(plan, results[-1].look, error)
     files = [bake.cache for bake in results]
+    clips = [clip for bake in results for clip in bake.clips]
     findings: list[dict[str, str]] = []
     opened = ""
     try:
-        root = write_root(plan.outputs.root, plan.asset, looks, source=plan.source, partial=True)
+        _require_source(plan)
+        root = write_root(
+            plan.outputs.layers, plan.asset, looks, source=plan.source, choices=plan.choices,
+            partial=True,
+        )  # fmt: skip
         notes = [*notes, *root.notes]
         files = [root.path, *files]
         findings = review(root.path, plan.source)
@@ -71,7 +78,8 @@ def leave(
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
     path = report_of_failure(plan.outputs)
     text = json.dumps(
-        {**report, "outputs": [str(file) for file in (*files, path)], "failed": failed}, indent=1
+        {**report, "outputs": [str(file) for file in (*files, *clips, path)], "failed": failed},
+        indent=1,
     )
     if path == plan.outputs.report:
         publish_text(path, text + "\n")
@@ -82,9 +90,17 @@ def leave(
         f"the frames before it are kept in {', '.join(str(file) for file in files)}{opened};"
         f" the report is {path}",
         error.hint,
-        frame=error.frame,
+        frame=failed["frame"],
         particle=error.particle,
     )
+
+
+def _require_source(plan: Plan) -> None:
+    if plan.outputs.source is None and plan.converted is not None:
+        raise BakeError(
+            "no root layer was written: the layer of a mesh file is not kept for one file",
+            "bake without --flatten",
+        )
 
 
 def _where(plan: Plan, failed: dict[str, Any]) -> str:

@@ -150,6 +150,17 @@ def _deep(h: Health) -> Said:
     )
 
 
+def _overlap(h: Health) -> Said:
+    if h["deepest_overlap_spacings"] <= DEEP:
+        return None
+    return (
+        f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
+        f" ({h['deepest_overlap_m']:.3g} m)",
+        "lower the impact (--drop), or take more --particles; bodies that overlap at the start are"
+        " moved apart in the asset",
+    )
+
+
 def _resting(h: Health) -> Said:
     depth = h["resting_penetration_spacings"]
     if depth is None or depth <= RESTING:
@@ -180,6 +191,7 @@ RULES: dict[str, Callable[[Health], Said]] = {
     "stress-cap": _capped,
     "injected": _injected,
     "penetration": _deep,
+    "overlap": _overlap,
     "resting-depth": _resting,
     "free-flight": _drift,
 }

@@ -1,8 +1,7 @@
 """The immutable values that cross rooms.
 
-Everything here is SI, in the world frame of the source stage (its up axis is kept; positions are
-stage positions times metersPerUnit).  Shapes and units stand beside each field.  Quaternions are
-(w, x, y, z).  Colours are linear Rec. 709.
+SI, in the world frame of the source stage (its up axis is kept; positions are stage positions times
+metersPerUnit).  Quaternions are (w, x, y, z), colours linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -19,8 +18,9 @@ from gf_usd.units import StageUnits
 
 if TYPE_CHECKING:
     from gf_usd.splats import SplatPose, Splats
+    from gf_usd.surface_material import SurfaceMaterial
 
-# The width is the maker's business: files hold float32, the solver's bookkeeping float64.
+# Of any width: files hold float32, the solver's bookkeeping float64.
 Floats = NDArray[Any]
 Ints = NDArray[Any]
 
@@ -39,6 +39,7 @@ class StageFacts:
     end_time_code: float | None
     root_prims: tuple[str, ...]  # every root prim path, in order
     default_prim: str | None
+    animated: bool = False  # a layer of it holds time samples
     says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
     notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
 
@@ -56,15 +57,6 @@ class Texture:
     srgb: bool  # True: pixels are sRGB-encoded; False: linear
     wrap_s: str = "repeat"  # repeat | clamp | mirror | black
     wrap_t: str = "repeat"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceMaterial:
-    """The diffuse look of a bound material."""
-
-    path: str
-    colour: tuple[float, float, float]  # constant diffuse, linear
-    texture: Texture | None = None  # multiplies nothing: replaces the constant where present
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,6 +137,7 @@ class Particles:
     volume: float  # [m^3] of the solid
     lattice: float  # [m] edge of the strata the particles were drawn from
     corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
+    body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
 
     def __len__(self) -> int:
         return len(self.X)
@@ -161,13 +154,15 @@ class SurfaceSamples:
 
     X: Floats  # (n, 3) [m] rest positions, world
     area: Floats  # (n,) [m^2] of surface that each stands for
+    normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
+    body: Ints | None = None  # (n,) as in Particles
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Everything that decides a bake, resolved: no None is left to interpret."""
 
-    frames: int  # number of frames written
+    frames: int  # number of frames simulated; the last is written
     fps: float  # frames per second of playback
     time_codes_per_second: float  # of the output layers
     start: float  # time code of the first frame
@@ -196,8 +191,10 @@ class Settings:
     procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
     clamp: tuple[float, float] | None = None  # limits of the singular values of F
     stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
+    samples_per_frame: int = 1  # states written a frame, for motion blur
+    first: int = 0  # frame that is written first; below 0 the rest pose is held
 
-    def time_code(self, index: int) -> float:
+    def time_code(self, index: float) -> float:
         """Time code of a frame."""
         return self.start + index * self.time_codes_per_second / self.fps
 
@@ -234,13 +231,14 @@ class Health:
     min_stretch: float = 1.0  # smallest singular value of F
     max_stretch: float = 1.0
     inverted: int = 0  # particles with J <= 0
-    penetration: float = 0.0  # [m] deepest of a contact sample during the frame
+    penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
+    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
     friction_capped: int = 0  # contact samples whose friction met its stability limit
     rollbacks: int = 0  # times the frame was redone with half the step
-    work: float = 0.0  # [J] done on the body by its pins during the frame
+    work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
-    injected: float = 0.0  # [J] given by WLS and the shape correction at the end of the frame
+    injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,41 +26,63 @@ class Outputs:
     report: Path
     source: Path | None = None  # USD layer of an asset that is not USD
     textures: tuple[Path, ...] = ()  # pictures that were inside it
+    flat: bool = False  # the root holds everything; the caches are there while it is made
 
     @property
     def own(self) -> tuple[Path, ...]:
         """The files that no other bake has a part in."""
+        if self.flat:
+            return (self.root, *self.textures, self.report)
         return (self.root, *self.caches, self.report)
+
+    @property
+    def layers(self) -> Path:
+        """The root layer over the caches: of a flat bake only there while it is made."""
+        return self.root.with_name(f"{self.stem}.layers.usda") if self.flat else self.root
+
+    @property
+    def stem(self) -> str:
+        """``duck.rubber`` of ``duck.rubber.usda``."""
+        return self.root.name[: -len(self.root.suffix)]
 
     @property
     def all(self) -> tuple[Path, ...]:
         """Every file."""
-        return (*self.own, *([self.source] if self.source else []), *self.textures)
+        shared = () if self.flat else self.textures
+        return (*self.own, *([self.source] if self.source else []), *shared)
 
 
-def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
+def outputs(
+    source: Path, looks: Sequence[str], output: str | None, flatten: bool = False
+) -> Outputs:
     """Names of the results; looks are the names of the variants.
 
     `-o` names the root layer, or a folder if it ends in / or is one; default: the current folder.
     One look: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
     duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
-    duck.source.usdc, which all bakes of it share.
+    duck.source.usdc, which all bakes of it share.  Flattened, or named .usdz, a bake is one file.
 
     Raises UsageError for names that collide, with each other or with the asset.
     """
     _require_names(looks)
-    name = f"{source.stem}.{'-'.join(looks)}.usda"
+    name = f"{source.stem}.{'-'.join(looks)}.{'usdc' if flatten else 'usda'}"
     if output is None:
         root = Path(name)
     elif output.endswith("/") or Path(output).is_dir():
         root = Path(output) / name
     else:
         root = Path(output)
-        if root.suffix not in (".usda", ".usd", ".usdc"):
+        if root.suffix not in USD:
             raise UsageError(
-                f"-o {output}: a root layer ends in .usda, .usd or .usdc",
+                f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
+    flat = flatten or root.suffix == ".usdz"
+    if flat and len(looks) > 1:
+        raise UsageError(
+            f"{root.name} would be one file for {len(looks)} materials: {', '.join(looks)}",
+            "a flattened bake holds one material: bake them one by one, or write layers",
+        )
     stem = root.name[: -len(root.suffix)]
     is_usd = source.suffix.lower() in USD
     parts = ("",) if len(looks) == 1 else tuple(f".{look}" for look in looks)
@@ -68,7 +90,8 @@ def outputs(source: Path, looks: Sequence[str], output: str | None) -> Outputs:
         root=root,
         caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
         report=root.with_name(f"{stem}{REPORT}"),
-        source=None if is_usd else root.with_name(f"{source.stem}.source.usdc"),
+        source=None if is_usd or flat else root.with_name(f"{source.stem}.source.usdc"),
+        flat=flat,
     )
     for path in files.all:
         if path.resolve() == source.resolve():
@@ -155,7 +178,8 @@ def claim(files: Outputs) -> None:
     Raises UsageError where that cannot be removed.
     """
     files.root.parent.mkdir(parents=True, exist_ok=True)
-    stale = [partial_path(path) for path in files.own]
+    made = {*files.own, *files.caches, files.layers}
+    stale = [partial_path(path) for path in sorted(made)]
     if tells_of_failure(files.report):
         stale.append(files.report)
     for path in stale:

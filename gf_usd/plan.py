@@ -12,12 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
+from gf_usd.body_plan import BodyPlan
+from gf_usd.choices import Choices
+from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
 from gf_usd.splat_sequence import SplatSequence
+from gf_usd.timeline import sampled, written
 
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
@@ -34,22 +38,29 @@ class Plan:
     asset: Asset
     particles: Particles
     samples: SurfaceSamples
-    materials: tuple[Material, ...]  # one bake and one variant each
+    materials: tuple[Material, ...]  # the main one of each look: one bake and one variant each
     settings: Settings  # of the first material
     outputs: Outputs
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     pins: tuple[Pin, ...] = ()
+    tables: tuple[tuple[Material, ...], ...] = ()  # of each look, what particles' materials index
+    bodies: BodyPlan | None = None
+    encounters: Encounters | None = None
+    velocity: tuple[Any, ...] = ()  # at the start, of each body: see `TotalLagrangian`
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each material
     command: str = ""  # that bakes the same again
+    choices: Choices = field(default_factory=Choices)  # of the output
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
     def source(self) -> Path:
         """The USD file to lie over: the asset, or the layer that is made of it."""
+        if self.outputs.source is None and self.converted is not None:
+            return self.converted.layer  # of a flat bake, in a temporary folder
         return self.outputs.source or self.asset.facts.path
 
     @property
@@ -62,12 +73,15 @@ class Plan:
         return next((s for m, s in named if m.name == material.name), self.settings)
 
     def substeps(self, material: Material) -> int:
-        """Substeps a frame.  The solver that knows is kept for `solver`: it is dear to build."""
+        """Substeps a frame, all samples together.
+
+        The solver that knows is kept for `solver`: it is dear to build.
+        """
         if material.name not in self._ready:
             solver = self.solver(material)
             kept = len(self.particles) * (1 + len(self._ready)) <= KEPT
             self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
-        return self._ready[material.name][0]
+        return self._ready[material.name][0] * self.settings.samples_per_frame
 
     def solver(self, material: Material) -> Marcher:
         """The solver of one material, at its start."""
@@ -78,20 +92,35 @@ class Plan:
             self._ready[material.name] = substeps, None, made  # it will have moved
             if made == epoch():
                 return solver
+        more: dict[str, Any] = {}
+        if self.velocity:
+            several = len(self.velocity) > 1
+            more["velocity"] = list(self.velocity) if several else self.velocity[0]
+        if self.settings.solver == "tl" and self.bodies is not None:
+            more |= {"encounters": self.encounters, "rider_body": self.bodies.riders}
         return make_solver(
-            self.settings_of(material),
+            sampled(self.settings_of(material)),
             self.particles,
-            [material],
+            self.table(material),
             samples=self.samples,
             riders=self.points if self.settings.skin == "embed" else {},
             pins=self.pins,
+            **more,
         )
+
+    def table(self, material: Material) -> tuple[Material, ...]:
+        """The materials that particles have in the look whose main one this is."""
+        named = zip(self.materials, self.tables)
+        return next((t for m, t in named if m.name == material.name), (material,))
 
     @property
     def points(self) -> dict[str, Floats]:
-        """Points (n, 3) [m] at rest that ride: of every mesh its vertices, by prim path."""
+        """Points (n, 3) [m] at rest that ride, by prim path: vertices, or captured Gaussians."""
+        exported = any(self.sequences)
         return {
-            s.path: s.points if s.splats is None else s.splats.riding for s in self.asset.surfaces
+            s.path: s.points if s.splats is None else s.splats.riding
+            for s in self.asset.surfaces
+            if self.choices.mesh or (exported and s.splats is not None)
         }
 
 
@@ -132,15 +161,18 @@ def describe(plan: Plan) -> dict[str, Any]:
         "input_sha256": input_hash(plan),
         "source": str(plan.asset.facts.path),
         "bodies": [s.path for s in plan.asset.surfaces],
+        "separate_bodies": [list(paths) for paths in plan.bodies.surfaces] if plan.bodies else [],
+        "obstacles": [c.path for c in plan.encounters.colliders] if plan.encounters else [],
         "riders": [list(r) for r in plan.riders],
         "particles": len(plan.particles),
         "spacing_m": plan.particles.spacing,
         "volume_m3": plan.particles.volume,
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
-        "frames": plan.settings.frames,
+        "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
+        "frames": written(plan.settings),
         "fps": plan.settings.fps,
-        "start": plan.settings.start,
+        "start": plan.settings.time_code(plan.settings.first),
         "drop_m": plan.drop,
         "pins": [p.name for p in plan.pins],
         "outputs": [str(p) for p in plan.outputs.all],
@@ -167,6 +199,7 @@ def report_json(
     warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
     return {
         **describe(plan),
+        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
         "notes": list(notes),
         "seconds": seconds,
         "settings": settings_json(plan.settings),
@@ -187,6 +220,7 @@ class LookResult:
     health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[Caution, ...] = ()
+    clips: tuple[Path, ...] = ()  # files beside the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""

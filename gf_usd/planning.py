@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd import paper_options
+from gf_usd.choices import parse_only
 from gf_usd.errors import UsageError
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
+from gf_usd.playback import authored_rate, first_time_code
+from gf_usd.timeline import parse_range, span
 
 DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
 DEFAULT_FPS = 24.0
@@ -38,7 +41,7 @@ class Request:
     start: float | None = None  # time code
     drop: str | None = None  # "3r" or a length in stage units
     gravity: str | None = None  # "9.81" along -up, or "x,y,z" [m/s^2]
-    seed: int = 0
+    seed: int | None = None  # None: 0
     device: str = "cpu"
     threads: int | None = None
     filter_rate: float | None = None  # [1/T]; inf: APIC every substep, 0: none
@@ -59,7 +62,16 @@ class Request:
     stress_cap: str | None = None  # largest |P| [Pa], or "none"
     export_ply: str | None = None  # folder of a sequence of 3DGS PLY files
     export_spz: str | None = None  # the same of SPZ files
+    combine: bool = False  # all meshes are one body
+    self_contact: bool = False  # bodies meet themselves
     floor: str | None = None  # "none", a height [stage units], a normal "x,y,z", or "height:x,y,z"
+    only: str | None = None  # "mesh", "gaussians,points", ...
+    flatten: bool = False  # one file
+    samples_per_frame: int | None = None
+    range: str | None = None  # time codes "FIRST:LAST" that are written
+    handles: int | None = None  # frames written on both sides besides
+    clip_frames: int | None = None  # of a value clip; 0: one file
+    half: bool = False
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -91,20 +103,50 @@ class Request:
             )
         if self.device not in ("cpu", "cuda"):
             raise UsageError(f"there is no device {self.device!r}", "choose cpu or cuda")
-        if self.seed < 0:
+        if self.seed is not None and self.seed < 0:
             raise UsageError(f"--seed is {self.seed}", "give a number of 0 or more")
         if self.start is not None and not np.isfinite(self.start):
             raise UsageError(f"--start is {self.start}", "give a finite time code")
+        self._check_output()
         parse_length("--drop", self.drop or DEFAULT_DROP, 1.0, 1.0)
         parse_gravity(self.gravity, np.array([0.0, 1.0, 0.0]))
         parse_floor(self.floor, np.array([0.0, 1.0, 0.0]), 1.0)
+
+    def _check_output(self) -> None:
+        """Raise UsageError for output choices that make no sense."""
+        parse_only(self.only)
+        if self.range is not None:
+            parse_range(self.range)
+        for option, value, low in (
+            ("--samples-per-frame", self.samples_per_frame, 1),
+            ("--handles", self.handles, 0),
+            ("--clip-frames", self.clip_frames, 0),
+        ):
+            if value is not None and value < low:
+                raise UsageError(f"{option} is {value}", f"give a number of {low} or more")
+        if self.flatten and self.clip_frames:
+            raise UsageError(
+                f"--clip-frames {self.clip_frames} and --flatten were both given",
+                "give one: a flattened bake is one file",
+            )
+        asked = (self.preset, self.wls, self.procrustes)
+        if (self.samples_per_frame or 1) > 1 and any(asked):
+            raise UsageError(
+                f"--samples-per-frame {self.samples_per_frame} does not go with --preset paper,"
+                " --wls or --procrustes",
+                "leave them out: what they do once a frame would be done at every sample",
+            )
 
     def _check_solver(self) -> None:
         """Raise UsageError for options that the solver asked for does not know."""
         if self.solver not in (None, *SOLVERS):
             raise UsageError(f"there is no solver {self.solver!r}", "choose tl or ul")
         finite = self.filter_rate is not None and np.isfinite(self.filter_rate)
-        for option, given in (("--pin", bool(self.pins)), ("--filter-rate", finite)):
+        for option, given in (
+            ("--pin", bool(self.pins)),
+            ("--filter-rate", finite),
+            ("--self-contact", self.self_contact),
+        ):
             if self.solver == "ul" and given:
                 raise UsageError(
                     f"--solver ul does not know {option}",
@@ -118,7 +160,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     """
     paper = request.preset == "paper"
-    authored = facts.time_codes_per_second
+    authored = authored_rate(facts)
     T = time_scale(radius)
     # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
     fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
@@ -133,7 +175,9 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         lift = height
     slow = parse_time_scale(request.time_scale, T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
-    start = request.start if request.start is not None else facts.start_time_code
+    start = first_time_code(facts, request.start)
+    frames = request.frames or (PAPER_FRAMES if paper else shot)
+    first, frames = span(request, start, (authored or fps) / fps, frames)
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
@@ -141,16 +185,18 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     if drag is None:
         drag = PAPER_DRAG / T if paper else 0.0
     return Settings(
-        frames=request.frames or (PAPER_FRAMES if paper else shot),
+        frames=frames,
+        first=first,
+        samples_per_frame=request.samples_per_frame or 1,
         fps=fps,
         time_codes_per_second=authored or fps,
-        start=1.0 if start is None else start,
+        start=start,
         gravity=parse_gravity(request.gravity, facts.up),
         up=_triple(facts.up),
         floor=floor,
         floor_normal=None if np.array_equal(normal, facts.up) else _triple(normal),
         lift=_triple(lift * facts.up),
-        seed=request.seed,
+        seed=request.seed or 0,
         filter_rate=float(rate) / T,
         drag=drag,
         device=request.device,

@@ -8,28 +8,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gf_usd import materials as presets
-from gf_usd import paper_options, splat_sequence
+from gf_usd import splat_sequence
+from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
-from gf_usd.model import Asset, Material, Settings, SurfaceSamples
-from gf_usd.output_files import Outputs, outputs, require_free, require_source_free
-from gf_usd.pinning import make_pins
+from gf_usd.filling import fill
+from gf_usd.model import Asset
+from gf_usd.output_files import USD, outputs, require_free, require_source_free
 from gf_usd.plan import Plan, command_line
-from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
+from gf_usd.planning import Request
 from gf_usd.runtime import init_taichi
+from gf_usd.stage_reading import StageWords, read_words
 
 if TYPE_CHECKING:
-    from gf_usd.geometry.diagnosis import Diagnosis
-    from gf_usd.geometry.solid import Solid
     from gf_usd.inspection import Inspection
 
 
 def prepare(
     path: str | Path,
     *,
-    material: str = "rubber",
+    material: str | None = None,
     output: str | Path | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
@@ -42,16 +40,25 @@ def prepare(
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
     request, looks = _asked(material, law, options)
     source = Path(path)
-    names = [look.name for look in looks]
-    files = outputs(source, names, None if output is None else str(output))
-    require_free(files, overwrite)
-    frames = splat_sequence.sequences(
-        source.stem, names, ply=request.export_ply, spz=request.export_spz
-    )
-    splat_sequence.require_free(frames, overwrite)
+    target_name = None if output is None else str(output)
+
+    def frames_of(looks: Sequence[Any]) -> tuple[tuple[splat_sequence.SplatSequence, ...], ...]:
+        """The splat files of each look, which must be free."""
+        names = [look.name for look in looks]
+        asked = splat_sequence.sequences(
+            source.stem, names, ply=request.export_ply, spz=request.export_spz
+        )
+        splat_sequence.require_free(asked, overwrite)
+        return asked
+
+    if looks:
+        names = [look.name for look in looks]
+        require_free(outputs(source, names, target_name, request.flatten), overwrite)
+        frames_of(looks)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
+    from gf_usd.geometry.splat_hull import with_hulls
 
     converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if converted is None:
@@ -64,16 +71,24 @@ def prepare(
         )
     else:
         asset = converted.asset(prims=tuple(prims), time_code=request.start)
+    asset = with_hulls(asset)
+    asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
+    names = [look.name for look in looks]
+    files = outputs(source, names, target_name, request.flatten)
+    require_free(files, overwrite)
+    frames = frames_of(looks)
+    if converted is not None:
         target = files.source
-        assert target is not None
-        files = replace(files, textures=converted.textures(target))
-        require_source_free(files, converted.is_at(target), overwrite)
-    from gf_usd.geometry.splat_hull import with_hulls
+        if target is not None:
+            files = replace(files, textures=converted.textures(target))
+            require_source_free(files, converted.is_at(target), overwrite)
+        elif files.root.suffix != ".usdz":
+            files = replace(files, textures=converted.textures(files.root))
+            require_free(files, overwrite)
     from gf_usd.inspection import implausible_size
 
-    asset = with_hulls(asset)
     file = source if converted is None else converted.layer
-    plan = _fill(asset, request, looks, law, files, file, repair=repair)[0]
+    plan = fill(asset, request, looks, law, files, file, words=words, repair=repair)[0]
     command = command_line(
         source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, **{k: v for k, v in options.items() if k != "pins"},
@@ -88,7 +103,7 @@ def prepare(
 def inspect(
     path: str | Path,
     *,
-    material: str = "rubber",
+    material: str | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
     meters_per_unit: float | None = None,
@@ -122,12 +137,15 @@ def inspect(
         time_code=request.start,
     )
     asset = with_hulls(asset)
+    usd = source.suffix.lower() in USD
+    asset, words, looks = _stage(asset, source, prims, request, looks, usd)
     seen = look_at(asset, repair_asset(asset)[1] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:
-        plan, solid = _fill(
-            asset, request, looks, law, files, source, repair=repair, known=seen.diagnoses
-        )
+        plan, solid = fill(
+            asset, request, looks, law, files, source, words=words, repair=repair,
+            known=seen.diagnoses,
+        )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
         if not repair and _would_fill(repair_asset(asset)[0]):
@@ -141,83 +159,26 @@ def inspect(
     return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))
 
 
-def _fill(
+def _stage(
     asset: Asset,
+    file: Path,
+    prims: Sequence[str],
     request: Request,
     looks: Sequence[Any],
-    law: str | None,
-    files: Outputs,
-    file: Path,
-    *,
-    repair: bool,
-    known: Sequence[Diagnosis] = (),
-) -> tuple[Plan, Solid]:
-    """A plan for an asset that was read.  Raises InputError where it is refused.
+    usd: bool,
+) -> tuple[Asset, StageWords, Sequence[Any]]:
+    """What is to be soft, what its stage says of that, and the looks that it is baked with.
 
-    file : its USD form.
-    known : what `diagnose` said of its surfaces, if it was asked already.
+    usd : the file is a stage, and not a mesh file.
     """
-    from gf_usd.geometry.diagnosis import diagnose, tolerated
-    from gf_usd.geometry.repair import notes, repair_asset
-    from gf_usd.geometry.sampling import sample_solid, sample_surface
-    from gf_usd.geometry.skinning import SKIN_NOTES
-    from gf_usd.geometry.solid import build_solid
-
-    mended: tuple[str, ...] = ()
-    if repair:
-        asset, repairs = repair_asset(asset)
-        mended = notes(repairs)
-    solid = build_solid(asset)
-    if not repair:
-        by_path = {seen.path: seen for seen in known}
-        all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
-        mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
-    unit = asset.facts.units.length
-    default = PAPER_PARTICLES if request.preset == "paper" else DEFAULT_PARTICLES
-    particles = sample_solid(
-        solid,
-        particles=None if request.spacing else (request.particles or default),
-        spacing=request.spacing * unit if request.spacing else None,
-        seed=request.seed,
-        uniform=request.preset == "paper",
-    )
-    if request.preset == "paper":
-        # There every particle feels the floor; a mass of rho * area * spacing is its own.
-        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
-    else:
-        samples = sample_surface(solid, particles.spacing, request.seed)
-    floor, normal = parse_floor(request.floor, asset.facts.up, unit)
-    lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)
-    settings = resolve(request, asset.facts, particles.radius, lowest)
-    gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, settings, file, rest=request.start)
-    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
-    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
-    skin = SKIN_NOTES.get(settings.skin, ())
-    made = tuple(_made(look, particles.radius, law, request) for look in looks)
-    each = tuple(paper_options.of_material(settings, request, m, particles.radius) for m in made)
-    plan = Plan(
-        asset=asset,
-        particles=particles,
-        samples=samples,
-        materials=made,
-        settings=each[0],
-        each=each,
-        outputs=files,
-        riders=solid.riders,
-        drop=gap / float(normal @ asset.facts.up),
-        pins=pins,
-        notes=(*asset.facts.notes, *mended, *ridden, *left, *skin, *_options(made, each)),
-    )
-    return plan, solid
-
-
-def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
-    """Notes on the paper's options, once where they are the same for all materials."""
-    if all(settings == each[0] for settings in each):
-        return paper_options.notes(each[0])
-    pairs = zip(materials, each)
-    return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
+    words = StageWords()
+    if usd:
+        asset, words = read_words(asset, file, prims, rest=request.start, elastic=not looks)
+    if looks:
+        return asset, words, looks
+    if words.says_material:
+        return asset, words, [Authored(look_name(words, [s.path for s in asset.surfaces]))]
+    return asset, words, [Authored("rubber")]
 
 
 def _would_fill(asset: Asset) -> bool:
@@ -230,8 +191,13 @@ def _would_fill(asset: Asset) -> bool:
     return True
 
 
-def _asked(material: str, law: str | None, options: dict[str, Any]) -> tuple[Request, list[Any]]:
-    """The request and the materials of a bake, checked before anything is read."""
+def _asked(
+    material: str | None, law: str | None, options: dict[str, Any]
+) -> tuple[Request, list[Any]]:
+    """The request and the looks of a bake, checked before anything is read.
+
+    No look: the stage says what it is made of, or it is rubber.
+    """
     known = Request.__dataclass_fields__
     unknown = sorted(set(options) - set(known))
     if unknown:
@@ -244,7 +210,9 @@ def _asked(material: str, law: str | None, options: dict[str, Any]) -> tuple[Req
         presets.check_law(law)
     from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
 
-    return request, [_find(name, request) for name in material.split(",")]
+    if material is None and request.preset == "paper":
+        material = "rubber"
+    return request, [_find(name, request) for name in material.split(",")] if material else []
 
 
 def _find(name: str, request: Request) -> Any:
@@ -256,15 +224,3 @@ def _find(name: str, request: Request) -> Any:
     look = presets.find_preset(name.strip())
     # The paper has every solid corotated.
     return replace(look, law="corotated") if request.preset == "paper" else look
-
-
-def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
-    """A material on a body of radius [m], with what the request says in place of its own."""
-    own = {
-        name: value
-        for name in ("damping_time", "friction", "restitution")
-        if (value := getattr(request, name)) is not None
-    }
-    if request.preset == "paper":
-        own.setdefault("damping_time", 0.0)  # the paper has none
-    return replace(look.material(radius, law), **own)

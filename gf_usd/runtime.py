@@ -85,6 +85,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             offline_cache=True,
             real_matrix_scalarize=False,
             fast_math=False,
+            unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
         )
     _started.update(wanted)

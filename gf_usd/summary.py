@@ -14,6 +14,7 @@ from typing import Any
 
 from gf_usd.materials import G0
 from gf_usd.model import Health, Settings
+from gf_usd.timeline import joined
 
 REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
 
@@ -29,6 +30,7 @@ class HealthLog:
     radius : [m] of a ball of the body's volume; with its weight it says what energy is little.
     particles : how many there are; counts over frames are also given as shares of them.
     held : the body is pinned, so that it neither falls freely nor bounces.
+    bodies : how many there are.
     """
 
     def __init__(
@@ -40,30 +42,40 @@ class HealthLog:
         radius: float,
         particles: int,
         held: bool = False,
+        bodies: int = 1,
     ) -> None:
         self._settings, self._spacing, self._drop = settings, spacing, drop
         self._radius, self._particles, self._held = radius, particles, held
+        self._bodies = bodies
         self.frames: list[Health] = []
+        self._passing: list[Health] = []  # samples since the last frame
 
     def add(self, health: Health) -> None:
-        """Append the next frame's health."""
-        self.frames.append(health)
+        """Append the health of the next sample; every `samples_per_frame` make a frame."""
+        self._passing.append(health)
+        if not self.frames or len(self._passing) == self._settings.samples_per_frame:
+            self.frames.append(joined(self._passing))
+            self._passing = []
 
     def summary(self) -> dict[str, Any]:
         """Totals and extremes over the frames so far; None where a question has no answer."""
         h = self.frames
         many = self._particles * len(h)
+        # Of one body that meets nothing but the floor can be said how it bounced.
+        crowd = self._held or self._bodies > 1 or any(f.overlap > 0.0 for f in h)
         return {
             "frames": len(h),
             "substeps": sum(f.substeps for f in h),
             "substeps_max_per_frame": max(f.substeps for f in h),
             "rollbacks": sum(f.rollbacks for f in h),
-            "restitution": None if self._held else restitution(h, self._settings, self._drop),
+            "restitution": None if crowd else restitution(h, self._settings, self._drop),
             "deepest_penetration_m": max(f.penetration for f in h),
             "deepest_penetration_spacings": max(f.penetration for f in h) / self._spacing,
             "penetration_at_end_spacings": h[-1].penetration / self._spacing,
             **self._resting(),
-            "first_contact_frame": next((i for i, f in enumerate(h) if f.penetration > 0.0), None),
+            "deepest_overlap_m": max(f.overlap for f in h),
+            "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
             "min_stretch": min(f.min_stretch for f in h),
@@ -164,8 +176,13 @@ def gain_of_frames(frames: Sequence[Health]) -> list[float]:
 
 def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
     """The frames before anything was touched."""
-    touched = next((i for i, f in enumerate(frames) if f.penetration > 0.0), len(frames))
+    touched = next((i for i, f in enumerate(frames) if touches(f)), len(frames))
     return frames[:touched]
+
+
+def touches(f: Health) -> bool:
+    """Whether the floor, an obstacle or another body was touched."""
+    return f.penetration > 0.0 or f.overlap > 0.0
 
 
 def flight_drift(

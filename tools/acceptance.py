@@ -94,7 +94,32 @@ def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_batch(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `tools/batch_acceptance.py --json` found.  Raises SystemExit where that is nothing."""
+    if not done.stdout:
+        raise SystemExit(f"tools/batch_acceptance.py printed nothing, status {done.returncode}")
+    tree = json.loads(done.stdout.splitlines()[-1])
+    claims = tree["claims"]
+    bad = [c["claim"] for c in claims if not c["holds"]]
+    times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in tree["seconds"].items())
+    rows = [
+        (c["engine"], c["claim"], c["found"], "pass" if c["holds"] else "**FAIL**") for c in claims
+    ]
+    return Outcome(
+        passed=not bad,
+        summary=f"{len(claims) - len(bad)} of {len(claims)} claims held ({times})"
+        + (f"; not: {', '.join(bad)}" if bad else ""),
+        table=(("engine", "claim", "found", "verdict"), *rows),
+        data=tree,
+    )
+
+
 SECTIONS: dict[str, Section] = {
+    "batch": Section(
+        title="A batch through a bad night",
+        command=("python", "tools/batch_acceptance.py", "--json"),
+        read=read_batch,
+    ),
     "verify": Section(
         title="Accuracy",
         command=("gf-usd", "verify", "--full", "--json"),

@@ -10,7 +10,7 @@ from bench_median import Sample, median
 
 from gf_usd.materials import LOOKS
 from gf_usd.model import Floats, Particles, Settings
-from gf_usd.physics import solver
+from gf_usd.physics import launch, solver
 
 SIZES = (120, 1_000, 10_000, 100_000)
 SUBSTEPS = 200  # a frame: what the duck takes at 24 fps, to a tenth or so
@@ -49,7 +49,7 @@ def solver_speed(n: int, path: str, runs: int) -> tuple[int, Sample]:
     """
     particles = ball(n)
     rubber = LOOKS["rubber"].material(particles.radius)
-    solver.SERIAL_BELOW = 0 if path == "parallel" else 10**9
+    launch.SERIAL_BELOW = 0 if path == "parallel" else 10**9
 
     def made(fps: float, count: int) -> solver.TotalLagrangian:
         settings = Settings(
@@ -85,7 +85,7 @@ def solver_table(runs: int) -> str:
         "| particles | path | million a second, wall | million a CPU second | spread |",
         "|---:|---|---:|---:|---:|",
     ]
-    default = solver.SERIAL_BELOW
+    default = launch.SERIAL_BELOW
     for n in SIZES:
         for path in ("serial", "parallel"):
             count, s = solver_speed(n, path, runs)
@@ -95,5 +95,5 @@ def solver_table(runs: int) -> str:
                 f" | {100 * s.spread:.0f} % |"
             )
             print(lines[-1], file=sys.stderr)
-    solver.SERIAL_BELOW = default
+    launch.SERIAL_BELOW = default
     return "\n".join(lines)

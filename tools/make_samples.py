@@ -1,9 +1,9 @@
-"""Write the sample assets: a rubber duck, a unit sphere and a deformed sphere.
+"""Write the samples: a rubber duck, a unit sphere, a deformed sphere, and a stage with ten ducks.
 
     python tools/make_samples.py [--out FOLDER]
 
-The shapes are this project's own work, computed from the formulas in samples_duck.py and
-samples_sphere.py; running it again gives the same bytes.
+The shapes are this project's own work, computed from the formulas in samples_duck.py,
+samples_sphere.py and samples_bowl.py; running it again gives the same bytes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from samples_duck import MATERIAL_OF, duck, duck_atlas, duck_quads
 from samples_implicit import unit_normals
 from samples_quads import Quads
 from samples_sphere import deformed, level, sphere_atlas, sphere_quads
+from samples_ten_ducks import write_ten_ducks
 from samples_usd import Look, Sample, file_name, write_sample
 
 SAMPLES = Path(__file__).resolve().parent.parent / "samples"
@@ -77,6 +78,9 @@ def main() -> None:
         path = folder / file_name(sample)
         write_sample(path, sample)
         print(f"{path}: {len(sample.mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "ten_ducks.usda"
+    write_ten_ducks(path, "./duck.usda")
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

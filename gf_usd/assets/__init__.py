@@ -43,7 +43,7 @@ def read_asset(
     prims : prim paths; each with its descendants.  None: the default prim, or every root prim.
     meters_per_unit : [m] size of the file's unit, in place of what the file says or omits.
     up_axis : "Y" or "Z", in place of what the file says or omits.
-    time_code : where the pose is read; None: the file's startTimeCode, or the earliest sample.
+    time_code : where the pose is read; None: the file's startTimeCode, or 1.
 
     Raises
     ------

@@ -9,6 +9,7 @@ from pathlib import Path
 from pxr import Usd, UsdGeom
 
 from gf_usd.assets.notes import Notes
+from gf_usd.assets.usd_instances import instances_above
 from gf_usd.assets.usd_material import Looks
 from gf_usd.assets.usd_mesh import Reading, read_surface
 from gf_usd.assets.usd_place import LeftAlone
@@ -18,7 +19,10 @@ from gf_usd.assets.usd_splats import is_captured, read_captured
 from gf_usd.assets.usd_stage import open_stage, reading, stage_facts
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, StageFacts, Surface
+from gf_usd.playback import first_time_code
 from gf_usd.splats import Splats
+
+INSTANCE = "is an instance: in the bake it is an ordinary prim, since what is in it moves"
 
 
 def read_usd(
@@ -41,7 +45,7 @@ def read_usd(
         path = named or path
         notes = Notes()
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
-        time = _pose_time(facts, time_code)
+        time = Usd.TimeCode(first_time_code(facts, time_code))
         found = select(stage, path, prims, time)
         surfaces, splats, skipped = _surfaces(path, found, facts, time, notes)
         if not surfaces and not splats:
@@ -52,12 +56,6 @@ def read_usd(
             splats=tuple(splats),
             skipped=tuple(skipped.items()),
         )
-
-
-def _pose_time(facts: StageFacts, time_code: float | None) -> Usd.TimeCode:
-    """The given time, else the stage's start, else each attribute's earliest sample."""
-    time = facts.start_time_code if time_code is None else time_code
-    return Usd.TimeCode.EarliestTime() if time is None else Usd.TimeCode(time)
 
 
 def _surfaces(
@@ -87,6 +85,9 @@ def _surfaces(
                 surfaces.append(read_surface(prim, context))
         except LeftAlone as reason:
             skipped[str(prim.GetPath())] = str(reason)
+        else:
+            for instance in instances_above(prim):
+                notes.add(INSTANCE, str(instance.GetPath()))
     return surfaces, splats, skipped
 
 

@@ -14,6 +14,7 @@ from gf_usd.assets.usd_select import named_prim
 from gf_usd.assets.usd_stage import open_stage, reading
 from gf_usd.materials import presets
 from gf_usd.model import StageFacts
+from gf_usd.playback import first_time_code
 from gf_usd.stage_physics import PrimBake
 
 T = TypeVar("T")
@@ -39,8 +40,7 @@ def read_bake_settings(
     """
     with reading(file):
         stage = open_stage(file)
-        start = facts.start_time_code if rest is None else rest
-        time = Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+        time = Usd.TimeCode(first_time_code(facts, rest))
         return tuple(_settings(named_prim(stage, facts.path, path), facts, time) for path in prims)
 
 

@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom, UsdShade
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_material import Look, Looks
 from gf_usd.assets.usd_primvars import Corners, primvar_at_corners
-from gf_usd.model import SurfaceMaterial
+from gf_usd.surface_material import SurfaceMaterial
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

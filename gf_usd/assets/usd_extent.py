@@ -78,10 +78,10 @@ def _world_points(
     try:
         posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
         place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
+        if str(prim.GetTypeName()) in IMPLICIT:
+            return place.points(np.asarray(tessellate(prim, time)[0], dtype=np.float64))
     except LeftAlone:
         return np.zeros((0, 3))
-    if str(prim.GetTypeName()) in IMPLICIT:
-        return place.points(np.asarray(tessellate(prim, time)[0], dtype=np.float64))
     for name in POINTS:
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
         if values is not None and len(values):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from gf_usd.assets.usd_place import LeftAlone
+from gf_usd.model import AXES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +28,7 @@ CUBE_CELLS = 12  # along an edge
 def tessellate(prim: Usd.Prim, time: Usd.TimeCode) -> Polygons:
     """Points (V, 3) in the prim's own space and stage units, face counts (P,) and indices (C,).
 
-    Raises LeftAlone for a shape without volume.
+    Raises LeftAlone for a shape without volume, or about an axis that USD does not have.
     """
     return IMPLICIT[str(prim.GetTypeName())](prim, time)
 
@@ -113,7 +114,10 @@ def _two_radii(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[float, float]:
 
 
 def _axis(prim: Usd.Prim, time: Usd.TimeCode) -> str:
-    return str(prim.GetAttribute(UsdGeom.Tokens.axis).Get(time))
+    axis = str(prim.GetAttribute(UsdGeom.Tokens.axis).Get(time))
+    if axis not in AXES:
+        raise LeftAlone(f"its axis is {axis!r}, which is not X, Y or Z")
+    return axis
 
 
 def _around(k: int) -> int:
@@ -160,7 +164,7 @@ def _stack(rings: Rings, axis: str) -> Polygons:
             faces += _join(first, count, first + count, rings[i + 1][0])
         first += count
     # Turning the axes in a cycle is a rotation: the winding stays.
-    cloud = np.roll(np.concatenate(points), {"X": 1, "Y": 2, "Z": 0}[axis], axis=1)
+    cloud = np.roll(np.concatenate(points), AXES[axis] + 1, axis=1)
     counts = np.concatenate([np.full(len(f), f.shape[1]) for f in faces])
     return cloud, counts, np.concatenate([f.reshape(-1) for f in faces])
 

@@ -17,7 +17,7 @@ def looks_of(stage: Usd.Stage) -> tuple[str, ...]:
     names: list[str] = []
     for prim in _switches(stage):
         names += prim.GetVariantSet(VARIANTS).GetVariantNames()
-    return tuple(name for name in dict.fromkeys(names) if name != NONE)
+    return tuple(name for name in dict.fromkeys(names) if name != NONE) or _flattened(stage)
 
 
 def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
@@ -34,7 +34,7 @@ def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
         raise UsageError(f"{path} has no look {look!r}.", there)
     prims = _switches(stage)
     if not prims or not looks:
-        return ""
+        return looks[0] if looks else ""
     chosen = look or prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
     if chosen not in looks:
         chosen = looks[0]
@@ -44,9 +44,25 @@ def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
     for prim in prims:
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
-            if set(sets.GetVariantSet(name).GetVariantNames()) == DISPLAYS:
+            if "mesh" in displays_in(prim, name):
                 sets.SetSelection(name, "mesh")
     return chosen
+
+
+def displays_in(prim: Usd.Prim, name: str) -> set[str]:
+    """The shapes that a variant set switches between; empty where it is no display of ours.
+
+    A bake need not hold all of the shapes.
+    """
+    names = set(prim.GetVariantSet(name).GetVariantNames())
+    return names if name.lower().endswith("display") and names <= DISPLAYS else set()
+
+
+def _flattened(stage: Usd.Stage) -> tuple[str, ...]:
+    """The look of a bake that is one file, which has no variants of looks any more."""
+    told = stage.GetRootLayer().customLayerData.get(VARIANTS)
+    names = told.get("looks") if isinstance(told, dict) else None
+    return tuple(names) if isinstance(names, dict) and len(names) == 1 else ()
 
 
 def _switches(stage: Usd.Stage) -> list[Usd.Prim]:

@@ -11,7 +11,8 @@ from pxr import Sdf, Usd, UsdShade
 
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_texture import Unreadable, load_texture
-from gf_usd.model import SurfaceMaterial, Texture
+from gf_usd.model import Texture
+from gf_usd.surface_material import SurfaceMaterial
 
 Floats = NDArray[np.float64]
 

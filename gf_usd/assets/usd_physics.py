@@ -18,6 +18,7 @@ from gf_usd.assets.usd_physics_scene import read_gravity
 from gf_usd.assets.usd_select import named_prim
 from gf_usd.assets.usd_stage import open_stage, reading
 from gf_usd.model import StageFacts
+from gf_usd.playback import first_time_code
 from gf_usd.stage_physics import StagePhysics
 
 
@@ -28,19 +29,21 @@ def read_physics(
     *,
     rest: float | None,
     times: Sequence[float],
+    elastic: bool = True,
 ) -> StagePhysics:
     """What the USD file says of physics; facts.path is what messages call it.
 
     bodies : prim paths of the surfaces that are baked; every other enabled collider is an obstacle.
-    rest : time code of the rest pose; None: the stage's start, or each attribute's earliest sample.
+    rest : time code of the rest pose; None: the stage's start, or 1.
     times : time codes of the frames.
+    elastic : False: the materials of the bodies are not read, whatever they hold.
 
     Raises InputError for values that make no sense, with the prim's path.
     """
     with reading(file):
         stage = open_stage(file)
-        start = facts.start_time_code if rest is None else rest
-        time = Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+        start = first_time_code(facts, rest)
+        time = Usd.TimeCode(start)
         step = abs(times[1] - times[0]) if len(times) > 1 else 1.0
         notes = Notes()
         prims = without_instancers(stage, notes)
@@ -54,7 +57,15 @@ def read_physics(
             scene=scene,
             colliders=colliders,
             bodies=tuple(
-                read_body(prim, readings, materials, time, rest=start, step=step, notes=notes)
+                read_body(
+                    prim,
+                    readings,
+                    materials if elastic else None,
+                    time,
+                    rest=start,
+                    step=step,
+                    notes=notes,
+                )
                 for prim in baked
             ),
             ignored=ignored_pairs(

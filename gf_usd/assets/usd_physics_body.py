@@ -24,6 +24,7 @@ from gf_usd.assets.usd_subsets import read_subsets
 from gf_usd.model import Floats
 from gf_usd.stage_physics import BodyPhysics, Triple
 from gf_usd.units import StageUnits
+from gf_usd.vocabulary import MaterialWords
 
 MASS = "PhysicsMassAPI"
 MASSES = ("physics:mass", "omniphysics:mass")
@@ -34,7 +35,7 @@ VELOCITY, SPIN = "physics:velocity", "physics:angularVelocity"
 def read_body(
     prim: Usd.Prim,
     readings: Readings,
-    materials: PhysicsMaterials,
+    materials: PhysicsMaterials | None,
     time: Usd.TimeCode,
     *,
     rest: float | None,
@@ -44,7 +45,7 @@ def read_body(
     """What is said of one baked mesh or implicit shape.
 
     time : of the rest pose, and rest the same as a number (None: before any sample); step : time
-    codes of one frame.
+    codes of one frame; materials : None: what is bound is not read.
 
     Raises InputError for values that make no sense.
     """
@@ -54,7 +55,7 @@ def read_body(
     density = _density(prim, owner, here, facts.units)
     what = role(prim, time)
     velocity, spin = _rigid_velocity(owner, what, here)
-    words = materials.bound(prim)
+    words = materials.bound(prim) if materials else MaterialWords()
     return BodyPhysics(
         path=str(prim.GetPath()),
         role=what,
@@ -69,8 +70,8 @@ def read_body(
         center=_center(owner or prim, here),
         moving=velocity_at_rest(prim, readings, rest, step, notes),
         words=words,
-        material=materials.whole(words, density),
-        subsets=read_subsets(prim, facts, time, materials, density, notes),
+        material=materials.whole(words, density) if materials else None,
+        subsets=read_subsets(prim, facts, time, materials, density, notes) if materials else (),
     )
 
 

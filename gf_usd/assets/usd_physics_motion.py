@@ -12,6 +12,7 @@ from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_material import Look, Looks
 from gf_usd.assets.usd_mesh import Reading, posed_points
 from gf_usd.assets.usd_skel import Skins
+from gf_usd.assets.usd_splats import is_captured
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, StageFacts
 
@@ -114,6 +115,10 @@ def velocity_at_rest(
     that stands still there has its authored point velocities.
     """
     if rest is None:
+        return None
+    if is_captured(prim):
+        if transform_varies(prim) or prim.GetAttribute("velocities").HasAuthoredValue():
+            notes.add("is made of Gaussians: no initial velocity is read", str(prim.GetPath()))
         return None
     now = readings.at(Usd.TimeCode(rest))
     where = str(prim.GetPath())

@@ -12,6 +12,7 @@ from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_extent import motion_bounds, sample_times
 from gf_usd.assets.usd_finish import to_render_mesh
 from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.assets.usd_look import displays_in
 from gf_usd.assets.usd_material import Looks
 from gf_usd.assets.usd_mesh import Reading, read_surface
 from gf_usd.assets.usd_particles import SPLAT_TYPE, as_ellipsoids, is_ours, read_points, read_splats
@@ -42,7 +43,6 @@ SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
     "both": (("mesh", "splats", "gaussians"), "mesh"),
 }
 KINDS = ("mesh", "splats", "gaussians", "points")
-DISPLAYS = {"mesh", "gaussians", "points"}
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
 
@@ -272,7 +272,7 @@ class PictureStage:
         for prim in self._stage.GetPseudoRoot().GetChildren():
             sets = prim.GetVariantSets()
             for name in sets.GetNames():
-                if set(sets.GetVariantSet(name).GetVariantNames()) == DISPLAYS:
+                if display in displays_in(prim, name):
                     sets.SetSelection(name, display)
 
 

@@ -17,6 +17,7 @@ from gf_usd.assets.usd_stage import open_stage, reading
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints, StageFacts
 from gf_usd.pins import Region
+from gf_usd.playback import first_time_code
 
 
 def read_regions(
@@ -30,15 +31,14 @@ def read_regions(
     """The regions that prim paths name, with their motion.
 
     file : the USD file; facts.path is what messages call it.
-    rest : time code of the rest pose; None: the stage's start, or each attribute's earliest sample.
+    rest : time code of the rest pose; None: the stage's start, or 1.
     times : time codes of the frames.
 
     Raises InputError for a path that names no prim, or one without a surface.
     """
     with reading(file):
         stage = open_stage(file)
-        start = facts.start_time_code if rest is None else rest
-        first = Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+        first = Usd.TimeCode(first_time_code(facts, rest))
         return tuple(_region(stage, facts, name, first, times) for name in names)
 
 

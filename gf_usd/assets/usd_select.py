@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Pcp, Sdf, Usd, UsdGeom
 
 from gf_usd.assets.usd_implicit import IMPLICIT
+from gf_usd.assets.usd_instances import not_to_be_freed
 from gf_usd.assets.usd_particles import SPLAT_TYPE, is_ours
 from gf_usd.errors import InputError
 
@@ -42,6 +43,7 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
     else:
         roots = list(stage.GetPseudoRoot().GetChildren())
     geometry: dict[Sdf.Path, Usd.Prim] = {}
+    repeated = _prototypes(stage)
     skipped: dict[str, str] = {}
     types: Counter[str] = Counter()
     for root in roots:
@@ -54,18 +56,50 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
             elif prim.IsA(UsdGeom.PointInstancer):
                 skipped[str(prim.GetPath())] = "PointInstancer: its instances are not made soft"
                 walk.PruneChildren()
+            elif instancer := repeated.get(prim.GetPath()):
+                why = f"prototype of <{instancer}>: its instances are not made soft"
+                skipped[str(prim.GetPath())] = why
+                walk.PruneChildren()
             elif prim.IsA(UsdGeom.Gprim):
                 reason = _why_not(prim)
                 if reason:
                     skipped[str(prim.GetPath())] = reason
                 else:
                     geometry[prim.GetPath()] = prim
+    for where, why in not_to_be_freed(stage, geometry.values()).items():
+        skipped[str(where)] = why
+        del geometry[where]
+    for where, prim in list(geometry.items()):
+        if model := _model(prim, geometry):
+            skipped[str(where)] = f"inherits from <{model}>, which is baked, and follows it"
+            del geometry[where]
     return Selection(
         roots=tuple(roots),
         geometry=tuple(geometry.values()),
         skipped=tuple(skipped.items()),
         types=types,
     )
+
+
+def _model(prim: Usd.Prim, geometry: Mapping[Sdf.Path, Usd.Prim]) -> Sdf.Path | None:
+    """The baked prim that this one inherits from: its motion is this one's, whatever is said."""
+    if len(geometry) == 1:
+        return None
+    for arc in Usd.PrimCompositionQuery(prim).GetCompositionArcs():
+        target = arc.GetTargetNode().path
+        if arc.GetArcType() == Pcp.ArcTypeInherit and target in geometry:
+            return target
+    return None
+
+
+def _prototypes(stage: Usd.Stage) -> dict[Sdf.Path, Sdf.Path]:
+    """What PointInstancers repeat, and which one does: moved, it would move every copy."""
+    found: dict[Sdf.Path, Sdf.Path] = {}
+    for prim in Usd.PrimRange.Stage(stage, PROXIES):
+        if prim.IsA(UsdGeom.PointInstancer):
+            for path in UsdGeom.PointInstancer(prim).GetPrototypesRel().GetForwardedTargets():
+                found.setdefault(path, prim.GetPath())
+    return found
 
 
 def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:

@@ -115,8 +115,7 @@ class MeshSource:
         if self.is_at(target):
             return target
         extracted = textures_folder(target)
-        for name in self._names():
-            _write_bytes(extracted / name, (self._folder.pictures / name).read_bytes())
+        self.extract(target)
         layer = Sdf.Layer.OpenAsAnonymous(str(self._folder.layer))
         layer.customLayerData = {**layer.customLayerData, RECORD: self._record}
 
@@ -140,6 +139,14 @@ class MeshSource:
         if open_already := Sdf.Layer.Find(str(target.absolute())):
             open_already.Reload(force=True)
         return target
+
+    def extract(self, target: Path) -> dict[Path, Path]:
+        """Write the pictures beside a layer of that name; returns from where to where."""
+        folder = textures_folder(target)
+        placed = {self._folder.pictures / name: folder / name for name in self._names()}
+        for picture, place in placed.items():
+            _write_bytes(place, picture.read_bytes())
+        return placed
 
     def _names(self) -> list[str]:
         """Pictures that came out of the file, as paths in their folder."""

@@ -118,6 +118,7 @@ def stage_facts(
             if prim.IsDefined() and not prim.IsAbstract()
         ),
         default_prim=str(default.GetPath()) if default else None,
+        animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
         says_physics=any(_is_physics(prim) for prim in _everything(stage)),
     )
 

@@ -8,23 +8,34 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli.options import Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.output_options import (
+    ClipFrames,
+    Flatten,
+    Half,
+    Handles,
+    Only,
+    Range,
+    SamplesPerFrame,
+)
 
 
 def bake(
     asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
     material: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--material", "-m",
             help="A preset (see gf-usd materials) or a USD file with a material; several with"
             " commas become variants.",
+            show_default="what the stage says, else rubber",
         ),
-    ] = "rubber",
+    ] = None,
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", help="Root layer, or a folder if it ends in / or is one.",
+            "--output", "-o",
+            help="Root layer, a package (.usdz), or a folder if it ends in / or is one.",
             show_default="NAME.MATERIAL.usda in this folder",
         ),
     ] = None,
@@ -63,7 +74,7 @@ def bake(
         str | None,
         typer.Option(help="corotated or neoHookean.", show_default="the material's"),
     ] = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     threads: Annotated[
         int | None, typer.Option(help="CPU threads.", show_default="all")
@@ -136,6 +147,10 @@ def bake(
             show_default="embed; paper with --preset paper",
         ),
     ] = None,
+    combine: Combine = False,
+    self_contact: Annotated[
+        bool, typer.Option("--self-contact", help="A body meets itself, too.")
+    ] = False,
     solver: Annotated[
         str | None,
         typer.Option(
@@ -178,6 +193,13 @@ def bake(
     stress: Annotated[
         bool, typer.Option("--stress", help="Write the von Mises stress of every particle.")
     ] = False,
+    only: Only = None,
+    flatten: Flatten = False,
+    half: Half = False,
+    samples_per_frame: SamplesPerFrame = None,
+    range: Range = None,
+    handles: Handles = None,
+    clip_frames: ClipFrames = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
@@ -207,13 +229,14 @@ def bake(
         overwrite=overwrite or dry_run,  # a dry run replaces nothing
         particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
         gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
-        threads=threads, filter_rate=filter_rate,
+        combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,
         meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair,
+        repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
+        range=range, handles=handles, clip_frames=clip_frames,
     )  # fmt: skip
     if dry_run:
         show_plan(plan, as_json=as_json, max_hours=max_hours)
@@ -229,6 +252,6 @@ def bake(
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:
-        summarise(result)
+        summarise(result, plan)
     if strict:
         require_healthy(result)

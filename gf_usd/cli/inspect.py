@@ -8,15 +8,19 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli.options import Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
 from gf_usd.errors import InputError
 
 
 def inspect(
     asset: Annotated[Path, typer.Argument(help="The asset; nothing is written.")],
     material: Annotated[
-        str, typer.Option("--material", "-m", help="As for bake; several with commas.")
-    ] = "rubber",
+        str | None,
+        typer.Option(
+            "--material", "-m", help="As for bake; several with commas.",
+            show_default="what the stage says, else rubber",
+        ),
+    ] = None,
     particles: Particles = None,
     spacing: Spacing = None,
     frames: Frames = None,
@@ -37,8 +41,9 @@ def inspect(
     up_axis: Annotated[
         str | None, typer.Option(help="Y or Z; -Y or -Z for splats.", show_default="as for bake")
     ] = None,
+    combine: Combine = False,
     solver: Annotated[str | None, typer.Option(help="tl or ul.", show_default="tl")] = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
     ] = False,
@@ -55,7 +60,7 @@ def inspect(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
             spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,
-            seed=seed,
+            seed=seed, combine=combine,
         )  # fmt: skip
     except InputError as error:
         if as_json:

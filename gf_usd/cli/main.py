@@ -14,12 +14,16 @@ import typer
 
 from gf_usd import __version__
 from gf_usd.cli.bake import bake
+from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.inputs import inputs
 from gf_usd.cli.inspect import inspect
 from gf_usd.cli.materials import materials
+from gf_usd.cli.orphan import end_with_parent
 from gf_usd.cli.preview import preview
 from gf_usd.cli.report import report
 from gf_usd.cli.schema_path import schema_path
+from gf_usd.cli.thumbnails import thumbnails
 from gf_usd.cli.verify import verify
 from gf_usd.cli.view import view
 from gf_usd.errors import GfUsdError
@@ -36,7 +40,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(bake)
+app.command()(batch)
 app.command()(inspect)
+app.command()(inputs)
 app.command()(preview)
 app.command()(report)
 app.command()(view)
@@ -44,6 +50,7 @@ app.command()(check)
 app.command()(verify)
 app.command()(materials)
 app.command(name="schema-path")(schema_path)
+app.command(hidden=True)(thumbnails)
 
 
 def _show_version(wanted: bool) -> None:
@@ -66,6 +73,7 @@ def run() -> NoReturn:
     """Run the command line; an expected error ends in words on stderr, never in a traceback."""
     for number in STOPPED:
         signal.signal(number, _stop)
+    end_with_parent()
     try:
         app(standalone_mode=True)
     except GfUsdError as error:

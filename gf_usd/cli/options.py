@@ -25,4 +25,9 @@ Prims = Annotated[
     list[str] | None,
     typer.Option(help="Prim path to bake, repeatable.", show_default="the default prim"),
 ]
-Seed = Annotated[int, typer.Option(help="Of the random sampling.")]
+Seed = Annotated[
+    int | None, typer.Option(help="Of the random sampling.", show_default="the stage's, else 0")
+]
+Combine = Annotated[
+    bool, typer.Option("--combine", help="All meshes are one body, also where they lie apart.")
+]

@@ -87,11 +87,16 @@ def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done)
 
 
-def summarise(result: BakeResult) -> None:
-    """Files, sizes and what was measured."""
-    files = [path for path in result.outputs if path.exists()]
+def summarise(result: BakeResult, plan: Plan) -> None:
+    """Files, sizes and what was measured; what was noted only while it ran."""
+    clips = [clip for bake in result.bakes for clip in bake.clips]
+    files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
+    for folder in dict.fromkeys(clip.parent for clip in clips):
+        sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
+        lines.append(f"{folder}/  {len(sizes)} files, {_bytes(sum(sizes))}")
     lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
+    lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
         lines.append(_measured(bake))
         lines += [f"warning: {bake.look}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
@@ -105,11 +110,13 @@ def summarise(result: BakeResult) -> None:
 def _measured(bake: LookResult) -> str:
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
+    overlap = h["deepest_overlap_spacings"]
+    met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
     redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
     return (
         f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps{redone}, {rebound}, deepest"
         f" penetration {h['deepest_penetration_spacings']:.2f} spacings"
-        f" ({h['deepest_penetration_m']:.3g} m), volume ratio J {h['min_J']:.2f} to"
+        f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
     )
 

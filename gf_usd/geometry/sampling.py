@@ -8,6 +8,8 @@ V0 = V / N.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -114,19 +116,37 @@ def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-def sample_surface(solid: Solid, spacing: float, seed: int) -> SurfaceSamples:
+def sample_surface(
+    solid: Solid, spacing: float, seed: int, bodies: Ints | None = None
+) -> SurfaceSamples:
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
     Candidates are the vertices, then random points by area; kept are some that are no nearer to
     each other than 0.7 spacings and leave no other candidate farther than that.  The area a sample
     stands for is that of the candidates nearest to it.
+    bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
     """
     rng = np.random.default_rng(seed + 1)
-    clouds, vertices = [], []
+    body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    kept: list[tuple[Floats, Floats, Floats]] = []
+    for k in range(int(body.max()) + 1):
+        members = np.flatnonzero(body == k)
+        kept.append(_sample_body([solid.outward(int(s)) for s in members], spacing, rng))
+    X, area, normal = (np.concatenate(part) for part in zip(*kept))
+    of = np.repeat(np.arange(len(kept)), [len(part[0]) for part in kept])
+    return SurfaceSamples(X=X, area=area, normal=normal, body=None if bodies is None else of)
+
+
+def _sample_body(
+    surfaces: Sequence[tuple[Floats, Ints]], spacing: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, Floats]:
+    """Places (n, 3) [m], areas (n,) [m^2] and normals (n, 3) on (points, triangles) of a body."""
+    clouds, vertices, normals, corner_normals = [], [], [], []
     total = 0.0
-    for surface, triangles in zip(solid.surfaces, solid.triangles):
-        a, b, c = np.moveaxis(surface.points[triangles], 1, 0)
-        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    for points, triangles in surfaces:
+        a, b, c = np.moveaxis(points[triangles], 1, 0)
+        cross = np.cross(b - a, c - a)
+        area = 0.5 * np.linalg.norm(cross, axis=1)
         total += float(area.sum())
         count = max(64, int(np.ceil(12.0 * area.sum() / spacing**2)))
         # Systematic draws along the cumulated area: every stretch of surface gets its share.
@@ -136,14 +156,23 @@ def sample_surface(solid: Solid, spacing: float, seed: int) -> SurfaceSamples:
         flip = r.sum(1) > 1.0
         r[flip] = 1.0 - r[flip]
         clouds.append(a[face] + r[:, :1] * (b - a)[face] + r[:, 1:] * (c - a)[face])
-        vertices.append(surface.points[np.unique(triangles)])
+        normals.append(cross[face])
+        used = np.unique(triangles)
+        vertices.append(points[used])
+        around = np.zeros_like(points)
+        for k in range(3):
+            np.add.at(around, triangles[:, k], cross)
+        corner_normals.append(around[used])
     cloud = np.concatenate(clouds)
-    corners = np.concatenate(vertices)
-    candidates = np.concatenate([corners, cloud])
-    X = candidates[thin(candidates, 0.7 * spacing)]
+    candidates = np.concatenate([*vertices, cloud])
+    chosen = thin(candidates, 0.7 * spacing)
+    X = candidates[chosen]
     share = np.bincount(cKDTree(X).query(cloud)[1], minlength=len(X)) / len(cloud)
     used = share > 0.0
-    return SurfaceSamples(X=X[used], area=share[used] * total)
+    normal = np.concatenate([*corner_normals, *normals])[chosen][used]
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = normal / np.where(length > 0.0, length, 1.0)
+    return X[used], share[used] * total, normal
 
 
 def thin(points: Floats, radius: float) -> Ints:

@@ -49,6 +49,16 @@ class Solid:
                 out[np.flatnonzero(near)] |= np.abs(w) > INSIDE
         return out
 
+    def outward(self, index: int) -> tuple[Floats, Ints]:
+        """Points and triangles of a surface, counter-clockwise as seen from outside.
+
+        A surface that is inside out as a whole still has an outside.
+        """
+        points, triangles = self.surfaces[index].points, self.triangles[index]
+        if signed_volume(points, triangles) < 0.0:
+            triangles = triangles[:, ::-1]
+        return points, triangles
+
     @staticmethod
     def _in_box(X: Floats, points: Floats) -> NDArray[np.bool_]:
         return ((points.min(0) <= X) & (points.max(0) >= X)).all(1)

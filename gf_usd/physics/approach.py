@@ -6,32 +6,43 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.model import Ints
+from gf_usd.physics.anchoring import constants
+from gf_usd.physics.setup import floor_height
+
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 
-def watch(solver: TotalLagrangian, lift: float) -> int:
-    """List the samples within reach and clear what they noticed; returns how many there are.
+def watch(solver: TotalLagrangian, lift: float) -> Ints:
+    """The samples within reach of the floor; clears what all of them noticed.
 
     lift : [m] of the moving frame of u along the floor's normal.
     """
     if solver.contact is None:
-        return 0
+        return np.zeros(0, np.int64)
     rows, normal, span = solver.contact.rows, solver.normal, solver.frame_time
     u, v = solver.state()
     speed = float(np.abs(v @ normal).max())
     g = abs(float(np.dot(solver.settings.gravity, normal)))
     reach = 2.0 * span * (speed + g * span) + solver.particles.spacing
-    height = rows.X @ normal - (solver.settings.floor or 0.0)
+    height = rows.X @ normal - floor_height(solver.settings)
     if solver.contact.constants is not None:
-        c, rate = solver.constants()
+        c, rate = constants(solver)
         height = height + solver.contact.constants @ ((c + 0.5 * span * rate) @ normal)
         solver.arrays["sample_height"].from_numpy(height.astype(solver.real))
     height = height + lift + rows.W @ (u @ normal)
-    near = np.flatnonzero(height < reach)
-    active = np.zeros(len(height), np.int32)
-    active[: len(near)] = near
-    solver.arrays["sample_active"].from_numpy(active)
     for name in ("sample_force", "sample_depth", "sample_capped"):
         solver.arrays[name].fill(0)
-    return len(near)
+    return np.flatnonzero(height < reach)
+
+
+def attend(solver: TotalLagrangian, samples: Ints) -> int:
+    """Have the kernels look at these samples and no others; returns how many there are."""
+    if solver.contact is None:
+        return 0
+    active = np.zeros(len(solver.contact.mass), np.int32)
+    active[: len(samples)] = samples
+    solver.arrays["sample_active"].from_numpy(active)
+    solver.arrays["sample_force"].fill(0)
+    return len(samples)

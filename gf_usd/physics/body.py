@@ -1,7 +1,8 @@
 """Arrays of a body in the order the kernels walk them.
 
-Particles lie cell by cell in batches of eight lanes; a batch never crosses cells and its empty
-lanes repeat a neighbour with no volume and no mass, so that they add nothing.
+Cells stand side by side in groups of eight, one in each lane.  A batch holds one particle of each
+cell of a group; where a cell has run out of particles its lane repeats one with no volume and no
+mass, so that it adds nothing.  Cells of a group hold about as many particles as each other.
 """
 
 from __future__ import annotations
@@ -16,46 +17,67 @@ from gf_usd.physics.contact import FloorContact
 from gf_usd.physics.stencil import Stencil
 
 LANES = 8
+WINDOW = 4096  # cells that are put in order of their particles: far cells share no group
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batches:
-    """Where each particle went."""
+    """Where each cell and each particle went."""
 
-    cell_batch: Ints  # (K + 1,) batches of each cell
+    cells: Ints  # (G, 8) cell of each lane of a group; the last group may repeat its last cell
+    batch: Ints  # (G + 1,) batches of each group
     source: Ints  # (B, 8) particle of each lane, in the user's order; fillers repeat one
     filled: Floats  # (B, 8) 1 for a particle, 0 for a filler
 
+    @property
+    def groups(self) -> int:
+        return len(self.cells)
+
 
 def batch_particles(stencil: Stencil) -> Batches:
-    """Split each cell's particles into batches of eight."""
+    """Group the cells, and split the particles of each group into batches."""
     counts = np.diff(stencil.cell_start)
-    per_cell = -(-counts // LANES)
-    cell_batch = np.append(0, np.cumsum(per_cell))
-    cell_of = np.repeat(np.arange(len(counts)), per_cell)
-    within = np.arange(cell_batch[-1]) - cell_batch[cell_of]
-    at = within[:, None] * LANES + np.arange(LANES)
-    filled = at < counts[cell_of, None]
-    position = stencil.cell_start[cell_of, None] + np.where(filled, at, 0)
+    cell = np.arange(len(counts))
+    order = np.lexsort((cell, -counts, cell // WINDOW))
+    missing = -len(order) % LANES
+    cells = np.append(order, np.full(missing, order[-1])).reshape(-1, LANES)
+    held = counts[cells]
+    held.ravel()[len(order) :] = 0
+    batch = np.append(0, np.cumsum(held.max(1)))
+    group = np.repeat(np.arange(len(cells)), np.diff(batch))
+    turn = np.arange(batch[-1]) - batch[group]
+    filled = turn[:, None] < held[group]
+    position = stencil.cell_start[cells[group]] + np.where(filled, turn[:, None], 0)
     return Batches(
-        cell_batch=cell_batch, source=stencil.order[position], filled=filled.astype(float)
+        cells=cells, batch=batch, source=stencil.order[position], filled=filled.astype(float)
     )
 
 
 def lanes(batches: Batches, values: Floats, *, fill: bool = False) -> Floats:
-    """Per-particle values (N,) or (N, k) laid out as flat lanes; fill keeps fillers' values."""
+    """Per-particle values (N,) or (N, k) as lane vectors (B k, 8); fill keeps fillers' values."""
     out = np.asarray(values, float)[batches.source]
     if not fill:
         out = out * batches.filled.reshape(batches.filled.shape + (1,) * (out.ndim - 2))
-    return np.moveaxis(out, 1, -1).ravel()
+    return np.moveaxis(out, 1, -1).reshape(-1, LANES)
 
 
-def node_slots(stencil: Stencil) -> tuple[Ints, Ints]:
-    """For each node the slots (27 * cell + local) of the cells that hold a force for it."""
-    flat = stencil.cell_nodes.ravel()
-    slot = np.argsort(flat, kind="stable")
-    start = np.searchsorted(flat[slot], np.arange(stencil.node_count + 1))
-    return start, slot
+def group_nodes(stencil: Stencil, batches: Batches) -> Ints:
+    """First component, 3 x node, of the nodes of each group: (G, 27, 8), flat."""
+    return 3 * np.moveaxis(stencil.cell_nodes[batches.cells], 1, -1).ravel()
+
+
+def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
+    """For each node where its cells hold a force for it: numbers of its first component.
+
+    The block of all groups is (G, 27, 3, 8), and a slot 8 * (81 g + 3 n) + lane.
+    """
+    count = len(stencil.cell_nodes)
+    g, lane = np.divmod(np.arange(count), LANES)
+    slots = LANES * (81 * g[:, None] + 3 * np.arange(27)) + lane[:, None]
+    flat = stencil.cell_nodes[batches.cells.ravel()[:count]].ravel()
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(stencil.node_count + 1))
+    return start, slots.ravel()[order]
 
 
 def follower_arrays(stencil: Stencil) -> dict[str, Any]:

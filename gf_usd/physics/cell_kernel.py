@@ -1,83 +1,94 @@
-"""What one cell does in a substep: stress (eq. 2) and the APIC filter (eq. 1 and 3).
+"""What a group of eight cells does in a substep: stress (eq. 2) and the APIC filter (eq. 1 and 3).
 
-A cell writes to a block of its own, 27 nodes x 3, so cells never race.
+A group writes to a block of its own, 27 nodes x 3 for each cell, so groups never race.
 """
 
 import taichi as ti
 
-from gf_usd.physics.lanes import LANES
 from gf_usd.physics.option_kernel import clip, cut
-from gf_usd.physics.stencil_kernel import deposit, gradient, load, spline, strain
+from gf_usd.physics.stencil_kernel import (
+    differences,
+    differences_transposed,
+    gather,
+    gradient,
+    middle,
+    spline,
+    spread,
+)
 
 
 @ti.func
-def stress_cell(
-    body: ti.template(), cell, law: ti.template(), damped: ti.template(), ih, converged,
+def strain(body: ti.template(), b, u: ti.template(), s: ti.template(), h: ti.template(), ih,
+           options: ti.template()):  # fmt: skip
+    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
+    F = gradient(u, s, h)
+    for a in ti.static(range(9)):
+        F[a] = F[a] * (0.5 * ih)
+    if ti.static(options.anchored):
+        for a in ti.static(range(9)):
+            F[a] = F[a] + body.F0[9 * b + a]
+    else:
+        for a in ti.static(range(3)):
+            F[4 * a] = F[4 * a] + 1.0
+    return F
+
+
+@ti.func
+def stress_group(
+    body: ti.template(), group, law: ti.template(), damped: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """-V0 P G of one cell's particles into the cell's block."""
-    for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-        first = ti.cast(b == body.cell_batch[cell], ti.i32)
-        w0, d0 = spline(load(body.fx, b * 24))
-        w1, d1 = spline(load(body.fx, b * 24 + 8))
-        w2, d2 = spline(load(body.fx, b * 24 + 16))
-        w = [w0, w1, w2]
-        dw = [d0, d1, d2]
-        F = strain(body, cell, b, w, dw, ih, options)
+    """-V0 P G of the particles of eight cells into their block."""
+    u = gather(body, body.u, group)
+    differences(u)
+    rate = gather(body, body.v, group) if ti.static(damped) else u
+    if ti.static(damped):
+        differences(rate)
+    zero = u[0] * 0.0
+    out = [zero for n in ti.static(range(81))]
+    for b in range(body.group_batch[group], body.group_batch[group + 1]):
+        s, h = middle(body, b)
+        F = strain(body, b, u, s, h, ih, options)
         if ti.static(options.clamped):
             clip(body, b, F, True)
-        V0 = load(body.V0, b * LANES)
-        P = law.pk1(F, load(body.mu, b * LANES), load(body.lam, b * LANES), converged)
+        P = law.pk1(F, body.mu[b], body.lam[b], converged)
         if ti.static(damped):
             # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), objective.
-            D = gradient(body, body.v, cell, w, dw)
-            k = load(body.viscosity, b * LANES) * ih
+            D = gradient(rate, s, h)
+            k = body.viscosity[b] * (0.25 * ih)
             for a in ti.static(range(3)):
                 for c in ti.static(range(3)):
-                    s = 0.5 * k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
-                    # s_ac enters sym twice: F (s + s^T).
+                    e = k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
+                    # e_ac enters sym twice: F (e + e^T).
                     for r in ti.static(range(3)):
-                        P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * s
-                        P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * s
+                        P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * e
+                        P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * e
         if ti.static(options.capped):
             cut(body, b, P, True)
-        k = (0.0 - ih) * V0
-        for d in ti.static(range(3)):
-            T0 = k * P[3 * d]
-            T1 = k * P[3 * d + 1]
-            T2 = k * P[3 * d + 2]
-            for i in ti.static(range(3)):
-                a = dw[0][i] * T0
-                bb = w[0][i] * T1
-                c = w[0][i] * T2
-                for j in ti.static(range(3)):
-                    e = w[1][j] * a + dw[1][j] * bb
-                    f = w[1][j] * c
-                    for m in ti.static(range(3)):
-                        deposit(
-                            body,
-                            cell * 81 + (9 * i + 3 * j + m) * 3 + d,
-                            w[2][m] * e + dw[2][m] * f,
-                            first,
-                        )
+        k = (0.0 - 0.5 * ih) * body.V0[b]
+        for a in ti.static(range(9)):
+            P[a] = k * P[a]
+        spread(P, s, h, out)
+    differences_transposed(out)
+    for n in ti.static(range(81)):
+        body.block[81 * group + n] = out[n]
 
 
 @ti.func
-def filter_cell(body: ti.template(), cell):
-    """m (v_p + C_p dX) of one cell's particles into the cell's block: eq. 3 then eq. 1.
+def filter_group(body: ti.template(), group):
+    """m (v_p + C_p dX) of the particles of eight cells into their block: eq. 3 then eq. 1.
 
     v_p = sum w v_i and C_p = 4/h^2 sum w v_i (x) dX; with dX in cells the h cancels.
     """
-    for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-        first = ti.cast(b == body.cell_batch[cell], ti.i32)
-        f0 = load(body.fx, b * 24)
-        f1 = load(body.fx, b * 24 + 8)
-        f2 = load(body.fx, b * 24 + 16)
-        w0, _0 = spline(f0)
-        w1, _1 = spline(f1)
-        w2, _2 = spline(f2)
-        m = load(body.m, b * LANES)
-        zero = m * 0.0
+    q = gather(body, body.v, group)
+    zero = q[0] * 0.0
+    out = [zero for n in ti.static(range(81))]
+    for b in range(body.group_batch[group], body.group_batch[group + 1]):
+        f0 = body.fx[3 * b]
+        f1 = body.fx[3 * b + 1]
+        f2 = body.fx[3 * b + 2]
+        w = [spline(f0), spline(f1), spline(f2)]
+        m = body.m[b]
         for d in ti.static(range(3)):
             v = zero
             c0 = zero
@@ -88,28 +99,26 @@ def filter_cell(body: ti.template(), cell):
                 tj = zero
                 tk = zero
                 for j in ti.static(range(3)):
-                    o = cell * 27 + 9 * i + 3 * j
-                    q0 = w2[0] * body.v[body.cell_nodes[o] * 3 + d]
-                    q1 = w2[1] * body.v[body.cell_nodes[o + 1] * 3 + d]
-                    q2 = w2[2] * body.v[body.cell_nodes[o + 2] * 3 + d]
-                    s = w1[j] * (q0 + q1 + q2)
+                    o = ti.static(3 * (9 * i + 3 * j) + d)
+                    q0 = w[2][0] * q[o]
+                    q1 = w[2][1] * q[o + 3]
+                    q2 = w[2][2] * q[o + 6]
+                    s = w[1][j] * (q0 + q1 + q2)
                     t += s
                     tj += (float(j) - f1) * s
-                    tk += w1[j] * ((1.0 - f2) * q1 + (2.0 - f2) * q2 - f2 * q0)
-                v += w0[i] * t
-                c0 += w0[i] * (float(i) - f0) * t
-                c1 += w0[i] * tj
-                c2 += w0[i] * tk
+                    tk += w[1][j] * ((1.0 - f2) * q1 + (2.0 - f2) * q2 - f2 * q0)
+                v += w[0][i] * t
+                c0 += w[0][i] * (float(i) - f0) * t
+                c1 += w[0][i] * tj
+                c2 += w[0][i] * tk
             for i in ti.static(range(3)):
-                a = m * w0[i] * (v + 4.0 * (float(i) - f0) * c0)
-                e = 4.0 * m * w0[i]
+                a = m * w[0][i] * (v + 4.0 * (float(i) - f0) * c0)
+                e = 4.0 * m * w[0][i]
                 for j in ti.static(range(3)):
-                    p = w1[j] * (a + e * (float(j) - f1) * c1)
-                    q = w1[j] * e * c2
+                    p = w[1][j] * (a + e * (float(j) - f1) * c1)
+                    r = w[1][j] * e * c2
                     for k in ti.static(range(3)):
-                        deposit(
-                            body,
-                            cell * 81 + (9 * i + 3 * j + k) * 3 + d,
-                            w2[k] * (p + (float(k) - f2) * q),
-                            first,
-                        )
+                        n = ti.static((9 * i + 3 * j + k) * 3 + d)
+                        out[n] = out[n] + w[2][k] * (p + (float(k) - f2) * r)
+    for n in ti.static(range(81)):
+        body.block[81 * group + n] = out[n]

@@ -28,20 +28,22 @@ REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for,
 
 @dataclass(frozen=True, kw_only=True)
 class FloorContact:
-    """Contact samples of one asset, ready for the kernels."""
+    """Contact samples of all bodies, ready for the kernels."""
 
+    samples: SurfaceSamples  # those that no pin holds
     rows: Rows  # on the free nodes
     constants: sparse.csr_matrix | None  # (n, followers) of their constants, where there are pins
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
     damping: Floats  # (n,) [N s/m]
     friction: Floats  # (n,)
+    restitution: Floats  # (n,)
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
 
 
 def stiffness_per_mass(
-    *, wave_speed: Floats, spacing: float, impact_speed: float, pressure: Floats, density: Floats
+    *, wave_speed: Floats, spacing: float, impact_speed: Floats, pressure: Floats, density: Floats
 ) -> Floats:
     """k/m [1/s^2] of the module's formula."""
     elastic = ELASTIC_SHARE * (wave_speed / spacing) ** 2
@@ -50,7 +52,7 @@ def stiffness_per_mass(
     return np.maximum(np.maximum(elastic, stopping), resting)
 
 
-def hertz_pressure(*, weight: float, radius: float, youngs: Floats, poisson: Floats) -> Floats:
+def hertz_pressure(*, weight: Floats, radius: Floats, youngs: Floats, poisson: Floats) -> Floats:
     """p0 = (6 W E*^2 / (pi^3 r^2))^(1/3) [Pa], E* = E / (1 - nu^2): a sphere on a rigid plane."""
     effective = youngs / (1.0 - poisson**2)
     return np.cbrt(6.0 * weight * effective**2 / (np.pi**3 * radius**2))
@@ -75,7 +77,7 @@ def build_contact(
     wave_speed: Floats,
     friction: Floats,
     restitution: Floats,
-    impact_speed: float,
+    impact_speed: Floats,
     pressure: Floats,
     rate: float | None = None,
 ) -> FloorContact:
@@ -83,7 +85,7 @@ def build_contact(
 
     rate : [1/s^2] stiffness per mass in place of the formula.
     """
-    rows, constants = stencil.rows(samples.X), None
+    rows, constants = stencil.rows(samples.X, samples.body), None
     if stencil.held.any:
         free = stencil.free_count
         constants = rows.W[:, free:]
@@ -102,12 +104,14 @@ def build_contact(
     k = m * per_mass
     c = damping_coefficient(k, m, restitution)
     return FloorContact(
+        samples=samples,
         rows=rows,
         constants=constants,
         mass=m,
         stiffness=k,
         damping=c,
         friction=np.broadcast_to(friction, m.shape).astype(float),
+        restitution=np.broadcast_to(restitution, m.shape).astype(float),
         omega2=largest_eigenvalue(rows.W, k, stencil.mass),
         damping_rate=largest_eigenvalue(rows.W, c, stencil.mass),
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.model import Health, Pose
+from gf_usd.model import Floats, Health, Ints, Pose
 
 RETRIES = 6  # halvings of the step before giving up
 CALM_FRAMES = 4  # good frames before a halved step is doubled again
@@ -26,10 +26,11 @@ class Guard:
 
     scale : [J] an energy of the body, m g0 r: what counts as little.
     reach : [m] the body's own extent at rest; a particle a hundred times as far off has escaped.
+    body : (N,) the body of each particle; None: all are one.
     """
 
-    def __init__(self, scale: float, reach: float) -> None:
-        self._scale, self._reach = scale, reach
+    def __init__(self, scale: float, reach: float, body: Ints | None = None) -> None:
+        self._scale, self._reach, self._body = scale, reach, body
         self._calm = 0
         self._inverted = 0  # that a shorter step did not help: the law's doing, not the step's
         self._tried = -1  # inverted particles before the last refinement; -1: none was for them
@@ -48,13 +49,19 @@ class Guard:
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
                 f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"
             )
-        far = np.linalg.norm(particles.x - np.median(particles.x, axis=0), axis=1)
+        far = self._distances(particles.x)
         if far.max() > ESCAPE * self._reach:
             return int(far.argmax()), (
                 f"a particle is {far.max():.4g} m from the others, the body is"
                 f" {self._reach:.3g} m long at rest"
             )
         return self._judge_inversion(last, now, particles)
+
+    def _distances(self, x: Floats) -> Floats:
+        """(N,) [m] of particles from the middle of their body."""
+        body = np.zeros(len(x), np.int64) if self._body is None else self._body
+        middles = [np.median(x[body == k], axis=0) for k in range(int(body.max()) + 1)]
+        return np.linalg.norm(x - np.array(middles)[body], axis=1)
 
     def _judge_inversion(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
         """A new inversion is worth one try with half the step; what that leaves is believed."""

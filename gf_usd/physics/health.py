@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats, Health, Pose
-from gf_usd.physics.probes import contact_energy, elastic_energy, potential_energy
+from gf_usd.physics.probes import contact_energy, elastic_energy, pair_energy, potential_energy
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -25,7 +25,7 @@ def measure(solver: TotalLagrangian, u: Floats, v: Floats, stretch: Floats, J: F
         kinetic=float(0.5 * m @ (v * v).sum(1)),
         elastic=elastic_energy(solver),
         potential=potential_energy(solver, u),
-        contact=contact_energy(solver, u),
+        contact=contact_energy(solver, u) + pair_energy(solver),
         mass=float(m.sum()),
         centre=_triple(m @ x / m.sum()),
         momentum=_triple(m @ v),

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import taichi as ti
 
-from gf_usd.physics.cell_kernel import filter_cell, stress_cell
+from gf_usd.physics.cell_kernel import filter_group, strain, stress_group
 from gf_usd.physics.contact_kernel import sample_contact
 from gf_usd.physics.lanes import LANES, von_mises
 from gf_usd.physics.node_kernel import (
@@ -30,7 +30,8 @@ from gf_usd.physics.node_kernel import (
 )  # fmt: skip
 from gf_usd.physics.option_kernel import clip, cut
 from gf_usd.physics.options import PLAIN, Options
-from gf_usd.physics.stencil_kernel import deformation, lane_sum, load
+from gf_usd.physics.pair_kernel import pair_contact, pair_total, sample_motion
+from gf_usd.physics.stencil_kernel import differences, gather, middle
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -41,34 +42,25 @@ def pack_type(real, epoch: int):
 
     epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
     """
+    lanes = ("fx", "V0", "m", "mu", "lam", "viscosity", "block", "F0", "clip_room")
     reals = (
-        *(
-            "fx",
-            "V0",
-            "m",
-            "mu",
-            "lam",
-            "viscosity",
-            "block",
-            "u",
-            "v",
-            "inverse_mass",
-            "node_mass",
-        ),
+        *("u", "v", "inverse_mass", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
         *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
-        *("F0", "limits", "clip_room"),
+        *("limits", "pair"),
     )
     ints = (
-        *("cell_batch", "cell_nodes", "node_slot_start", "node_slot"),
+        *("group_batch", "group_nodes", "node_slot_start", "node_slot"),
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
-        *("clamped", "stress_capped"),
+        *("clamped", "stress_capped", "links"),
     )
-    members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
+    vector = ti.types.vector(LANES, real)
+    members = {name: ti.types.ndarray(dtype=vector, ndim=1) for name in lanes}
+    members |= {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
     members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in ints}
     return ti.types.argpack(**members)
 
@@ -81,7 +73,7 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
 
     @ti.kernel
     def serial(
-        body: Body, cells: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
         substeps: ti.i32, every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real,
         dt: real, keep: real, ih: real, converged: real,
     ):  # fmt: skip
@@ -97,18 +89,26 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
             if s == substeps - 1:
                 drift = 0.5 * dt
             if every > 0 and (s + phase) % every == 0:
-                for c in range(cells):
-                    filter_cell(body, c)
+                for k in range(groups):
+                    filter_group(body, k)
                 for n in range(followers):
                     follower_loss(body, n, free)
                 for n in range(free):
                     filter_node(body, n, alpha)
                 for n in range(followers):
                     follow(body, n, free, 0.0 * dt)
-            for c in range(cells):
-                stress_cell(body, c, law, damped, ih, converged, options)
+            for k in range(groups):
+                stress_group(body, k, law, damped, ih, converged, options)
+            if ti.static(options.meets):
+                for k in range(active):
+                    sample_motion(body, body.sample_active[k], dt)
             for k in range(active):
                 sample_contact(body, body.sample_active[k], up, lift, dt)
+            if ti.static(options.meets):
+                for k in range(active):
+                    pair_contact(body, body.sample_active[k], dt)
+                for k in range(active):
+                    pair_total(body, body.sample_active[k])
             for n in range(followers):
                 follower_share(body, n, free, dt)
             for n in range(free):
@@ -118,25 +118,33 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
 
     @ti.kernel
     def parallel(
-        body: Body, cells: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
         filtered: ti.i32, alpha: real, g: vec, up: vec, lift: real,
         dt: real, keep: real, ih: real, converged: real, drift: real,
     ):  # fmt: skip
         """One substep over all threads."""
-        for z in range(cells * STRIDE * filtered):
+        for z in range(groups * STRIDE * filtered):
             if z % STRIDE == 0:
-                filter_cell(body, z // STRIDE)
+                filter_group(body, z // STRIDE)
         for n in range(followers * filtered):
             follower_loss(body, n, free)
         for n in range(free * filtered):
             filter_node(body, n, alpha)
         for n in range(followers * filtered):
             follow(body, n, free, 0.0 * dt)
-        for z in range(cells * STRIDE):
+        for z in range(groups * STRIDE):
             if z % STRIDE == 0:
-                stress_cell(body, z // STRIDE, law, damped, ih, converged, options)
+                stress_group(body, z // STRIDE, law, damped, ih, converged, options)
+        if ti.static(options.meets):
+            for k in range(active):
+                sample_motion(body, body.sample_active[k], dt)
         for k in range(active):
             sample_contact(body, body.sample_active[k], up, lift, dt)
+        if ti.static(options.meets):
+            for k in range(active):
+                pair_contact(body, body.sample_active[k], dt)
+            for k in range(active):
+                pair_total(body, body.sample_active[k])
         for n in range(followers):
             follower_share(body, n, free, dt)
         for n in range(free):
@@ -154,38 +162,42 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
 
     @ti.kernel
     def energy(
-        body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
+        body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
         converged: real,
     ):  # fmt: skip
         """out[cell] = sum_p V0 psi(F_p)."""
-        for z in range(cells * STRIDE):
+        for z in range(groups * STRIDE):
             if z % STRIDE == 0:
-                cell = z // STRIDE
-                total = ih * 0.0
-                for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-                    F = deformation(body, cell, b, ih, options)
+                group = z // STRIDE
+                q = gather(body, body.u, group)
+                differences(q)
+                total = q[0] * 0.0
+                for b in range(body.group_batch[group], body.group_batch[group + 1]):
+                    s, h = middle(body, b)
+                    F = strain(body, b, q, s, h, ih, options)
                     if ti.static(options.clamped):
                         clip(body, b, F, False)
-                    shear = load(body.mu, b * LANES)
-                    psi = law.psi(F, shear, load(body.lam, b * LANES), converged)
-                    total += lane_sum(load(body.V0, b * LANES) * psi)
-                out[cell] = total
+                    total += body.V0[b] * law.psi(F, body.mu[b], body.lam[b], converged)
+                for lane in ti.static(range(LANES)):
+                    out[group * LANES + lane] = total[lane]
 
     @ti.kernel
     def stress(
-        body: Body, cells: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
+        body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
         converged: real,
     ):  # fmt: skip
         """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
-        for z in range(cells * STRIDE):
+        for z in range(groups * STRIDE):
             if z % STRIDE == 0:
-                cell = z // STRIDE
-                for b in range(body.cell_batch[cell], body.cell_batch[cell + 1]):
-                    F = deformation(body, cell, b, ih, options)
+                group = z // STRIDE
+                q = gather(body, body.u, group)
+                differences(q)
+                for b in range(body.group_batch[group], body.group_batch[group + 1]):
+                    s, h = middle(body, b)
+                    F = strain(body, b, q, s, h, ih, options)
                     if ti.static(options.clamped):
                         clip(body, b, F, False)
-                    shear = load(body.mu, b * LANES)
-                    P = law.pk1(F, shear, load(body.lam, b * LANES), converged)
+                    P = law.pk1(F, body.mu[b], body.lam[b], converged)
                     if ti.static(options.capped):
                         cut(body, b, P, False)
                     value = von_mises(P, F)

@@ -10,7 +10,8 @@ exp and log.  Write ``0.0 - x``, and take logarithms lane by lane with `log`.
 
 import taichi as ti
 
-LANES = 8
+LANE_BITS = 3
+LANES = 1 << LANE_BITS
 
 
 @ti.func
@@ -57,7 +58,7 @@ def log(x):
 def inverse_guarded(J):
     """1/J with |J| kept off zero (sign kept), so that a flat particle stays finite."""
     tiny = 1e-12
-    return ti.select(J >= 0.0, 1.0 / ti.max(J, tiny), 1.0 / ti.min(J, -tiny))
+    return 1.0 / ti.select(J >= 0.0, ti.max(J, tiny), ti.min(J, -tiny))
 
 
 @ti.func

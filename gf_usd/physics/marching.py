@@ -23,7 +23,8 @@ from gf_usd.physics.guard import RETRIES, Guard
 class Passage:
     """What was noticed between two frames, on the substeps, under the names of `Health`."""
 
-    penetration: float = 0.0  # [m] deepest of a contact sample
+    penetration: float = 0.0  # [m] deepest of a contact sample in the floor
+    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
     injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`
@@ -121,7 +122,7 @@ class Marcher(ABC):
         raise SolverError(
             f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
             f" halvings of the step to {self.dt:.3g} s",
-            self._hint() + f"; frames up to {index - 1} are in the partial cache",
+            self._hint() + "; the frames before it are in the partial cache",
             frame=index,
             particle=particle,
         )

@@ -7,6 +7,7 @@ ones (see `followers`, `holds`): they pass their sums on, and take their motion 
 import taichi as ti
 
 from gf_usd.physics.contact_kernel import contact_force
+from gf_usd.physics.lanes import LANE_BITS, LANES
 
 
 @ti.func
@@ -14,8 +15,9 @@ def block_sum(body: ti.template(), node):
     """Sum of what the node's cells hold for it, in a fixed order."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
-        o = body.node_slot[e] * 3
-        f += ti.Vector([body.block[o], body.block[o + 1], body.block[o + 2]])
+        o = body.node_slot[e] >> LANE_BITS
+        lane = body.node_slot[e] & (LANES - 1)
+        f += ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
     return f
 
 

@@ -3,7 +3,6 @@
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES, cofactor, determinant, double_dot
-from gf_usd.physics.stencil_kernel import load
 
 
 @ti.func
@@ -19,23 +18,21 @@ def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
     J = determinant(F, cofactor(F))
     beyond = ti.select((square > high * high) | (low * square > 2.0 * J), J * 0.0 + 1.0, J * 0.0)
     if beyond.max() > 0.0:
-        o = b * 9 * LANES
         for a in ti.static(range(9)):
-            for lane in ti.static(range(LANES)):
-                body.clip_room[o + a * LANES + lane] = F[a][lane]
+            body.clip_room[9 * b + a] = F[a]
         # Lane by lane through memory: eight decompositions in line would take minutes to compile.
         for lane in range(LANES):
-            clip_lane(body, o + lane, b * LANES + lane, low, high, counted)
+            clip_lane(body, b, lane, low, high, counted)
         for a in ti.static(range(9)):
-            F[a] = load(body.clip_room, o + a * LANES)
+            F[a] = body.clip_room[9 * b + a]
 
 
 @ti.func
-def clip_lane(body: ti.template(), o, flag, low, high, counted: ti.template()):
-    """Clip the matrix whose entries lie LANES apart from o on."""
+def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
+    """Clip the matrix that `clip_room` holds in one lane of batch b."""
     A = ti.Matrix.rows(
         [
-            ti.Vector([body.clip_room[o + (3 * a + c) * LANES] for c in ti.static(range(3))])
+            ti.Vector([body.clip_room[9 * b + 3 * a + c][lane] for c in ti.static(range(3))])
             for a in ti.static(range(3))
         ]
     )
@@ -48,11 +45,11 @@ def clip_lane(body: ti.template(), o, flag, low, high, counted: ti.template()):
         S[a, a] = s
     if outside > 0:
         if ti.static(counted):
-            body.clamped[flag] = 1
+            body.clamped[b * LANES + lane] = 1
         A = U @ S @ V.transpose()
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
-                body.clip_room[o + (3 * a + c) * LANES] = A[a, c]
+                body.clip_room[9 * b + 3 * a + c][lane] = A[a, c]
 
 
 @ti.func

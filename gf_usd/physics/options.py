@@ -29,17 +29,19 @@ class Options:
     anchored: bool = False  # F = F0 + G u with an F0 of each particle, in place of I
     clamped: bool = False
     capped: bool = False
+    meets: bool = False  # bodies meet each other, themselves or obstacles
 
 
 PLAIN = Options()
 
 
-def options_of(settings: Settings) -> Options:
+def options_of(settings: Settings, meets: bool = False) -> Options:
     """The options that the settings ask for."""
     return Options(
         anchored=settings.wls,
         clamped=settings.clamp is not None,
         capped=settings.stress_cap is not None,
+        meets=meets,
     )
 
 
@@ -48,9 +50,9 @@ def arrays(batches: layout.Batches, settings: Settings) -> dict[str, Floats]:
     asked, lanes = options_of(settings), batches.source.size
     low, high = settings.clamp or (0.0, 0.0)
     return {
-        "F0": np.zeros(1),  # `Reanchor` puts what belongs here
+        "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
         "limits": np.array([low, high, settings.stress_cap or 0.0]),
-        "clip_room": np.zeros(9 * lanes if asked.clamped else 1),
+        "clip_room": np.zeros((9 * len(batches.source) if asked.clamped else 1, layout.LANES)),
         "clamped": np.zeros(lanes if asked.clamped else 1, int),
         "stress_capped": np.zeros(lanes if asked.capped else 1, int),
     }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats
+from gf_usd.physics.anchoring import constants
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -16,7 +17,7 @@ def elastic_energy(solver: TotalLagrangian) -> float:
     """sum_p V0 psi(F_p) [J]; with a clamp, of the F that the stress is taken of."""
     solver.kernels.energy(
         solver.pack,
-        len(solver.stencil.cell_nodes),
+        solver.batches.groups,
         solver.cell_energy,
         1.0 / solver.h,
         solver.converged,
@@ -26,8 +27,8 @@ def elastic_energy(solver: TotalLagrangian) -> float:
 
 def von_mises(solver: TotalLagrangian) -> Floats:
     """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
-    cells = len(solver.stencil.cell_nodes)
-    solver.kernels.stress(solver.pack, cells, solver.lane_stress, 1.0 / solver.h, solver.converged)
+    groups = solver.batches.groups
+    solver.kernels.stress(solver.pack, groups, solver.lane_stress, 1.0 / solver.h, solver.converged)
     out = np.empty(len(solver.particles))
     lanes = solver.lane_stress.to_numpy().astype(float)
     filled = solver.batches.filled.ravel() > 0.0
@@ -52,12 +53,19 @@ def stored_energy(solver: TotalLagrangian) -> float:
 
 def contact_energy(solver: TotalLagrangian, u: Floats) -> float:
     """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""
-    if solver.contact is None:
+    if solver.contact is None or solver.settings.floor is None:
         return 0.0
     rows = solver.contact.rows
     x = rows.X + solver.offset + rows.W @ u
     if solver.contact.constants is not None:
-        x = x + solver.contact.constants @ solver.constants()[0]
-    height = x @ solver.normal - (solver.settings.floor or 0.0)
+        x = x + solver.contact.constants @ constants(solver)[0]
+    height = x @ solver.normal - solver.settings.floor
     depth = np.maximum(0.0, -height)
     return float(0.5 * solver.contact.stiffness @ depth**2)
+
+
+def pair_energy(solver: TotalLagrangian) -> float:
+    """[J] stored in the springs between bodies and with obstacles."""
+    if solver.meeting is None:
+        return 0.0
+    return solver.meeting.energy(solver.meeting.motion(solver)[0], solver.time)

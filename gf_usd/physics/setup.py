@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints, Material, Particles, Settings, SurfaceSamples
 from gf_usd.physics import body as layout
 from gf_usd.physics import options
+from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.holds import held_by
 from gf_usd.physics.stencil import Stencil
@@ -21,6 +21,8 @@ PER_PARTICLE = (
     *("density", "mu", "lam", "youngs_modulus", "poissons_ratio", "wave_speed"),
     *("damping_time", "friction", "restitution"),
 )
+NO_FLOOR = -1e9  # [m] where no sample ever comes
+PILE = 8.0  # bodies on top of one that its contact is laid out to carry
 
 
 def per_particle(
@@ -36,28 +38,46 @@ def per_particle(
     return {**per, "V0": particles.V0 * free}
 
 
-def floor_contact(
+def surface_contact(
     samples: SurfaceSamples | None,
     particles: Particles,
     stencil: Stencil,
     settings: Settings,
     per: dict[str, Floats],
     pins: Sequence[Pin] = (),
+    *,
+    meets: bool = False,
+    datum: float = np.inf,
+    speed: float = 0.0,
 ) -> FloorContact | None:
-    """Contact samples with the material of the nearest particle; None without a floor.
+    """Contact samples with the material of the nearest particle; None where there is no contact.
 
-    What a pin holds feels no floor.
+    What a pin holds feels none.
+    meets : there is more to meet than the floor; datum : [m] of the lowest of it along the floor's
+    normal; speed : [m/s] of the fastest body at the start.
     """
-    if samples is None or settings.floor is None:
+    if samples is None or (settings.floor is None and not meets):
         return None
     free = held_by(pins, samples.X).pin < 0
     if not free.any():
         return None
-    samples = SurfaceSamples(X=samples.X[free], area=samples.area[free])
-    near = cKDTree(particles.X).query(samples.X)[1]
+    samples = SurfaceSamples(
+        X=samples.X[free],
+        area=samples.area[free],
+        normal=None if samples.normal is None else samples.normal[free],
+        body=None if samples.body is None else samples.body[free],
+    )
+    bodies = bodies_of(particles, per["density"])
+    body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
+    near = bodies.nearest(samples.X, particles.X, body)
     up = settings.normal
-    heights = samples.X @ up + np.dot(settings.lift, up) - settings.floor
+    heights = samples.X @ up + np.dot(settings.lift, up)
+    lowest = np.array([heights[body == k].min(initial=np.inf) for k in range(bodies.count)])
+    ground = min(datum, lowest.min()) if settings.floor is None else settings.floor
     g = max(0.0, -float(np.dot(settings.gravity, up)))
+    fall = np.maximum(0.0, lowest - ground)[body]
+    # What lies on top of a body presses as its own weight does.
+    weight = g * np.minimum(bodies.mass.sum(), PILE * bodies.mass)[body]
     return build_contact(
         samples,
         stencil,
@@ -67,14 +87,19 @@ def floor_contact(
         friction=per["friction"][near],
         restitution=per["restitution"][near],
         pressure=hertz_pressure(
-            weight=g * float(per["density"] @ particles.V0),
-            radius=particles.radius,
+            weight=weight,
+            radius=bodies.radius[body],
             youngs=per["youngs_modulus"][near],
             poisson=per["poissons_ratio"][near],
         ),
-        impact_speed=float(np.sqrt(2.0 * g * max(0.0, float(heights.min())))),
+        impact_speed=np.sqrt(speed**2 + 2.0 * g * fall),
         rate=settings.contact_rate,
     )
+
+
+def floor_height(settings: Settings) -> float:
+    """[m] of the floor along its normal; far below where there is none."""
+    return NO_FLOOR if settings.floor is None else settings.floor
 
 
 def per_cell(particles: Particles, h: float) -> float:
@@ -118,10 +143,10 @@ def arrays(
     """
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
-    slot_start, slot = layout.node_slots(stencil)
+    slot_start, slot = layout.node_slots(stencil, batches)
     height = np.zeros(1)
     if contact:
-        height = contact.rows.X @ settings.normal - (settings.floor or 0.0)
+        height = contact.rows.X @ settings.normal - floor_height(settings)
     followers = max(1, stencil.node_count - stencil.free_count)
     return {
         "fx": layout.lanes(batches, fx, fill=True),
@@ -130,7 +155,7 @@ def arrays(
         "mu": layout.lanes(batches, per["mu"], fill=True),
         "lam": layout.lanes(batches, per["lam"], fill=True),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
-        "block": np.zeros(81 * len(stencil.cell_nodes)),
+        "block": np.zeros((81 * batches.groups, layout.LANES)),
         "u": np.zeros(3 * stencil.node_count),
         "v": velocity.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
@@ -140,8 +165,8 @@ def arrays(
         "anchor": np.zeros(3 * followers),
         "anchor_rate": np.zeros(3 * followers),
         "work": np.zeros(followers),
-        "cell_batch": batches.cell_batch,
-        "cell_nodes": stencil.cell_nodes.ravel(),
+        "group_batch": batches.batch,
+        "group_nodes": layout.group_nodes(stencil, batches),
         "node_slot_start": slot_start,
         "node_slot": slot,
         **layout.follower_arrays(stencil),
@@ -151,7 +176,10 @@ def arrays(
 
 
 def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
-    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64)."""
+    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
+
+    Rows of lanes become vectors.
+    """
     import taichi as ti
 
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -159,6 +187,9 @@ def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
     for name, value in values.items():
         whole = np.issubdtype(value.dtype, np.integer)
         value = np.ascontiguousarray(value, dtype=np.int32 if whole else real)
-        out[name] = ti.ndarray(ti.i32 if whole else kind, value.shape)
+        made = ti.i32 if whole else kind
+        if value.ndim > 1:
+            made = ti.types.vector(value.shape[1], made)
+        out[name] = ti.ndarray(made, value.shape[:1])
         out[name].from_numpy(value)
     return out

@@ -14,17 +14,22 @@ from typing import Any
 
 import numpy as np
 
+from gf_usd.encounters import Encounters
 from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.physics import options, setup
-from gf_usd.physics.approach import watch
+from gf_usd.physics.anchoring import anchor, node_motion
+from gf_usd.physics.approach import attend, watch
+from gf_usd.physics.bodies import fastest, start_velocity
 from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
 from gf_usd.physics.health import measure, strains
 from gf_usd.physics.holds import Holder, held_by
+from gf_usd.physics.launch import run
 from gf_usd.physics.marching import Marcher, Passage
+from gf_usd.physics.meeting import CROWD, Meeting, pack_arrays
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
 from gf_usd.physics.stencil import Rows, build_stencil
@@ -32,8 +37,6 @@ from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
-SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
-FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
 
 class TotalLagrangian(Marcher):
@@ -44,8 +47,11 @@ class TotalLagrangian(Marcher):
     particles, materials, settings : see `model`; every material must have the same law.
     samples : surface points that feel the floor; None or no floor: no contact.
     riders : named points (n, 3) [m] that ride along; their poses come with every frame.
-    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start.
+    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
+        of these, one a body.
     pins : regions whose motion is given.
+    encounters : what the bodies meet besides the floor.
+    rider_body : the body that a named set of points rides on; the first where it is not named.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
 
@@ -62,6 +68,8 @@ class TotalLagrangian(Marcher):
         riders: Mapping[str, Floats] | None = None,
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
+        encounters: Encounters | None = None,
+        rider_body: Mapping[str, int] | None = None,
         acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
@@ -82,34 +90,47 @@ class TotalLagrangian(Marcher):
             particles.corner,
             free_mass=FREE_MASS if settings.followers else 0.0,
             holder=self.holder,
+            body=particles.body,
         )
         if self.holder:
             self.holder.check(self.stencil.held)
-        self.rows = self.stencil.rows(particles.X)
-        self.riders = {name: self.stencil.rows(X) for name, X in (riders or {}).items()}
+        self.rows = self.stencil.rows(particles.X, particles.body)
+        on = rider_body or {}
+        self.riders = {
+            name: self.stencil.rows(X, np.full(len(X), on.get(name, 0)))
+            for name, X in (riders or {}).items()
+        }
         if self.holder:
             self.held = {name: held_by(pins, X) for name, X in (riders or {}).items()}
             self.held[""] = self.holder.particles
         self.normal = settings.normal
         self.offset = np.asarray(settings.lift, float)
-        self.contact = setup.floor_contact(samples, particles, self.stencil, settings, per, pins)
+        start = start_velocity(velocity, self.stencil.node_X, self.stencil.node_body)
+        meets = encounters is not None and encounters.any
+        self.contact = setup.surface_contact(
+            samples, particles, self.stencil, settings, per, pins,
+            meets=meets,
+            datum=encounters.lowest(self.normal) if encounters else np.inf,
+            speed=fastest(start),
+        )  # fmt: skip
         self.step = setup.largest_step(particles, self.h, self.contact, settings, per)
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / self.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
-        self.guard = Guard(float(self.m.sum()) * G0 * particles.radius, extent)
+        self.guard = Guard(float(self.m.sum()) * G0 * particles.radius, extent, particles.body)
         self.time = 0.0
         self.done = 0  # substeps since the start
-        v = velocity(self.stencil.node_X) if callable(velocity) else velocity
-        v = np.broadcast_to(np.asarray(v, float), (self.stencil.node_count, 3))
         b = np.zeros((self.stencil.free_count, 3))
         self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
         self.batches = batch_particles(self.stencil)
-        self.options = options.options_of(settings)
+        self.meeting = None
+        if meets and encounters and self.contact:
+            self.meeting = Meeting(encounters, self.contact, self)
+        self.options = options.options_of(settings, self.meeting is not None)
         self.reanchor = Reanchor(self)
         values = setup.arrays(
-            particles, self.stencil, self.batches, self.contact, settings, per, v,
+            particles, self.stencil, self.batches, self.contact, settings, per, start,
             self.acceleration,
-        )  # fmt: skip
+        ) | (self.meeting.arrays() if self.meeting else pack_arrays(0))  # fmt: skip
         self.arrays = setup.to_device(values | self.reanchor.start(self), real)
         self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
 
@@ -125,7 +146,7 @@ class TotalLagrangian(Marcher):
         self.law = LAWS[law]
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
-        self.cell_energy = ti.ndarray(kind, len(self.stencil.cell_nodes))
+        self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
     def save(self) -> dict[str, Any]:
@@ -133,6 +154,8 @@ class TotalLagrangian(Marcher):
         state = {name: self.arrays[name].to_numpy() for name in "uv"}
         if self.options.anchored:
             state["F0"] = self.reanchor.F0.copy()
+        if self.meeting:
+            state |= self.meeting.save()
         return {**state, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
     def restore(self, saved: dict[str, Any]) -> None:
@@ -141,6 +164,8 @@ class TotalLagrangian(Marcher):
             self.arrays[name].from_numpy(saved[name])
         if self.options.anchored:
             self.reanchor.put(self, saved["F0"])
+        if self.meeting:
+            self.meeting.restore(saved)
         self.offset = np.asarray(saved["offset"], float).copy()
         self.time, self.done = float(saved["time"]), int(saved["done"])
 
@@ -159,35 +184,30 @@ class TotalLagrangian(Marcher):
 
     def advance(self, index: int, substeps: int) -> Passage:
         """Move by a frame; `index` is the frame that this leads to."""
-        s = self.settings
-        dt = self.frame_time / substeps
-        self._anchor(index)
-        lift = float(self.offset @ self.normal)
-        active = watch(self, lift)
+        anchor(self, index)
         options.clear(self)
-        every, alpha = self._filter(dt)
-        keep = float(np.exp(-s.drag * dt))
-        g, up = self._vec(list(s.gravity)), self._vec(list(self.normal))
-        free = self.stencil.free_count
-        counts = (len(self.stencil.cell_nodes), free, self.stencil.node_count - free, active)
-        tail = (g, up, lift, dt, keep, 1.0 / self.h, self.converged)
-        if len(self.particles) < SERIAL_BELOW:
-            phase = self.done % every if every else 0
-            self.kernels.serial(self.pack, *counts, substeps, every, phase, alpha, *tail)
-        else:
-            self.kernels.start(self.pack, *counts[1:3], 0.5 * dt)
-            for k in range(substeps):
-                drift = dt if k < substeps - 1 else 0.5 * dt
-                due = int(every > 0 and (self.done + k) % every == 0)
-                self.kernels.parallel(self.pack, *counts, due, alpha, *tail, drift)
-        self.done += substeps
+        near = watch(self, float(self.offset @ self.normal))
+        if self.meeting:
+            self.meeting.begin(self)
+        dt, left = self.frame_time / substeps, substeps
+        active = 0
+        while left:
+            chunk, watched = left, near
+            if self.meeting:
+                chunk = self.meeting.look(self, index, dt, (substeps - left), left)
+                watched = np.union1d(near, self.meeting.faced.active)
+            active = max(active, attend(self, watched))
+            run(self, chunk, dt, len(watched))
+            left -= chunk
         self.time += substeps * dt
         self._recentre()
         touched = options.touched(self)
         clipped, injected = self.reanchor.frame(self, index)
+        work, given, overlap = self.meeting.passage(self) if self.meeting else (0.0, 0.0, 0.0)
         passage = Passage(
-            work=float(self.arrays["work"].to_numpy().astype(float).sum()),
-            injected=injected,
+            work=float(self.arrays["work"].to_numpy().astype(float).sum()) + work,
+            injected=injected + given,
+            overlap=overlap,
             clamped=int((touched["clamped"] | clipped).sum()),
             stress_capped=int(touched["stress_capped"].sum()),
         )
@@ -199,19 +219,13 @@ class TotalLagrangian(Marcher):
             penetration=float(self.arrays["sample_depth"].to_numpy().max()),
         )
 
+    def vector(self, values: Any) -> Any:
+        """Three numbers as the kernels take them."""
+        return self._vec([float(v) for v in values])
+
     @property
     def converged(self) -> float:
         return 1e-7 if self.real is np.float32 else 1e-15
-
-    def _filter(self, dt: float) -> tuple[int, float]:
-        """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
-        r = self.settings.filter_rate
-        if r <= 0.0:
-            return 0, 0.0
-        if np.isinf(r):
-            return 1, 1.0
-        every = max(1, int(FILTER_STEP / (r * dt)))
-        return every, float(1.0 - np.exp(-r * every * dt))
 
     def _recentre(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
@@ -230,7 +244,7 @@ class TotalLagrangian(Marcher):
     def read(self, index: int) -> Frame:
         """See `Marcher`."""
         u, v = self.state()
-        particles, nodes = self.particle_pose(index), self._nodes()
+        particles, nodes = self.particle_pose(index), node_motion(self)
         stretch, J = strains(particles)
         self.strained = self._strained(stretch, J)
         return Frame(
@@ -244,24 +258,19 @@ class TotalLagrangian(Marcher):
 
     def particle_pose(self, index: int) -> Pose:
         """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
-        return self._pose("", self.rows, self._nodes(), index)
-
-    def _nodes(self) -> tuple[Floats, Floats]:
-        """u and v as `Rows` stack them: with pins, the followers' constants too."""
-        u, v = self.state()
-        if self.holder is None:
-            return u, v
-        c, rate = self.constants()
-        return np.concatenate([u, c]), np.concatenate([v, rate])
+        return self._pose("", self.rows, node_motion(self), index)
 
     def _strained(self, stretch: Floats, J: Floats) -> int:
         """Substeps a frame that the body as strained now asks for; none where they are given."""
         if self.settings.substeps:
             return 1
+        step = self.step
+        if self.meeting and self.meeting.imminent(self):
+            step = step.crowded(CROWD)
         k = stiffness(self.law, stretch, J, self.per["mu"], self.per["lam"])
         nodes = self.stencil
         speed = wave_speed(k, self.per["density"], nodes.order, nodes.cell_start)
-        dt = strained_step(self.step, speed, self.h, setup.per_cell(self.particles, self.h))
+        dt = strained_step(step, speed, self.h, setup.per_cell(self.particles, self.h))
         return int(np.ceil(self.frame_time / dt))
 
     def _pose(self, name: str, rows: Rows, nodes: tuple[Floats, Floats], index: int) -> Pose:
@@ -272,28 +281,3 @@ class TotalLagrangian(Marcher):
             return free
         held = self.held[name]
         return self.holder.override(held, rows.X, free, index, self.frame_time, self.offset)
-
-    def constants(self) -> tuple[Floats, Floats]:
-        """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
-        c, rate = (
-            self.arrays[name].to_numpy().astype(float).reshape(-1, 3)
-            for name in ("anchor", "anchor_rate")
-        )
-        count = self.stencil.node_count - self.stencil.free_count
-        return c[:count], rate[:count]
-
-    def _anchor(self, index: int) -> None:
-        """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
-        self.arrays["work"].fill(0)
-        if self.holder is None or not self.holder.moving:
-            return
-        free, nodes = self.stencil.free_count, self.stencil
-        start, end = (
-            self.holder.constants(
-                nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
-            )
-            for frame in (index - 1, index)
-        )
-        self.arrays["anchor"].from_numpy(start.astype(self.real).ravel())
-        rate = (end - start) / self.frame_time
-        self.arrays["anchor_rate"].from_numpy(rate.astype(self.real).ravel())

@@ -1,17 +1,25 @@
-"""Splines, gathers and deposits of one cell's particles, eight at a time.
+"""What eight cells know of their nodes, one cell in each lane, and the way back.
 
-A cell's particles share its 27 nodes, so a node's value is loaded once for eight of them, and sums
-over the 27 are factorised by axis.
+A batch holds a particle of each of a group's eight cells.  So nodal values are lane vectors too,
+fetched once for all batches of the group, and a deposit is a sum in its own lane.
+
+On a cell a nodal field q is a quadratic along each axis.  With s = f - 1 in [-1/2, 1/2) and h = s/2
+the three nodes' splines add up to
+
+    q(s) = a + h (b + c s),   2 dq/ds = b + 2 c s
+    a = q1 + c/8,   b = q2 - q0,   c = q0 - 2 q1 + q2
+
+which takes a third fewer operations than the weights, and loses no digits where the q are alike.
+Forces go the same way back: moments about the middle of the cell, then the transposed differences.
 """
 
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES
 
-
-@ti.func
-def load(A: ti.template(), o):
-    return ti.Vector([A[o], A[o + 1], A[o + 2], A[o + 3], A[o + 4], A[o + 5], A[o + 6], A[o + 7]])
+# Component d of node (i, j, k) is number 27 i + 9 j + 3 k + d.
+STEPS = (27, 9, 3)
+LINES = tuple(tuple(n for n in range(81) if n // step % 3 == 0) for step in STEPS)
 
 
 @ti.func
@@ -21,75 +29,134 @@ def lane_sum(x):
 
 @ti.func
 def spline(f):
-    """w and dw (per cell) of the three nodes along one axis; f in [0.5, 1.5)."""
+    """The splines of the three nodes along one axis; f in [0.5, 1.5)."""
     a = 1.5 - f
     b = f - 1.0
     c = f - 0.5
-    return [0.5 * a * a, 0.75 - b * b, 0.5 * c * c], [f - 1.5, -2.0 * b, c]
+    return [0.5 * a * a, 0.75 - b * b, 0.5 * c * c]
 
 
 @ti.func
-def gradient(body: ti.template(), field: ti.template(), cell, w: ti.template(), dw: ti.template()):
-    """sum_i q_i (x) dw_i, per cell spacing, of a nodal vector field q: nine lane vectors."""
-    zero = w[0][0] * 0.0
-    out = [zero, zero, zero, zero, zero, zero, zero, zero, zero]
+def middle(body: ti.template(), b):
+    """s and h of batch b along the three axes."""
+    s0 = body.fx[3 * b] - 1.0
+    s1 = body.fx[3 * b + 1] - 1.0
+    s2 = body.fx[3 * b + 2] - 1.0
+    return [s0, s1, s2], [0.5 * s0, 0.5 * s1, 0.5 * s2]
+
+
+@ti.func
+def gather(body: ti.template(), field: ti.template(), group):
+    """A nodal vector field at the 27 nodes of eight cells: 27 x 3 lane vectors, node by node."""
+    for n in range(27 * group, 27 * group + 27):
+        o = n * LANES
+        i0 = body.group_nodes[o]
+        i1 = body.group_nodes[o + 1]
+        i2 = body.group_nodes[o + 2]
+        i3 = body.group_nodes[o + 3]
+        i4 = body.group_nodes[o + 4]
+        i5 = body.group_nodes[o + 5]
+        i6 = body.group_nodes[o + 6]
+        i7 = body.group_nodes[o + 7]
+        for d in ti.static(range(3)):
+            body.block[3 * n + d] = ti.Vector(
+                [field[i0 + d], field[i1 + d], field[i2 + d], field[i3 + d],
+                 field[i4 + d], field[i5 + d], field[i6 + d], field[i7 + d]]
+            )  # fmt: skip
+    return block(body, group)
+
+
+@ti.func
+def block(body: ti.template(), group):
+    """The 27 x 3 lane vectors of a group's block."""
+    return [body.block[81 * group + n] for n in ti.static(range(81))]
+
+
+@ti.func
+def evaluate(a, b, c, s, h):
+    """q(s) and 2 dq/ds."""
+    t = c * s
+    e = b + t
+    return a + h * e, e + t
+
+
+@ti.func
+def differences(q: ti.template()):
+    """a, b, c along each axis in place of the 27 values q, for each of three components."""
+    for axis in ti.static(range(3)):
+        for o in ti.static(LINES[axis]):
+            n = ti.static(STEPS[axis])
+            b = q[o + 2 * n] - q[o]
+            c = (q[o + 2 * n] - q[o + n]) - (q[o + n] - q[o])
+            q[o] = q[o + n] + 0.125 * c
+            q[o + n] = b
+            q[o + 2 * n] = c
+
+
+@ti.func
+def differences_transposed(q: ti.template()):
+    """The transpose of `differences`: moments to nodes, in place."""
+    for axis in ti.static(range(3)):
+        for o in ti.static(LINES[axis]):
+            n = ti.static(STEPS[axis])
+            a = q[o]
+            b = q[o + n]
+            c = q[o + 2 * n] + 0.125 * a
+            q[o] = c - b
+            q[o + n] = a - 2.0 * c
+            q[o + 2 * n] = c + b
+
+
+@ti.func
+def gradient(q: ti.template(), s: ti.template(), h: ti.template()):
+    """2 dq/ds, nine lane vectors row by row, of the field with `differences` q."""
+    out = [s[0], s[0], s[0], s[0], s[0], s[0], s[0], s[0], s[0]]
     for d in ti.static(range(3)):
-        g0 = zero
-        g1 = zero
-        g2 = zero
+        along_j = [s[0], s[0], s[0]]
+        along_k = [s[0], s[0], s[0]]
+        value = [s[0], s[0], s[0]]
         for i in ti.static(range(3)):
-            t = zero
-            tj = zero
-            tk = zero
-            for j in ti.static(range(3)):
-                o = cell * 27 + 9 * i + 3 * j
-                q0 = field[body.cell_nodes[o] * 3 + d]
-                q1 = field[body.cell_nodes[o + 1] * 3 + d]
-                q2 = field[body.cell_nodes[o + 2] * 3 + d]
-                s = w[2][0] * q0 + w[2][1] * q1 + w[2][2] * q2
-                sk = dw[2][0] * q0 + dw[2][1] * q1 + dw[2][2] * q2
-                t += w[1][j] * s
-                tj += dw[1][j] * s
-                tk += w[1][j] * sk
-            g0 += dw[0][i] * t
-            g1 += w[0][i] * tj
-            g2 += w[0][i] * tk
-        out[3 * d] = g0
-        out[3 * d + 1] = g1
-        out[3 * d + 2] = g2
+            o = ti.static(27 * i + d)
+            q0, r0 = evaluate(q[o], q[o + 3], q[o + 6], s[2], h[2])
+            q1, r1 = evaluate(q[o + 9], q[o + 12], q[o + 15], s[2], h[2])
+            q2, r2 = evaluate(q[o + 18], q[o + 21], q[o + 24], s[2], h[2])
+            x, y = evaluate(q0, q1, q2, s[1], h[1])
+            z, _ = evaluate(r0, r1, r2, s[1], h[1])
+            value[i] = x
+            along_j[i] = y
+            along_k[i] = z
+        _, x = evaluate(value[0], value[1], value[2], s[0], h[0])
+        y, _1 = evaluate(along_j[0], along_j[1], along_j[2], s[0], h[0])
+        z, _2 = evaluate(along_k[0], along_k[1], along_k[2], s[0], h[0])
+        out[3 * d] = x
+        out[3 * d + 1] = y
+        out[3 * d + 2] = z
     return out
 
 
 @ti.func
-def deposit(body: ti.template(), o, x, first):
-    """Add the sum of the lanes to a cell's own block (cleared by its first batch)."""
-    s = lane_sum(x)
-    if first == 0:
-        s += body.block[o]
-    body.block[o] = s
+def spread(T: ti.template(), s: ti.template(), h: ti.template(), q: ti.template()):
+    """The transpose of `gradient`: add to q what nine lane vectors T on 2 dq/ds give it.
 
-
-@ti.func
-def strain(
-    body: ti.template(), cell, b, w: ti.template(), dw: ti.template(), ih, options: ti.template()
-):
-    """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
-    F = gradient(body, body.u, cell, w, dw)
-    for a in ti.static(range(9)):
-        F[a] = F[a] * ih
-    if ti.static(options.anchored):
-        for a in ti.static(range(9)):
-            F[a] = F[a] + load(body.F0, (9 * b + a) * LANES)
-    else:
-        for a in ti.static(range(3)):
-            F[4 * a] = F[4 * a] + 1.0
-    return F
-
-
-@ti.func
-def deformation(body: ti.template(), cell, b, ih, options: ti.template()):
-    """F of one batch, as `strain`."""
-    w0, d0 = spline(load(body.fx, b * 24))
-    w1, d1 = spline(load(body.fx, b * 24 + 8))
-    w2, d2 = spline(load(body.fx, b * 24 + 16))
-    return strain(body, cell, b, [w0, w1, w2], [d0, d1, d2], ih, options)
+    x on q(s) and y on 2 dq/ds give x to a, h x + y to b and s (h x + 2 y) to c.
+    """
+    for d in ti.static(range(3)):
+        x = [T[3 * d], T[3 * d], 2.0 * s[0] * T[3 * d]]  # nothing for a
+        y = [T[3 * d + 1], h[0] * T[3 * d + 1], s[0] * h[0] * T[3 * d + 1]]
+        z = [T[3 * d + 2], h[0] * T[3 * d + 2], s[0] * h[0] * T[3 * d + 2]]
+        for i in ti.static(range(3)):
+            values = [x[i], y[i], 2.0 * s[1] * y[i]]
+            if ti.static(i > 0):
+                b = h[1] * x[i] + y[i]
+                values[1] = b
+                values[2] = s[1] * (b + y[i])
+            b = h[1] * z[i]
+            slopes = [z[i], b, s[1] * b]
+            for j in ti.static(range(3)):
+                o = ti.static(27 * i + 9 * j + d)
+                b = slopes[j]
+                if ti.static(i > 0 or j > 0):
+                    q[o] = q[o] + values[j]
+                    b += h[2] * values[j]
+                q[o + 3] = q[o + 3] + b
+                q[o + 6] = q[o + 6] + s[2] * (b + slopes[j])

@@ -33,6 +33,13 @@ class StableStep:
         w = np.hypot(self.elastic, self.contact)
         return float(0.5 * (self.viscous_time * self.elastic**2 + self.contact_damping) / w)
 
+    def crowded(self, by: float) -> StableStep:
+        """With so many times the contact springs on a sample."""
+        more = replace(
+            self, contact=np.sqrt(by) * self.contact, contact_damping=by * self.contact_damping
+        )
+        return replace(more, dt=self.dt / self.limit * more.limit)
+
     @property
     def limit(self) -> float:
         """[s] (2 / w) (sqrt(1 + z^2) - z)."""

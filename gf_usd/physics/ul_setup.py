@@ -59,7 +59,7 @@ def floor_contact(
     per: dict[str, Floats],
 ) -> tuple[FloorContact | None, Ride | None]:
     """Stiffness and damping as for the Total Lagrangian solver, on samples carried by particles."""
-    contact = setup.floor_contact(samples, particles, stencil, settings, per)
+    contact = setup.surface_contact(samples, particles, stencil, settings, per)
     if contact is None or samples is None:
         return None, None
     ride = board(samples.X, particles.X)

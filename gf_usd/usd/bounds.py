@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from gf_usd.usd.meshes import MeshTrack
-from gf_usd.usd.splat_cache import SplatTrack
+from gf_usd.model import Floats
 from gf_usd.usd.stage import Clock
+
+
+class Boxed(Protocol):
+    """What is written into the cache and has a box."""
+
+    path: Sdf.Path
+    low: Floats  # (3,) corner of what was written last, in a space of its own
+    high: Floats
+
+    def to_world(self, time_code: float) -> Floats:
+        """From that space to the world (4, 4), stage units."""
+        ...
 
 
 class SkelBound:
@@ -20,7 +32,7 @@ class SkelBound:
     """
 
     def __init__(
-        self, cache: Usd.Stage, root: Usd.Prim, tracks: Sequence[MeshTrack], clock: Clock
+        self, cache: Usd.Stage, root: Usd.Prim, tracks: Sequence[Boxed], clock: Clock
     ) -> None:
         self._root = root
         self._tracks = [t for t in tracks if t.path.HasPrefix(root.GetPath())]
@@ -32,13 +44,13 @@ class SkelBound:
         self._extent = over.CreateAttribute("extent", Sdf.ValueTypeNames.Float3Array, False)
 
     def write(self, time_code: float) -> None:
-        """Author the union of the meshes' boxes, after they were written at this time code."""
+        """Author the union of the boxes, after they were written at this time code."""
         source_time = self._clock.source_time(time_code)
         cache = UsdGeom.XformCache(source_time)
         to_root = np.linalg.inv(np.array(cache.GetLocalToWorldTransform(self._root)))
         boxes = []
         for track in self._tracks:
-            forward = np.linalg.inv(track.space.from_world(time_code)) @ to_root
+            forward = track.to_world(time_code) @ to_root
             boxes.append(_corners(track.low, track.high) @ forward[:3, :3] + forward[3, :3])
         if self._others:
             # what is not baked is still posed by the skeleton: the source's own answer holds for it
@@ -53,17 +65,15 @@ class SkelBound:
 
 
 def skel_bounds(
-    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[MeshTrack], clock: Clock
+    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed], clock: Clock
 ) -> list[SkelBound]:
-    """One for each SkelRoot above a baked mesh."""
+    """One for each SkelRoot above what is baked."""
     roots = [p for p in _above(source, tracks) if p.IsA(UsdSkel.Root)]
     return [SkelBound(cache, root, tracks, clock) for root in roots]
 
 
-def block_hints(
-    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[MeshTrack | SplatTrack]
-) -> None:
-    """Block every authored extentsHint above a baked mesh.
+def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed]) -> None:
+    """Block every authored extentsHint above what is baked.
 
     Bounds are then computed from the extents below.  Where the payload is not loaded the source's
     hint, which is for that case, stands.
@@ -75,7 +85,7 @@ def block_hints(
             over.CreateAttribute("extentsHint", hint.GetTypeName(), False).Block()
 
 
-def _above(source: Usd.Stage, tracks: Iterable[MeshTrack | SplatTrack]) -> list[Usd.Prim]:
+def _above(source: Usd.Stage, tracks: Iterable[Boxed]) -> list[Usd.Prim]:
     paths = {p for track in tracks for p in track.path.GetParentPath().GetPrefixes()}
     return [source.GetPrimAtPath(path) for path in sorted(paths)]
 

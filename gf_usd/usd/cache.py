@@ -1,8 +1,9 @@
 """The cache layer: one bake's frames, streamed into ``NAME.partial.usdc``.
 
 The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
-the source.  Memory does not grow with the number of frames, because the layer is saved as it goes;
-a save also leaves a readable file behind should the process be killed.
+the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
+the number of frames, because the layer is saved as it goes; a save also leaves a readable file
+behind should the process be killed.
 """
 
 from __future__ import annotations
@@ -15,17 +16,27 @@ from types import TracebackType
 
 from pxr import Usd
 
+from gf_usd.choices import Choices
 from gf_usd.errors import BakeError
 from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
 from gf_usd.publish import partial_path
 from gf_usd.usd.bounds import block_hints, skel_bounds
+from gf_usd.usd.clips import ClipStore
 from gf_usd.usd.health import HealthTrack, bake_root
-from gf_usd.usd.meshes import MeshTrack
+from gf_usd.usd.meshes import MeshTrack, free_instances
 from gf_usd.usd.particles import ParticleTrack
 from gf_usd.usd.splat_cache import SplatTrack
-from gf_usd.usd.stage import author_facts, clock, find_home, new_layer, open_source, save
+from gf_usd.usd.stage import (
+    author_facts,
+    clock,
+    find_home,
+    new_layer,
+    open_source,
+    roots_of,
+    save,
+)
 
-UNSAVED = 128_000_000  # [bytes] of captured Gaussians that wait in memory
+SAVE = 64e6  # [bytes] that are held before they are saved
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +47,7 @@ class CacheSummary:
     partial: Path
     bytes: int
     frames: int
+    clips: tuple[Path, ...] = ()  # published already
     notes: tuple[str, ...] = ()  # what was left out, in words
 
 
@@ -52,7 +64,8 @@ class CacheWriter:
     particles : its particles.
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
-    save_every : frames between two saves, at most: captured Gaussians are saved sooner.
+    choices : which shapes are written, and whether in clips; default all in one file.
+    save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
     Raises
     ------
@@ -67,45 +80,65 @@ class CacheWriter:
         info: BakeInfo,
         *,
         source: Path | None = None,
-        save_every: int = 24,
+        choices: Choices | None = None,
+        save_every: int | None = None,
     ) -> None:
         self.path = Path(path)
-        self._frames = 0
+        choices = choices or Choices()
+        surfaces = asset.surfaces if choices.mesh else ()
+        self._every = save_every or _samples_in(SAVE, asset, particles)
+        self._frames = 0  # written, each sample one
+        self._per_frame = info.settings.samples_per_frame
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         time = clock(stage, info.settings)
-        home = find_home(stage, asset)
+        home = find_home(stage, asset, choices)
         prims = [_require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
         author_facts(self._layer, asset.facts, info.settings, stage)
         self._layer.startTimeCode = time.start
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
-        self._stage = Usd.Stage.Open(self._layer)
+        self._clips = None
+        if choices.clip_frames:
+            length = choices.clip_frames * self._per_frame
+            self._clips = ClipStore(self.path, self._layer, length)
+        self._stage = self._clips.stage if self._clips else Usd.Stage.Open(self._layer)
+        for prim in prims:
+            free_instances(self._stage, prim)
         unit = asset.facts.units.length
         self._meshes = {
             surface.path: MeshTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(asset.surfaces, prims)
+            for surface, prim in zip(surfaces, prims)
             if surface.splats is None
         }
         self._splats = {
             surface.path: SplatTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(asset.surfaces, prims)
+            for surface, prim in zip(surfaces, prims)
             if surface.splats is not None
         }
-        heavy = sum(s.splats.frame_bytes for s in asset.surfaces if s.splats is not None)
-        self._every = max(1, min(save_every, UNSAVED // max(heavy, 1)))
-        tracks = list(self._meshes.values())
-        block_hints(self._stage, stage, [*tracks, *self._splats.values()])
-        self._bounds = skel_bounds(self._stage, stage, tracks, time)
+        # every root prim that a display hides something of has its payload
+        for path in roots_of(asset, home):
+            self._stage.OverridePrim(path)
         root = stage.GetPrimAtPath(home.root)
-        self._particles = ParticleTrack(self._stage, root, home, asset, particles, info, time)
+        self._particles = None
+        if choices.particles:
+            self._particles = ParticleTrack(
+                self._stage, root, home, asset, particles, info, time, choices
+            )
+        moving = [*self._meshes.values(), *self._splats.values()]
+        tracks = [*moving, *([self._particles] if self._particles else [])]
+        block_hints(self._stage, stage, tracks)
+        # the particles of a mesh are inside its box
+        self._bounds = skel_bounds(self._stage, stage, moving or tracks, time)
         self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
         self._source = stage  # the tracks read its transforms frame by frame
         save(self._layer)
+        if self._clips:
+            self._clips.begin()
 
     def write(self, frame: BakedFrame) -> None:
         """Add one frame.
@@ -136,10 +169,13 @@ class CacheWriter:
             self._meshes[path].write(pose, time_code)
         for path, pose in frame.splats.items():
             self._splats[path].write(pose, time_code)
+        if self._particles:
+            self._particles.write(frame.gaussians, time_code)
         for bound in self._bounds:
             bound.write(time_code)
-        self._particles.write(frame.gaussians, time_code)
         self._health.write(frame.health, time_code)
+        if self._clips:
+            self._keep(time_code)
         self._time_code = time_code
         self._frames += 1
         if self._frames % self._every == 0:
@@ -152,13 +188,17 @@ class CacheWriter:
         """
         if self._summary is None:
             self._save()
+            if self._clips:
+                self._clips.close()
             partial = partial_path(self.path)
+            files = [partial, *(self._clips.files if self._clips else ())]
             self._summary = CacheSummary(
                 path=self.path,
                 partial=partial,
-                bytes=partial.stat().st_size,
-                frames=self._frames,
-                notes=tuple(note for track in self._meshes.values() for note in track.notes),
+                bytes=sum(file.stat().st_size for file in files),
+                frames=-(-self._frames // self._per_frame),
+                clips=tuple(files[1:]),
+                notes=self._notes(),
             )
             self._release()
         return self._summary
@@ -186,9 +226,23 @@ class CacheWriter:
             self._layer.endTimeCode = self._time_code
         try:
             save(self._layer)
+            if self._clips:
+                self._clips.save()
         except BakeError as error:
             self._lost = error
             raise
+
+    def _keep(self, time_code: float) -> None:
+        assert self._clips is not None
+        try:
+            self._clips.keep(time_code)
+        except BakeError as error:
+            self._lost = error
+            raise
+
+    def _notes(self) -> tuple[str, ...]:
+        of_meshes = (note for track in self._meshes.values() for note in track.notes)
+        return (*of_meshes, *(self._particles.notes if self._particles else ()))
 
     def _raise_if_lost(self) -> None:
         # USD crashes when a layer that met a full disk is touched again
@@ -197,7 +251,7 @@ class CacheWriter:
 
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
-        del self._stage, self._source, self._layer
+        del self._stage, self._source, self._layer, self._clips
 
 
 def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
@@ -208,6 +262,14 @@ def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
             "the file changed since it was read: run the bake again",
         )
     return prim
+
+
+def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
+    """How many samples are about so many bytes: 1 to 24."""
+    each = 76 * len(particles)
+    for s in asset.surfaces:
+        each += 24 * len(s.points) if s.splats is None else s.splats.frame_bytes
+    return int(min(24, max(1, size // each)))
 
 
 def _list(paths: Iterable[str]) -> str:

@@ -18,10 +18,12 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
+from gf_usd.choices import Choices
 from gf_usd.model import Asset, Material, Settings
 from gf_usd.publish import partial_path, publish
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before a stage is opened)
 from gf_usd.usd.retarget import repeat_edits, restore_rest
+from gf_usd.usd.roots import reference_roots
 from gf_usd.usd.stage import (
     VARIANT_SET,
     Home,
@@ -72,7 +74,8 @@ def write_root(
     bakes: Sequence[BakedLook],
     *,
     source: Path | None = None,
-    display: str = "mesh",
+    display: str | None = None,
+    choices: Choices | None = None,
     partial: bool = False,
 ) -> RootSummary:
     """Write and publish the root layer; the first bake is selected.
@@ -83,7 +86,8 @@ def write_root(
     asset : what was baked.
     bakes : one for each variant, with the names of their caches.
     source : the USD file to reference; default the asset's own.
-    display : selected in every bake: mesh, gaussians or points.
+    display : selected in every bake; default the first shape there is.
+    choices : those of the caches; default all shapes.
     partial : leave it under its partial name, as the root layer of a bake that failed.
 
     Raises
@@ -92,21 +96,21 @@ def write_root(
     InputError, BakeError : see ``open_source``, ``new_layer`` and ``publish``.
     """
     path = Path(path)
-    check_looks(bakes, display)
+    choices = choices or Choices()
+    display = display or choices.shapes[0]
+    check_looks(bakes, display, choices)
     source_path = source or asset.facts.path
     stage = open_source(source_path)
-    home = find_home(stage, asset)
+    home = find_home(stage, asset, choices)
     layer = new_layer(path, source_path)
     _author_metadata(layer, stage, asset, home, bakes)
-    reference = asset_path(source_path, path.parent)
-    for prim in stage.GetPseudoRoot().GetAllChildren():
-        spec = Sdf.PrimSpec(layer.pseudoRoot, prim.GetName(), prim.GetSpecifier())
-        spec.referenceList.prependedItems = [Sdf.Reference(reference, prim.GetPath())]
+    reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
     display_set = free_display_set(stage, asset, home)
     switches = roots_of(asset, home)
     for root in switches:
-        add_variants(layer, root, asset, home, bakes, display_set, display)
-    unskinned = frozenset(Sdf.Path(s.path) for s in asset.surfaces if s.skinned)
+        add_variants(layer, root, asset, home, bakes, display_set, display, choices)
+    skinned = [Sdf.Path(s.path) for s in asset.surfaces if s.skinned]
+    unskinned = frozenset(skinned if choices.mesh else ())
     retargeted = repeat_edits(stage, layer, unskinned)
     notes = _restore(stage, layer, switches)
     if display_set != DISPLAY_SET:

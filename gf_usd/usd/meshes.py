@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.errors import BakeError
 from gf_usd.model import Floats, MeshPose, Surface
+from gf_usd.usd.elements import hold_elements
 from gf_usd.usd.shading import CornerNormals
 from gf_usd.usd.space import Space
 from gf_usd.usd.stage import Clock
@@ -41,7 +42,6 @@ class MeshTrack:
         self.space = Space(prim, clock, meters_per_unit)
         self.low = self.high = np.zeros(3)
         self._surface = surface
-        free_instances(cache, prim)
         over = cache.OverridePrim(self.path)
         self._points = over.CreateAttribute("points", Types.Point3fArray, False)
         self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
@@ -54,6 +54,7 @@ class MeshTrack:
             topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
             if any(attr.ValueMightBeTimeVarying() for attr in topology):
                 self._author_topology(over)
+                hold_elements(cache, prim, clock.source_time(clock.start))
         else:
             self._become_mesh(over)
         if prim.GetAttribute("accelerations").HasAuthoredValue():
@@ -79,6 +80,10 @@ class MeshTrack:
         normals = self._local_normals(pose, points, time_code)
         if self._normals is not None and normals is not None:
             self._normals.Set(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)), time_code)
+
+    def to_world(self, time_code: float) -> Floats:
+        """Local-to-world matrix (4, 4) for row vectors, stage units."""
+        return np.linalg.inv(self.space.from_world(time_code))
 
     def _local_normals(self, pose: MeshPose, points: Floats, time_code: float) -> Floats | None:
         if self._shading is not None:
@@ -146,7 +151,7 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
 
 
 def free_instances(cache: Usd.Stage, prim: Usd.Prim) -> None:
-    # opinions on instance proxies are ignored
+    """End every instance above a prim: opinions on instance proxies are ignored."""
     if not prim.IsInstanceProxy():
         return
     parent = prim.GetParent()

@@ -20,7 +20,9 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
     prims = [p for p in stage.GetPseudoRoot().GetAllChildren()
              if p.GetVariantSets().HasVariantSet(VARIANT_SET)]  # fmt: skip
-    names = sorted({n for p in prims for n in p.GetVariantSet(VARIANT_SET).GetVariantNames()})
+    # a flattened bake has no variants of looks: it is checked as it is
+    sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
+    names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]
     stage.SetEditTarget(stage.GetSessionLayer())
     seen: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:

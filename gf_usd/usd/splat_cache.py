@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, Vt
 from gf_usd.model import Floats, Surface
 from gf_usd.scene import gaussian_axes
 from gf_usd.splats import SplatPose
-from gf_usd.usd.meshes import check, free_instances
+from gf_usd.usd.meshes import check
 from gf_usd.usd.space import Space
 from gf_usd.usd.stage import Clock
 
@@ -43,7 +43,6 @@ class SplatTrack:
         self.low = self.high = np.zeros(3)
         self.notes: list[str] = []
         self._splats = surface.splats
-        free_instances(cache, prim)
         over = cache.OverridePrim(self.path)
         self._positions = over.CreateAttribute("positions", Types.Point3fArray, False)
         self._orientations = over.CreateAttribute("orientations", Types.QuatfArray, False)
@@ -80,6 +79,10 @@ class SplatTrack:
             check(pose.harmonics, shape, f"harmonics of <{self.path}>", time_code)
             flat = np.ascontiguousarray(pose.harmonics.reshape(-1, 3), np.float16)
             self._harmonics.Set(Vt.Vec3hArray.FromNumpy(flat), time_code)
+
+    def to_world(self, time_code: float) -> Floats:
+        """Local-to-world matrix (4, 4) for row vectors, stage units."""
+        return np.linalg.inv(self.space.from_world(time_code))
 
     @staticmethod
     def _block(over: Usd.Prim, prim: Usd.Prim, name: str) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
+from gf_usd.choices import Choices
 from gf_usd.errors import BakeError, InputError, UsageError
 from gf_usd.model import Asset, Settings, StageFacts
 from gf_usd.publish import partial_path
@@ -38,7 +39,7 @@ class Clock:
 
     rate: float  # time codes per second of the output layers
     source_rate: float  # of the source
-    start: float  # time code of the first frame
+    start: float  # time code of the first frame that is written
     end: float  # time code of the last
     step: float  # time codes per frame
 
@@ -79,17 +80,18 @@ def clock(source: Usd.Stage, settings: Settings) -> Clock:
     return Clock(
         rate=settings.time_codes_per_second,
         source_rate=source.GetTimeCodesPerSecond(),
-        start=settings.start,
-        end=settings.start + (settings.frames - 1) * step,
+        start=settings.time_code(settings.first),
+        end=settings.time_code(settings.frames - 1),
         step=step,
     )
 
 
-def find_home(source: Usd.Stage, asset: Asset) -> Home:
+def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -> Home:
     """Where the particle prims go: a scope under the root prim, or beside one that is a Gprim.
 
     The root prim is the default prim, or without one the first root prim that holds a surface
-    and stands on the stage.  Gprims may not nest, hence the sibling.
+    and stands on the stage.  Gprims may not nest, hence the sibling; a bake that writes no
+    particles needs none.
     """
     roots = list(source.GetPseudoRoot().GetAllChildren())
     held = {Sdf.Path(surface.path).GetPrefixes()[0] for surface in asset.surfaces}
@@ -101,7 +103,8 @@ def find_home(source: Usd.Stage, asset: Asset) -> Home:
         raise InputError(
             f"{asset.facts.path} has no root prim that is defined.", "check it with usdcat"
         )
-    inside = not chosen.IsA(UsdGeom.Gprim)
+    empty = choices is not None and not choices.particles
+    inside = empty or not chosen.IsA(UsdGeom.Gprim)
     if inside:
         scope = _free(source, chosen.GetPath().AppendChild(SCOPE))
     else:

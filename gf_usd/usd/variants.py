@@ -14,14 +14,15 @@ from pathlib import Path
 
 from pxr import Sdf, Usd
 
+from gf_usd.choices import Choices
 from gf_usd.errors import UsageError
 from gf_usd.model import Asset, BakeInfo
 from gf_usd.output_files import SOURCE_VARIANT as NONE
 from gf_usd.usd.health import author_totals, bake_root
 from gf_usd.usd.stage import VARIANT_SET, Home, asset_path, roots_of
 
-DISPLAYS = ("mesh", "gaussians", "points")
 DISPLAY_SET = "display"
+PARTICLES = {"gaussians": "Gaussians", "points": "Points"}  # shape -> prim in the scope
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +37,13 @@ class BakedLook:
     failure: str = ""  # why it ended before its last frame; "" where it did not
 
 
-def check_looks(bakes: Sequence[BakedLook], display: str) -> None:
+def check_looks(bakes: Sequence[BakedLook], display: str, choices: Choices) -> None:
     """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
     if not bakes:
         raise UsageError("There is no bake to write a root layer for.", "give a --material")
-    if display not in DISPLAYS:
-        raise UsageError(f"Unknown display {display!r}.", f"choose one of: {', '.join(DISPLAYS)}")
+    if display not in choices.shapes:
+        shown = ", ".join(choices.shapes)
+        raise UsageError(f"There is no display {display!r}.", f"choose one of: {shown}")
     names = [bake.name for bake in bakes]
     for name in names:
         if not name or not Sdf.Path.IsValidPathString(f"/x{{v={name}}}")[0]:
@@ -72,6 +74,7 @@ def add_variants(
     bakes: Sequence[BakedLook],
     display_set: str,
     display: str,
+    choices: Choices,
 ) -> None:
     """Give one root prim of the layer the variants none and one for each bake.
 
@@ -80,6 +83,7 @@ def add_variants(
     layer : the root layer, in its final folder.
     root : one of ``roots_of(asset, home)``.
     display_set, display : name of the nested set and what is selected in it.
+    choices : the shapes that the caches hold; each has a variant.
     """
     spec = layer.GetPrimAtPath(root)
     if spec is None:
@@ -97,26 +101,25 @@ def add_variants(
         variant.variantSetNameList.prependedItems = [display_set]
         variant.variantSelections[display_set] = display
         modes = Sdf.VariantSetSpec(variant, display_set)
-        for mode in DISPLAYS:
+        for mode in choices.shapes:
             inner = Sdf.VariantSpec(modes, mode).primSpec
-            for path in _hidden(mode, root, asset, home):
+            for path in hidden(mode, root, asset, home, choices):
                 _hide(layer, inner.path.AppendPath(path.MakeRelativePath(root)))
         if bake_root(asset, home) == root:
             author_totals(variant, bake.health, asset.facts.units, bake.warnings, bake.failure)
-        if home.scope.HasPrefix(root):
-            _name_meshes(layer, variant.path, root, asset, home)
+        if choices.particles and home.scope.HasPrefix(root):
+            _name_meshes(layer, variant.path, root, asset, home, choices)
 
 
-def _hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home) -> list[Sdf.Path]:
-    """Prims under a root prim that a display mode hides."""
-    meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
-    scope = home.scope
-    hidden = {
-        "mesh": [scope],
-        "gaussians": [*meshes, scope.AppendChild("Points")],
-        "points": [*meshes, scope.AppendChild("Gaussians")],
-    }[mode]
-    return [path for path in hidden if path.HasPrefix(root)]
+def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices) -> list[Sdf.Path]:
+    """Prims under a root prim that a display mode hides; meshes also where they do not move."""
+    paths = [] if mode == "mesh" else [Sdf.Path(surface.path) for surface in asset.surfaces]
+    if mode == "mesh" and choices.particles:
+        paths.append(home.scope)
+    for shape, name in PARTICLES.items():
+        if mode not in ("mesh", shape) and shape in choices.shapes:
+            paths.append(home.scope.AppendChild(name))
+    return [path for path in paths if path.HasPrefix(root)]
 
 
 def _hide(layer: Sdf.Layer, path: Sdf.Path) -> None:
@@ -125,13 +128,19 @@ def _hide(layer: Sdf.Layer, path: Sdf.Path) -> None:
 
 
 def _name_meshes(
-    layer: Sdf.Layer, variant: Sdf.Path, root: Sdf.Path, asset: Asset, home: Home
+    layer: Sdf.Layer,
+    variant: Sdf.Path,
+    root: Sdf.Path,
+    asset: Asset,
+    home: Home,
+    choices: Choices,
 ) -> None:
     # a payload cannot name what is outside its root prim, the root layer can
     meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
     if all(mesh.HasPrefix(root) for mesh in meshes):
         return
-    for name in ("Gaussians", "Points"):
+    for shape in set(PARTICLES) & set(choices.shapes):
+        name = PARTICLES[shape]
         path = home.scope.AppendChild(name).MakeRelativePath(root)
         prim = Sdf.CreatePrimInLayer(layer, variant.AppendPath(path))
         rel = Sdf.RelationshipSpec(prim, "gaussianFlesh:sourceMeshes", False)

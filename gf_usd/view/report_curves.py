@@ -120,8 +120,18 @@ def _column(record: Record, name: str) -> list[float | None]:
 
 
 def _health(motion: Motion, record: Record, name: str, values: Sequence[float | None]) -> Curve:
-    """A curve over all frames of the bake."""
+    """A curve over the frames of the bake that are in the recording."""
     recording = motion.recording
+    codes = [finite(frame.get("time_code")) for frame in record.frames]
+    if len(codes) == len(values) and None not in codes:
+        # a range, handles and samples between frames part the two
+        first, last = recording.time_codes[0], recording.time_codes[-1]
+        held = [(c, v) for c, v in zip(codes, values) if c is not None and first <= c <= last]
+        return {
+            "name": name,
+            "x": [recording.seconds(code) for code, _ in held],
+            "y": [value for _, value in held],
+        }
     if len(values) == len(recording.time_codes):
         x = [recording.seconds(code) for code in recording.time_codes]
     else:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
-from gf_usd.physics import solver as module
+from gf_usd.physics import launch as module
 from gf_usd.physics.solver import TotalLagrangian
 
 

@@ -18,11 +18,13 @@ REPORT = {
     "command", "version", "source", "input_sha256", "bodies", "riders", "particles", "spacing_m",
     "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m", "settings", "outputs",
     "notes", "seconds", "bakes", "warnings", "check", "pins",
+    "separate_bodies", "obstacles", "tables",
 }  # fmt: skip
 BAKE = ["look", "cache", "material", "frames", "health"]
 HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
+    "deepest_overlap_m", "deepest_overlap_spacings",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
     "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",
     "inverted_at_end", "first_inverted_frame", "clamped_particle_frames", "clamped_share",

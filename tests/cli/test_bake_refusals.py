@@ -50,7 +50,7 @@ def test_the_asset_is_not_written_even_when_asked(gf_usd, here: Path, block: Pat
         (("--device", "tpu"), "there is no device 'tpu'"),
         (("--frames", "0"), "--frames is 0"),
         (("--gravity", "down"), "--gravity: 'down' is no number"),
-        (("-o", "shot.usdz"), "-o shot.usdz: a root layer ends in .usda, .usd or .usdc"),
+        (("-o", "shot.obj"), "-o shot.obj: a root layer ends in .usda, .usd or .usdc"),
     ],
 )
 def test_wrong_options(gf_usd, here: Path, block: Path, options, message: str) -> None:
@@ -97,7 +97,7 @@ def test_a_bake_that_is_stopped_leaves_partial_files_only(
 ) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "gf_usd", "bake", str(block), "--particles", "300",
-         "--frames", "100000", "--drop", "150", "-q"],
+         "--frames", "100000", "--drop", "150", "--clip-frames", "0", "-q"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

@@ -77,9 +77,25 @@ def test_the_page_shows_the_newest_of_a_section(tmp_path: Path) -> None:
     assert "**Failed**: 1 of 2 figures in 1 cases; failed: bar.frequency" in page([failed])
 
 
-def test_a_run_that_printed_nothing_is_no_result() -> None:
-    from acceptance import read_verify
+def test_claims_about_a_batch_are_read_one_by_one() -> None:
+    from acceptance import read_batch
 
+    good = {"engine": "Dask", "claim": "all is done", "found": "18", "holds": True}
+    bad = {"engine": "Dask", "claim": "none is lost", "found": "1", "holds": False}
+    for claims, passed in (([good], True), ([good, bad], False)):
+        tree = {"claims": claims, "seconds": {"dask": 61.2}, "jobs": 18}
+        outcome = read_batch(subprocess.CompletedProcess((), 0, json.dumps(tree)))
+        assert outcome.passed is passed
+        assert len(outcome.table) == len(claims) + 1
+    assert outcome.summary == "1 of 2 claims held (dask 61 s); not: none is lost"
+    assert outcome.table[2][-1] == "**FAIL**"
+
+
+def test_a_run_that_printed_nothing_is_no_result() -> None:
+    from acceptance import read_batch, read_verify
+
+    with pytest.raises(SystemExit, match="status 1"):
+        read_batch(subprocess.CompletedProcess(("x",), 1, ""))
     with pytest.raises(SystemExit, match="exit status 3"):
         read_verify(subprocess.CompletedProcess(("x",), 3, ""))
 

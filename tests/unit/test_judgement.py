@@ -71,6 +71,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(penetration=0.101, kinetic=5.0)),
         "sank 1 spacings (0.101 m) into the floor",
     ),
+    "overlap": (
+        summary(Health(overlap=0.099)),
+        summary(Health(overlap=0.101)),
+        "overlapped by 1 spacings (0.101 m)",
+    ),
     "resting-depth": (
         summary(Health(penetration=0.024)),
         summary(Health(penetration=0.026)),

@@ -82,11 +82,11 @@ def test_a_root_layer_is_named_by_its_suffix(suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("output", "name"), [("shot", "shot"), ("a/shot.usdz", "shot.usdz"), ("x.txt", "x.txt")]
+    ("output", "name"), [("shot", "shot"), ("a/shot.usdx", "shot.usdx"), ("x.txt", "x.txt")]
 )
 def test_other_suffixes_are_refused(output: str, name: str) -> None:
     assert refusal(outputs, DUCK, ["rubber"], output) == (
-        f"-o {output}: a root layer ends in .usda, .usd or .usdc",
+        f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
         f"name it {name}.usda, or end a folder's name in /",
     )
 

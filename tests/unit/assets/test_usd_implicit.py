@@ -74,3 +74,9 @@ def test_animated_radius_is_read_at_the_pose_time(read):
 def test_negative_radius_is_left_alone(read):
     asset = read('def Cube "A" {}\ndef Sphere "S" {\ndouble radius = -1\n}')
     assert asset.skipped == (("/S", "its radius is -1"),)
+
+
+@pytest.mark.parametrize("shape", ["Capsule", "Cylinder", "Cone", "Capsule_1", "Cylinder_1"])
+def test_an_axis_that_is_none_is_left_alone(read, shape):
+    asset = read(f'def Cube "A" {{}}\ndef {shape} "S" {{\nuniform token axis = "up"\n}}')
+    assert asset.skipped == (("/S", "its axis is 'up', which is not X, Y or Z"),)

@@ -211,8 +211,11 @@ def test_an_animation_that_has_not_begun_or_is_over_gives_none(said, rest: float
     assert (only(found).moving, found.notes) == (None, ())
 
 
-def test_without_a_start_nothing_is_before_it(said) -> None:
-    assert only(said(mesh("Duck", FALL))).moving is None
+def test_without_a_start_the_first_frame_is_at_1(said) -> None:
+    moving = only(said(mesh("Duck", FALL))).moving
+    # five units in ten frames of 1/24 s, and nothing moves before 0
+    np.testing.assert_allclose(moving, np.tile([0.0, -12.0, 0.0], (8, 1)), atol=1e-9)
+    assert only(said(mesh("Duck", FALL), rest=0.0)).moving is None
 
 
 def test_points_that_are_animated_have_a_velocity_each(said) -> None:

@@ -157,6 +157,55 @@ def test_instances_are_read_in_place(read):
     """)
     assert paths(asset) == ["/One/Box", "/Two/Box"]
     assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
+    assert asset.facts.notes == (
+        "/One and /Two: is an instance: in the bake it is an ordinary prim, "
+        "since what is in it moves",
+    )
+
+
+def test_what_an_instancer_repeats_is_left_alone_wherever_it_stands(read):
+    asset = read("""
+    def Xform "Grass"
+    {
+        def PointInstancer "Many"
+        {
+            rel prototypes = [</Grass/Many/Blade>, </Library/Stone>, </Library/Nothing>]
+            def Cube "Blade" {}
+        }
+    }
+    def Scope "Library"
+    {
+        def Xform "Stone"
+        {
+            def Cube "Box" {}
+        }
+        def Cube "Other" {}
+    }
+    """)
+    assert paths(asset) == ["/Library/Other"]
+    assert dict(asset.skipped) == {
+        "/Grass/Many": "PointInstancer: its instances are not made soft",
+        "/Library/Stone": "prototype of </Grass/Many>: its instances are not made soft",
+    }
+
+
+def test_what_inherits_from_a_baked_prim_follows_it(read):
+    asset = read("""
+    class Xform "Proto"
+    {
+        def Cube "Box" {}
+    }
+    def Xform "One" (inherits = </Proto>)
+    {
+    }
+    def Xform "Two" (inherits = </One>)
+    {
+    }
+    """)
+    assert paths(asset) == ["/One/Box"]
+    assert dict(asset.skipped) == {
+        "/Two/Box": "inherits from </One/Box>, which is baked, and follows it"
+    }
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from solids import CUBE_TRIANGLES, cube, solid, sphere, surface
 
 from gf_usd.colour import srgb_to_linear
 from gf_usd.geometry.surface import DEFAULT_COLOUR, barycentric, colours, nearest, sample
-from gf_usd.model import SurfaceMaterial, Texture
+from gf_usd.model import Texture
+from gf_usd.surface_material import SurfaceMaterial
 
 RED, GREEN, BLUE = (0.8, 0.1, 0.1), (0.1, 0.7, 0.2), (0.0, 0.2, 0.9)
 

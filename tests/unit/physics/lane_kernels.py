@@ -7,10 +7,15 @@ import taichi as ti
 
 from gf_usd.physics.lanes import LANES, rotation
 from gf_usd.physics.laws import LAWS
-from gf_usd.physics.stencil_kernel import load
 from gf_usd.runtime import init_taichi
 
 CONVERGED = {np.float64: 1e-15, np.float32: 1e-7}  # as TotalLagrangian sets it
+
+
+@ti.func
+def load(A: ti.template(), o):
+    """Eight numbers from o on as a lane vector."""
+    return ti.Vector([A[o], A[o + 1], A[o + 2], A[o + 3], A[o + 4], A[o + 5], A[o + 6], A[o + 7]])
 
 
 def _kind(real: type):

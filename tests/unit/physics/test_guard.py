@@ -213,7 +213,7 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert caught.value.hint == (
         "this preset gives every frame the same few substeps: leave --preset out;"
-        " frames up to 0 are in the partial cache"
+        " the frames before it are in the partial cache"
     )
     body, _ = ball(300)
     free = TotalLagrangian(body, [look("rubber", body)], settings())
@@ -221,7 +221,7 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         list(free.frames())
     assert caught.value.hint == (
         "lower the impact (--drop), use a stiffer material or --law neoHookean;"
-        " frames up to 0 are in the partial cache"
+        " the frames before it are in the partial cache"
     )
     assert (caught.value.frame, caught.value.particle) == (1, 7)
 

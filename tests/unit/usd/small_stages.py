@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from gf_usd.choices import Choices
 from gf_usd.model import (
     Asset,
     BakedFrame,
@@ -28,6 +29,7 @@ from gf_usd.usd.cache import CacheSummary, CacheWriter
 from gf_usd.usd.layout import RootSummary, write_root
 from gf_usd.usd.variants import BakedLook
 
+ALL = Choices()
 CUBE_POINTS = "[(0,0,0),(1,0,0),(1,1,0),(0,1,0),(0,0,1),(1,0,1),(1,1,1),(0,1,1)]"
 CUBE_INDICES = [0, 3, 2, 1, 4, 5, 6, 7, 0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6, 3, 0, 4, 7]
 CUBE = f"""
@@ -194,14 +196,16 @@ def motion(x: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return x @ a.T + b, x @ a_dot.T + b_dot, a
 
 
-def frames_of(asset: Asset, particles: Particles, info: BakeInfo) -> Iterator[BakedFrame]:
+def frames_of(
+    asset: Asset, particles: Particles, info: BakeInfo, choices: Choices = ALL
+) -> Iterator[BakedFrame]:
     """The motion's frames."""
     settings = info.settings
     step = settings.time_codes_per_second / settings.fps
     for index in range(settings.frames):
         t = index / settings.fps
         meshes = {}
-        for surface in asset.surfaces:
+        for surface in asset.surfaces if choices.mesh else ():
             x, v, a = motion(surface.points, t)
             normals = surface.normals
             if normals is not None:
@@ -224,13 +228,21 @@ def frames_of(asset: Asset, particles: Particles, info: BakeInfo) -> Iterator[Ba
 
 
 def write_cache(
-    path: Path, asset: Asset, *, save_every: int = 2, publishing: bool = True, **options: object
+    path: Path,
+    asset: Asset,
+    *,
+    save_every: int = 2,
+    publishing: bool = True,
+    choices: Choices = ALL,
+    **options: object,
 ) -> tuple[CacheSummary, Particles, BakeInfo]:
     """The cache of the motion, published."""
     info = info_of(asset, **options)
     particles = particles_of(asset, bodies=len(info.materials))
-    with CacheWriter(path, asset, particles, info, save_every=save_every) as writer:
-        for frame in frames_of(asset, particles, info):
+    with CacheWriter(
+        path, asset, particles, info, save_every=save_every, choices=choices
+    ) as writer:
+        for frame in frames_of(asset, particles, info, choices):
             writer.write(frame)
     if publishing:
         publish(path)
@@ -248,16 +260,22 @@ def finish(cache: Path, asset: Asset, particles: Particles, info: BakeInfo) -> R
 
 
 def bake(
-    asset: Asset, folder: Path, *, looks: tuple[str, ...] = ("rubber",), **options: object
+    asset: Asset,
+    folder: Path,
+    *,
+    looks: tuple[str, ...] = ("rubber",),
+    choices: Choices = ALL,
+    **options: object,
 ) -> tuple[RootSummary, Particles, BakeInfo]:
     """Caches and root layer of the motion, all published in ``folder``."""
     stem = asset.facts.path.stem
     baked = []
     for look in looks:
         cache = folder / f"{stem}.{look}.cache.usdc"
-        _, particles, info = write_cache(cache, asset, look=look, **options)
+        _, particles, info = write_cache(cache, asset, look=look, choices=choices, **options)
         baked.append(BakedLook(name=look, cache=cache, info=info, health={"minJ": 0.5}))
-    root = write_root(folder / f"{stem}.{'_'.join(looks)}.usda", asset, baked)
+    path = folder / f"{stem}.{'_'.join(looks)}.usda"
+    root = write_root(path, asset, baked, choices=choices)
     return root, particles, info
 
 

@@ -178,6 +178,19 @@ def test_apis_go_on_the_types_they_are_made_for() -> None:
     ]
 
 
+def test_bake_settings_go_on_everything_that_is_baked() -> None:
+    code = (
+        "import gf_usd.usd.schema as schema\n"
+        "from gf_usd.assets.usd_implicit import IMPLICIT\n"
+        "from pxr import Usd\n"
+        "stage = Usd.Stage.CreateInMemory()\n"
+        "for t in IMPLICIT:\n"
+        "    if not stage.DefinePrim('/' + t, t).CanApplyAPI('GaussianFleshBakeAPI'):\n"
+        "        print(t)\n"
+    )
+    assert output(code) == ""
+
+
 def test_registration_after_the_first_use_of_schemas_says_what_to_do() -> None:
     done = python(
         "from pxr import Usd\n"
@@ -252,5 +265,5 @@ def test_the_reference_names_every_property() -> None:
         "import gf_usd.usd.schema as schema\n"
         "print(*[name for api in schema.APIS for name in schema.property_names(api)])\n"
     ).split()
-    assert len(names) == 69
+    assert len(names) == 71
     assert [name for name in names if f"| `{name}` |" not in text] == []

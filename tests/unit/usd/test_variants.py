@@ -119,5 +119,5 @@ def test_a_display_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         write_root(tmp_path / "root.usda", asset, [look], display="voxels")
     assert str(caught.value) == (
-        "Unknown display 'voxels'.\n\nhint: choose one of: mesh, gaussians, points"
+        "There is no display 'voxels'.\n\nhint: choose one of: mesh, gaussians, points"
     )

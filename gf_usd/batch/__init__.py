@@ -1,0 +1,1 @@
+"""Many bakes: a manifest becomes jobs, and jobs run here, on a cluster or on a farm."""

@@ -1,0 +1,139 @@
+"""One bake of a batch, and what came of it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+NO = ("wls",)  # flags whose "no" says something
+REPORT, RECORD = ".report.json", ".job.json"
+
+# how a job can end; the first three need no second look
+GOOD = ("done", "kept")
+STATES = {
+    "done": "baked and sound",
+    "kept": "was there already",
+    "busy": "another run is baking it",
+    "stopped": "interrupted before its end",
+    "failed": "the bake failed",
+    "refused": "the asset or the options were refused",
+    "crashed": "the process died",
+    "timeout": "took longer than it may",
+    "unsound": "baked, but the check or --strict found fault",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One bake: an asset, options, and where the result goes."""
+
+    name: str  # of the result under the batch's folder, without .usda; may hold slashes
+    asset: Path  # absolute
+    root: Path  # absolute; the root layer
+    options: Mapping[str, Any] = field(default_factory=dict)  # those of `gf_usd.bake`
+
+    @property
+    def record(self) -> Path:
+        """The file beside the root layer that says what came of the job."""
+        return self.beside(RECORD)
+
+    @property
+    def report(self) -> Path:
+        """The report of the bake."""
+        return self.beside(REPORT)
+
+    def beside(self, ending: str) -> Path:
+        """``duck.rubber.usda`` -> ``duck.rubber.ENDING``."""
+        return self.root.with_name(self.root.name.removesuffix(self.root.suffix) + ending)
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """The materials of its variants."""
+        return tuple(
+            part.strip() for part in str(self.options.get("material", "rubber")).split(",")
+        )
+
+    def words(self) -> list[str]:
+        """The arguments of ``gf-usd`` that bake it."""
+        words = ["bake", str(self.asset), "--output", str(self.root)]
+        for name, value in self.options.items():
+            option = f"--{name.replace('_', '-')}"
+            if isinstance(value, list | tuple):
+                for each in value:
+                    words += [option.removesuffix("s"), str(each)]
+            elif value is True:
+                words.append(option)
+            elif value is False:
+                words += [f"--no-{option[2:]}"] if name in NO else []
+            else:
+                words += [option, str(value)]
+        return words
+
+    @property
+    def command(self) -> str:
+        """The same as a person would type it."""
+        return shlex.join(["gf-usd", *self.words()])
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; `of` reads them back."""
+        return {
+            "name": self.name,
+            "asset": str(self.asset),
+            "root": str(self.root),
+            "options": dict(self.options),
+        }
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Job:
+        """The job of `as_json`."""
+        return cls(
+            name=row["name"], asset=Path(row["asset"]), root=Path(row["root"]),
+            options=dict(row["options"]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a job."""
+
+    job: str
+    state: str  # one of STATES
+    message: str = ""  # why, where it is not good
+    hint: str = ""
+    status: int | None = None  # exit status of the last attempt; negative: the signal
+    attempts: int = 0  # 0 where nothing was run
+    seconds: float = 0.0  # wall time of all attempts
+    cpu_seconds: float = 0.0
+    peak_memory: int = 0  # [bytes] of the last attempt
+    frames: int = 0
+    particles: int = 0
+    frames_per_second: float = 0.0  # between the first and the last frame
+    root: str = ""
+    host: str = ""
+    health: Mapping[str, Any] = field(default_factory=dict)  # of the first look, a few numbers
+    warnings: tuple[Mapping[str, Any], ...] = ()
+    findings: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()  # of the batch, not of the bake
+    command: str = ""
+    log: str = ""  # the last words of a process that did not end well
+
+    @property
+    def good(self) -> bool:
+        """Nothing to do again."""
+        return self.state in GOOD
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; `of` reads them back."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Outcome:
+        """The outcome of `as_json`; keys of other versions are left out."""
+        known = {key: row[key] for key in cls.__dataclass_fields__ if key in row}
+        lists = {
+            key: tuple(known[key]) for key in ("warnings", "findings", "notes") if key in known
+        }
+        return cls(**{**known, **lists})

@@ -1,0 +1,180 @@
+"""A batch as a job bundle of Open Job Description: ``openjd run``, AWS Deadline Cloud and others.
+
+    template.json           the job template, specification jobtemplate-2023-09
+    parameter_values.json   values of its parameters, as Deadline Cloud reads them
+    parameters.json         the same for openjd run
+    asset_references.json   every file that is read, and the folder that is written
+    jobs.json               the jobs, which the tasks count
+
+A task is a chunk of jobs: one process, which bakes them one after another or side by side, tells
+its progress on stdout, and on SIGTERM ends its bakes and itself.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gf_usd.batch.bundle import jobs_text
+from gf_usd.batch.identity import read_by
+from gf_usd.batch.inputs import InputTable
+from gf_usd.batch.plan import BatchPlan
+from gf_usd.batch.resources import memory_of
+from gf_usd.errors import UsageError
+from gf_usd.publish import publish_text
+
+SPECIFICATION = "jobtemplate-2023-09"
+TEMPLATE, JOBS, REFERENCES = "template.json", "jobs.json", "asset_references.json"
+VALUES, FLAT = "parameter_values.json", "parameters.json"
+NOTICE = 30  # [s] between the request to end and the end; `child.GRACE` is within it
+TARGET = 900  # [s] that a scheduler aims for with a chunk, where it adapts their size
+REPORT_TIMEOUT = 3600  # [s]
+LONGEST_NAME = 128  # characters of a job's name
+
+
+def write_bundle(
+    plan: BatchPlan, folder: Path, *, chunk: int, program: str, table: InputTable
+) -> list[Path]:
+    """Write the bundle; returns its files.
+
+    Parameters
+    ----------
+    chunk : jobs in a task.
+    program : the Python that has gf-usd on a worker.
+
+    Raises UsageError for a chunk that makes no sense, BakeError where the disk refuses.
+    """
+    if chunk < 1:
+        raise UsageError(f"--chunk is {chunk}", "give 1 or more jobs")
+    if not plan.jobs:
+        raise UsageError("there are no jobs", "name assets that exist")
+    folder = folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    given = {
+        "JobsFile": str(folder / JOBS),
+        "OutDir": str(plan.out),
+        "Jobs": f"0-{len(plan.jobs) - 1}",
+        "JobsPerTask": chunk,
+        "Python": program,
+    }
+    rows = [{"name": name, "value": value} for name, value in given.items()]
+    texts = {
+        JOBS: jobs_text(plan),
+        TEMPLATE: json.dumps(template(plan, chunk), indent=1),
+        VALUES: json.dumps({"parameterValues": rows}, indent=1),
+        FLAT: json.dumps(given, indent=1),
+        REFERENCES: json.dumps(references(plan, table), indent=1),
+    }
+    return [publish_text(folder / name, text + "\n") for name, text in texts.items()]
+
+
+def template(plan: BatchPlan, chunk: int) -> dict[str, Any]:
+    """The job template: a step that bakes, in chunks, and one that makes the page."""
+    memory = max(memory_of(job.options) for job in plan.jobs)
+    limit = None if plan.timeout is None else math.ceil(plan.timeout * (1 + plan.retries))
+    bake = _action(
+        ["--tasks", "{{Task.Param.Job}}", "--no-report"],
+        # jobs of a chunk may run one after another; their own limit comes first
+        timeout=None if limit is None else chunk * limit + 60,
+    )
+    return {
+        "specificationVersion": SPECIFICATION,
+        "extensions": ["TASK_CHUNKING"],
+        "name": f"gf-usd {plan.title}"[:LONGEST_NAME],
+        "parameterDefinitions": _parameters(plan),
+        "steps": [
+            {
+                "name": "Bake",
+                "parameterSpace": {
+                    "taskParameterDefinitions": [
+                        {
+                            "name": "Job",
+                            "type": "CHUNK[INT]",
+                            "range": "{{Param.Jobs}}",
+                            "chunks": {
+                                "defaultTaskCount": "{{Param.JobsPerTask}}",
+                                "targetRuntimeSeconds": TARGET,
+                                "rangeConstraint": "NONCONTIGUOUS",
+                            },
+                        }
+                    ]
+                },
+                "hostRequirements": {
+                    "amounts": [
+                        {"name": "amount.worker.vcpu", "min": 1},
+                        {"name": "amount.worker.memory", "min": math.ceil(memory / 2**20)},
+                    ]
+                },
+                "script": {"actions": {"onRun": bake}},
+            },
+            {
+                "name": "Report",
+                "dependencies": [{"dependsOn": "Bake"}],
+                "script": {
+                    "actions": {"onRun": _action(["--report-only"], timeout=REPORT_TIMEOUT)}
+                },
+            },
+        ],
+    }
+
+
+def _action(words: list[str], *, timeout: int | None) -> dict[str, Any]:
+    args = [
+        "-m", "gf_usd", "batch", "{{Param.JobsFile}}", "--out", "{{Param.OutDir}}",
+        "--path-mapping", "{{Session.PathMappingRulesFile}}", "--openjd-lines", *words,
+    ]  # fmt: skip
+    action: dict[str, Any] = {
+        "command": "{{Param.Python}}",
+        "args": args,
+        "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": NOTICE},
+    }
+    return action if timeout is None else {**action, "timeout": timeout}
+
+
+def _parameters(plan: BatchPlan) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": "JobsFile", "type": "PATH", "objectType": "FILE", "dataFlow": "IN",
+            "default": JOBS, "description": "The jobs of the batch.",
+        },
+        {
+            "name": "OutDir", "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "OUT",
+            "description": "Where results are written.",
+        },
+        {
+            "name": "Jobs", "type": "STRING", "default": f"0-{len(plan.jobs) - 1}",
+            "description": "Which jobs, by number: 0,3-5.",
+        },
+        {
+            "name": "JobsPerTask", "type": "INT", "minValue": 1, "default": 1,
+            "description": "Jobs that one process bakes.",
+        },
+        {
+            "name": "Python", "type": "STRING", "default": "python3",
+            "description": "A Python that has gf-usd.",
+        },
+    ]  # fmt: skip
+
+
+def references(plan: BatchPlan, table: InputTable) -> dict[str, Any]:
+    """Every file that the jobs read, so that a farm without a shared disk can be sent them."""
+    named = dict.fromkeys(path for job in plan.jobs for path in read_by(job))
+    files: dict[str, None] = {}
+    for name, row in table.read(named).items():
+        files.update(dict.fromkeys(_files(Path(name), row)))
+    return {
+        "assetReferences": {
+            "inputs": {"filenames": sorted(files), "directories": []},
+            "outputs": {"directories": [str(plan.out)]},
+            "referencedPaths": [],
+        }
+    }
+
+
+def _files(asset: Path, row: Mapping[str, Any]) -> list[str]:
+    if "files" not in row:
+        return [str(asset)]
+    return [str((asset.parent / name).resolve()) for name, _ in row["files"]]

@@ -1,0 +1,202 @@
+"""The page of a batch: every job with its picture, health and time, what went wrong on top."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import gf_usd
+from gf_usd.batch.job import GOOD, STATES, Job, Outcome
+from gf_usd.batch.locks import locked
+from gf_usd.batch.pictures import data_uri, draw, picture_of
+from gf_usd.batch.plan import BatchPlan
+from gf_usd.batch.resources import cores
+from gf_usd.batch.summary import ordered
+from gf_usd.estimate import duration
+from gf_usd.publish import publish_text
+from gf_usd.view.report_html import Html, join, policy, script, tag
+
+# head, whether it is a number, what it says
+COLUMNS = (
+    ("", False, ""),
+    ("job", False, "name under the batch's folder, and what there is to know"),
+    ("state", False, "how it ended"),
+    ("warn\u00adings", True, "what the bake warns of"),
+    ("redone", True, "frames redone with half the step"),
+    ("inside out", True, "particles with J <= 0, summed over frames"),
+    ("depth [spac\u00adings]", True, "deepest penetration of the floor, in spacings of particles"),
+    ("energy gain", True, "largest of a frame that nobody accounts for, of the energy scale"),
+    ("par\u00adticles", True, "how many"),
+    ("frames", True, "of all looks"),
+    ("frames /s", True, "between the first and the last frame"),
+    ("time [s]", True, "of all attempts"),
+    ("CPU [s]", True, "of all attempts"),
+    ("mem. [MB]", True, "peak of the last attempt"),
+    ("tries", True, "attempts"),
+)
+
+
+def write_page(path: Path, plan: BatchPlan, entry: Mapping[str, Any], *, pictures: bool) -> None:
+    """Publish the page of a summary.  Raises BakeError where the disk refuses.
+
+    pictures : draw those that are missing first.
+    """
+    outcomes = [Outcome.of(row) for row in entry["jobs"]]
+    roots = [Path(o.root) for o in outcomes if o.root and Path(o.root).is_file()]
+    undrawn = draw(roots, at_once=cores()) if pictures else {}
+    text = build_page(plan, outcomes, entry, undrawn)
+    with locked(path):
+        publish_text(path, text)
+
+
+def build_page(
+    plan: BatchPlan,
+    outcomes: Sequence[Outcome],
+    entry: Mapping[str, Any],
+    undrawn: Mapping[Path, str],
+) -> str:
+    """The page as text; it fetches nothing."""
+    jobs = {job.name: job for job in plan.jobs}
+    known = {outcome.job for outcome in outcomes}
+    rows = ordered(outcomes)
+    bad = [row for row in rows if not row.good]
+    unknown = [name for name in jobs if name not in known]
+    folder = files("gf_usd.batch") / "page_parts"
+    style = (folder / "page.css").read_text(encoding="utf-8")
+    code = '(() => {\n"use strict";\n' + (folder / "page.js").read_text("utf-8") + "})();\n"
+    head = join(
+        [
+            tag("meta", charset="utf-8"),
+            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            tag("meta", http_equiv="Content-Security-Policy", content=policy([code])),
+            tag("link", rel="icon", href="data:,"),
+            tag("title", f"{plan.title}: {len(outcomes)} jobs"),
+            Html(f"<style>{style}</style>"),
+        ]
+    )
+    table = tag(
+        "table",
+        tag("thead", tag("tr", *(_head(*column) for column in COLUMNS))),
+        tag("tbody", *(_row(row, jobs.get(row.job), undrawn) for row in rows)),
+    )
+    body = [
+        _header(plan, rows, bad, unknown, entry),
+        tag("main", _controls(rows, bad), tag("div", table, class_="card")),
+        tag(
+            "footer",
+            f"gf-usd {gf_usd.__version__}, {entry.get('finished', '')}. Results in {plan.out}.",
+        ),
+        script(code),
+    ]
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{join(body)}</body></html>\n'
+
+
+def _header(
+    plan: BatchPlan,
+    rows: Sequence[Outcome],
+    bad: Sequence[Outcome],
+    unknown: Sequence[str],
+    entry: Mapping[str, Any],
+) -> Html:
+    cpu = sum(row.cpu_seconds for row in rows)
+    line = f"{len(rows)} jobs, {len(rows) - len(bad)} good, {duration(cpu)} of CPU time"
+    if entry.get("seconds"):
+        line += f", {duration(float(entry['seconds']))} for the last run"
+    parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
+    if bad:
+        many = "One job needs" if len(bad) == 1 else f"{len(bad)} jobs need"
+        words = [tag("div", f"{many} a look. To repeat just these:")]
+        words.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
+        parts.append(tag("div", *words, class_="banner"))
+    if unknown:
+        names = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
+        parts.append(tag("div", f"{len(unknown)} were not run yet: {names}", class_="banner"))
+    return tag("header", *parts)
+
+
+def _controls(rows: Sequence[Outcome], bad: Sequence[Outcome]) -> Html:
+    warned = [row for row in rows if row.good and row.warnings]
+    kinds = (
+        ("all", f"all {len(rows)}"),
+        ("bad", f"need a look {len(bad)}"),
+        ("warned", f"with warnings {len(warned)}"),
+        ("good", f"good {len(rows) - len(bad) - len(warned)}"),
+    )
+    buttons = (
+        tag("button", words, type="button", data_filter=kind, aria_pressed="false")
+        for kind, words in kinds
+    )
+    search = tag("input", type="search", placeholder="name or words", aria_label="search")
+    return tag("div", *buttons, search, tag("span", id="shown", class_="soft"), class_="bar")
+
+
+def _head(words: str, number: bool, meaning: str) -> Html:
+    inside = tag("button", words, type="button") if words else ""
+    return tag("th", inside, scope="col", title=meaning, class_="number" if number else "text")
+
+
+def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html:
+    health = outcome.health
+    kind = "bad" if not outcome.good else "warned" if outcome.warnings else "good"
+    asset = job.asset.name if job else ""
+    picture = data_uri(picture_of(Path(outcome.root))) if outcome.root else ""
+    shown = tag("img", src=picture, alt=outcome.job, loading="lazy") if picture else None
+    cells = [
+        tag("td", shown or tag("div", class_="none")),
+        tag(
+            "td",
+            outcome.job, tag("small", asset), tag("div", *_why(outcome, undrawn), class_="why"),
+            class_="name", data_value=outcome.job,
+        ),
+        tag(
+            "td",
+            tag(
+                "span", outcome.state, title=STATES.get(outcome.state, ""),
+                class_="state good" if outcome.state in GOOD else "state",
+            ),
+            # failures come first where the column is sorted
+            data_value=f"{len(STATES) - list(STATES).index(outcome.state):02d}",
+        ),
+        _number(len(outcome.warnings) if health else None, "{:d}"),
+        _number(health.get("rollbacks"), "{:d}"),
+        _number(health.get("inverted_particle_frames"), "{:d}"),
+        _number(health.get("deepest_penetration_spacings"), "{:.2f}"),
+        _number(health.get("energy_gain_max_share"), "{:.1e}"),
+        _number(outcome.particles or None, "{:d}"),
+        _number(outcome.frames or None, "{:d}"),
+        _number(outcome.frames_per_second or None, "{:.3g}"),
+        _number(outcome.seconds or None, "{:.1f}"),
+        _number(outcome.cpu_seconds or None, "{:.1f}"),
+        _number(outcome.peak_memory / 1e6 or None, "{:.0f}"),
+        _number(outcome.attempts or None, "{:d}"),
+    ]  # fmt: skip
+    text = " ".join((outcome.job, asset, outcome.state, outcome.message, outcome.command)).lower()
+    return tag("tr", *cells, data_kind=kind, data_text=text)
+
+
+def _number(value: Any, form: str) -> Html:
+    if value is None:
+        return tag("td", "", class_="number", data_value="")
+    return tag("td", form.format(value), class_="number", data_value=repr(value))
+
+
+def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
+    parts: list[str] = []
+    if outcome.message:
+        parts.append(tag("p", outcome.message))
+    if outcome.hint:
+        parts.append(tag("p", outcome.hint, class_="hint"))
+    parts += [
+        tag("p", f"{w.get('look', '')}: {w.get('message', '')}", class_="warning")
+        for w in outcome.warnings
+    ]
+    parts += [tag("p", note, class_="hint") for note in outcome.notes]
+    if (reason := undrawn.get(Path(outcome.root))) is not None:
+        parts.append(tag("p", f"no picture: {reason}", class_="hint"))
+    inside = [tag("code", outcome.command, class_="command")]
+    if outcome.log:
+        inside.append(tag("pre", outcome.log))
+    parts.append(tag("details", tag("summary", "command and log"), *inside))
+    return parts

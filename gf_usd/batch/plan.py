@@ -1,0 +1,139 @@
+"""From a manifest to jobs: every combination, each with a name that no other has."""
+
+from __future__ import annotations
+
+import fnmatch
+import itertools
+import re
+import string
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gf_usd.batch.job import RECORD, Job
+from gf_usd.batch.manifest import Group, Manifest
+from gf_usd.batch.options import material_files
+from gf_usd.errors import UsageError
+from gf_usd.output_files import outputs
+
+UNFIT = re.compile(r"[^A-Za-z0-9._+]+")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchPlan:
+    """Everything that is to be baked."""
+
+    jobs: tuple[Job, ...]
+    out: Path  # absolute
+    title: str
+    timeout: float | None  # [s] of an attempt
+    retries: int
+
+
+def make_plan(manifest: Manifest) -> BatchPlan:
+    """The jobs of a manifest, assets in their order, their combinations together.
+
+    Raises UsageError where two jobs would write one file, or a result would replace an asset.
+    """
+    jobs = tuple(job for group in manifest.groups for job in _jobs(group, manifest.out))
+    _require_apart(jobs)
+    return BatchPlan(
+        jobs=jobs,
+        out=manifest.out,
+        title=manifest.title,
+        timeout=manifest.timeout,
+        retries=manifest.retries,
+    )
+
+
+def choose(plan: BatchPlan, patterns: Sequence[str]) -> tuple[Job, ...]:
+    """The jobs whose names match one of the patterns.  Raises UsageError for one without any."""
+    chosen: dict[str, Job] = {}
+    for pattern in patterns:
+        # a name is itself before it is a pattern
+        found = [job for job in plan.jobs if job.name == pattern] or [
+            job for job in plan.jobs if fnmatch.fnmatchcase(job.name, pattern)
+        ]
+        if not found:
+            raise UsageError(
+                f"no job is called {pattern}", "gf-usd batch --dry-run lists their names"
+            )
+        chosen.update((job.name, job) for job in found)
+    return tuple(job for job in plan.jobs if job.name in chosen)
+
+
+def _jobs(group: Group, out: Path) -> list[Job]:
+    # materials tell most of a result, so they come first in its name
+    axes = dict(sorted(group.matrix.items(), key=lambda item: item[0] != "material"))
+    template = group.name or default_template(axes)
+    jobs = []
+    for asset in group.files:
+        for values in itertools.product(*axes.values()):
+            options = {**group.settings, **dict(zip(axes, values))}
+            name = name_of(template, asset, options, group.where)
+            jobs.append(Job(name=name, asset=asset, root=out / f"{name}.usda", options=options))
+    return jobs
+
+
+def default_template(axes: Mapping[str, Sequence[Any]]) -> str:
+    """``{asset}.{material}`` and what else differs from job to job."""
+    more = (f".{key}{{{key}}}" for key, vs in axes.items() if key != "material" and len(vs) > 1)
+    return "{asset}.{material}" + "".join(more)
+
+
+def name_of(template: str, asset: Path, options: Mapping[str, Any], where: str) -> str:
+    """A name out of a template.
+
+    Fields are asset (the file's name without suffix), folder (of the file), material and every
+    option that the job has.  Slashes make folders; what is odd in a file name becomes a dash.
+    Raises UsageError for an unknown field, or a name that leaves the folder.
+    """
+    materials = str(options.get("material", "rubber")).split(",")
+    files = {str(path): path.stem for path in material_files(options)}
+    fields = {
+        **options,
+        "asset": asset.stem,
+        "folder": asset.parent.name,
+        "material": "-".join(files.get(m, m) for m in materials),
+    }
+    used = [field for _, field, _, _ in string.Formatter().parse(template) if field is not None]
+    unknown = [field for field in used if field not in fields]
+    if unknown:
+        raise UsageError(
+            f"{where}: the name {template!r} has the field {{{unknown[0]}}}",
+            f"its fields here are {', '.join(sorted(fields))}",
+        )
+    name = template.format_map({k: UNFIT.sub("-", str(v)) for k, v in fields.items()})
+    parts = [UNFIT.sub("-", part) for part in name.removesuffix(".usda").split("/")]
+    if any(part in ("", ".", "..") for part in parts):
+        raise UsageError(
+            f"{where}: the name {template!r} becomes {name!r}", "give a path under the folder"
+        )
+    return "/".join(parts)
+
+
+def _require_apart(jobs: Sequence[Job]) -> None:
+    """Raise UsageError where two jobs meet in one file.
+
+    Jobs of one mesh file that read it alike may share its layer, and do.
+    """
+    owners: dict[Path, tuple[Any, Job]] = {}
+    for job in jobs:
+        looks = [Path(m).stem for m in job.materials]
+        files = outputs(job.asset, looks, str(job.root))
+        own = ((path, job.name) for path in (*files.own, job.beside(RECORD)))
+        reading = (str(job.asset), *(job.options.get(k) for k in ("meters_per_unit", "up_axis")))
+        shared = ((path, reading) for path in ([files.source] if files.source else []))
+        for path, owner in (*own, *shared):
+            before, other = owners.setdefault(path, (owner, job))
+            if before != owner or (owner == job.name and other is not job):
+                raise UsageError(
+                    f"{_said(other)} and {_said(job)} would both write {path}",
+                    "give jobs names that differ: --name '{folder}/{asset}.{material}', with a"
+                    " field for each option of the matrix",
+                )
+
+
+def _said(job: Job) -> str:
+    return f"{job.asset} ({', '.join(f'{k} {v}' for k, v in job.options.items())})"

@@ -1,0 +1,113 @@
+"""From how a bake's process ended to what that means."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from gf_usd.batch.child import Ended
+from gf_usd.batch.job import Job, Outcome
+
+ERROR = re.compile(r"^error: (.*?)(?:\n\nhint: (.*?))?\s*\Z", re.DOTALL | re.MULTILINE)
+LOG = 4000  # characters of stderr that are kept of a bake that failed
+WORDS = 600  # characters of a message
+# of the health of a bake, what a table of many can show
+HEALTH = (
+    "rollbacks", "inverted_particle_frames", "deepest_penetration_spacings",
+    "energy_gain_max_share", "restitution", "min_J", "max_J", "substeps",
+)  # fmt: skip
+INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
+STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound"}  # exit statuses of bake
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bake:
+    """An attempt, judged."""
+
+    outcome: Outcome
+    files: tuple[Path, ...] = ()  # of a complete bake
+
+
+def judge(job: Job, ended: Ended) -> Bake:
+    """What an attempt came to: complete and sound, at fault, or ended by something else."""
+    outcome = Outcome(
+        job=job.name, state="done", root=str(job.root), command=job.command,
+        status=ended.status, peak_memory=ended.peak_memory,
+    )  # fmt: skip
+    result = _result(ended)
+    if result is not None and ended.status in (0, 4):
+        return _complete(outcome, ended, result)
+    message, hint = _said(ended)
+    state = STATUS.get(ended.status, "crashed")
+    if ended.stopped:
+        state, message, hint = "stopped", "interrupted before its end", ""
+    elif ended.timed_out:
+        state, message, hint = "timeout", f"no end after {ended.seconds:.0f} s", "raise --timeout"
+    elif ended.status == 0:
+        state, message, hint = "crashed", "the bake ended without a result", ""
+    elif ended.status < 0 or ended.status in INTERRUPTED:
+        state, message, hint = "crashed", f"the bake was ended by {_signal(ended.status)}", ""
+        if ended.status == -signal.SIGKILL:
+            hint = "the system kills what takes too much memory: run fewer at once (--jobs)"
+    elif not message:
+        # Python's own words for what nobody expected
+        state, message = "crashed", (ended.err.strip().splitlines() or ["no words"])[-1]
+    return Bake(
+        outcome=replace(
+            outcome, state=state, message=message[:WORDS], hint=hint, log=ended.err[-LOG:]
+        )
+    )
+
+
+def _complete(outcome: Outcome, ended: Ended, result: Mapping[str, Any]) -> Bake:
+    """All files are there; the check or --strict may still find fault."""
+    warnings = tuple(result["warnings"])
+    findings = tuple(result["check"])
+    health = result["bakes"][0]["health"]
+    outcome = replace(
+        outcome,
+        frames=sum(bake["frames"] for bake in result["bakes"]),
+        health={key: health[key] for key in HEALTH if key in health},
+        warnings=warnings,
+        findings=findings,
+    )
+    if findings:
+        first = findings[0]
+        outcome = replace(
+            outcome, state="unsound",
+            message=f"the check found {len(findings)} errors, first {first['rule']}"
+            f" <{first['prim']}>: {first['message']}"[:WORDS],
+            hint=first["fix"],
+        )  # fmt: skip
+    elif ended.status == 4:
+        message, hint = _said(ended)
+        outcome = replace(outcome, state="unsound", message=message[:WORDS], hint=hint)
+    return Bake(outcome=outcome, files=tuple(Path(path) for path in result["outputs"]))
+
+
+def _result(ended: Ended) -> dict[str, Any] | None:
+    """The object that ``bake --json`` prints; None where it is not whole."""
+    try:
+        result = json.loads(ended.out)
+    except ValueError:
+        return None
+    return result if isinstance(result, dict) else None
+
+
+def _said(ended: Ended) -> tuple[str, str]:
+    """Message and hint of an expected error; "" where none was said."""
+    match = ERROR.search(ended.err)
+    return (match[1].strip(), (match[2] or "").strip()) if match else ("", "")
+
+
+def _signal(status: int) -> str:
+    number = -status if status < 0 else status - 128
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

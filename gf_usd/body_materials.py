@@ -1,0 +1,220 @@
+"""The material of every part of every body: of the look that was asked for, or of the stage.
+
+A look is made for a body's own size, so that bodies of several sizes have as many materials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.body_plan import BodyPlan
+from gf_usd.materials import Look, find_preset
+from gf_usd.model import Ints, Material, Particles
+from gf_usd.stage_physics import BodyPhysics, SubsetMaterial
+from gf_usd.stage_reading import StageWords
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+AUTHORED = "authored"  # the look of a stage whose prims do not all ask for the same
+SAME = 1e-3  # relative: materials that differ by less are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slot:
+    """A part of a body that has one material: a surface, or some faces of it."""
+
+    surface: int  # into Solid.surfaces
+    subset: SubsetMaterial | None = None
+
+
+@dataclass(frozen=True)
+class Authored:
+    """The look that the stage's own materials make, in the clothes of a preset."""
+
+    name: str
+
+
+def slots(solid: Solid, words: StageWords) -> list[Slot]:
+    """The parts, first the surfaces in their order."""
+    found = [Slot(surface=k) for k in range(len(solid.surfaces))]
+    for k, surface in enumerate(solid.surfaces):
+        body = words.bodies.get(surface.path)
+        found += [Slot(surface=k, subset=one) for one in (body.subsets if body else ())]
+    return found
+
+
+def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot]) -> Ints:
+    """(N,) part of each particle: of the nearest surface, or of the nearest face's subset."""
+    out = np.asarray(particles.surface).copy()
+    divided = {slot.surface for slot in parts if slot.subset}
+    if not divided:
+        return out
+    from gf_usd.geometry.surface import nearest
+
+    at = nearest(solid, particles.X)
+    for k in divided:
+        surface = solid.surfaces[k]
+        last = np.cumsum(surface.face_counts)
+        mine = np.flatnonzero(at.surface == k)
+        corner = surface.triangle_corners[at.triangle[mine], 0]
+        face = np.searchsorted(last, corner, side="right")
+        for number, slot in enumerate(parts):
+            if slot.surface == k and slot.subset:
+                out[mine[np.isin(face, slot.subset.faces)]] = number
+    return out
+
+
+def look_name(words: StageWords, paths: Sequence[str]) -> str:
+    """What the stage's own materials are called together."""
+    names = {
+        name
+        for path in paths
+        if (name := _own_name(words.bakes.get(path), words.bodies.get(path))) is not None
+    }
+    return names.pop() if len(names) == 1 else AUTHORED
+
+
+def _own_name(bake: Any, body: BodyPhysics | None) -> str | None:
+    if bake is not None and bake.material:
+        return bake.material
+    if body is not None and body.material:
+        return body.material.name
+    return "rubber"
+
+
+def table(
+    look: Any,
+    parts: Sequence[Slot],
+    slot: Ints,
+    particles: Particles,
+    solid: Solid,
+    bodies: BodyPlan,
+    words: StageWords,
+    finish: Callable[[Any, float], Material],
+) -> tuple[tuple[Material, ...], Ints]:
+    """The materials of a look, and (N,) which of them each particle has.
+
+    look : `Authored`, or a preset for every part; slot : (N,) of `slot_of_particles`; finish : the
+    material of a preset on a body of radius [m], with what the command line says.
+    """
+    made: list[Material] = []
+    for part in parts:
+        surface = solid.surfaces[part.surface]
+        radius = float(bodies.radius[bodies.of_surface[part.surface]])
+        if isinstance(look, Authored):
+            made.append(_authored(surface.path, part, radius, words, finish))
+        else:
+            made.append(finish(look, radius))
+    if isinstance(look, Authored):
+        made = _with_masses(made, parts, slot, particles, solid, words)
+    kept: list[Material] = []
+    index = np.zeros(len(made), np.int64)
+    used = np.bincount(slot, minlength=len(made)) > 0
+    for k, one in enumerate(made):
+        if not used[k]:
+            continue
+        near = [j for j, other in enumerate(kept) if _alike(one, other)]
+        index[k] = near[0] if near else len(kept)
+        if not near:
+            kept.append(one)
+    return tuple(kept), index[slot]
+
+
+def _authored(
+    path: str,
+    part: Slot,
+    radius: float,
+    words: StageWords,
+    finish: Callable[[Any, float], Material],
+) -> Material:
+    bake, body = words.bakes.get(path), words.bodies.get(path)
+    if part.subset is None and bake is not None and bake.material:
+        return finish(find_preset(bake.material), radius)
+    base: Any = find_preset(bake.material if bake is not None and bake.material else "rubber")
+    stated = part.subset.words.density if part.subset else None
+    if stated is None and body is not None:
+        stated = body.words.density if body.density is None else body.density
+    if stated is not None and isinstance(base, Look):
+        base = replace(base, density=stated)  # a look's moduli go with its density
+    made = finish(base, radius)
+    if body is None:
+        return made
+    if part.subset is not None:
+        return part.subset.resolve(body.resolve(made), body.density)
+    return body.resolve(made)
+
+
+def _with_masses(
+    made: list[Material],
+    parts: Sequence[Slot],
+    slot: Ints,
+    particles: Particles,
+    solid: Solid,
+    words: StageWords,
+) -> list[Material]:
+    """Densities such that what states a mass has it; moduli stay."""
+    volume = np.bincount(slot, particles.V0, minlength=len(made))
+    groups: dict[str, list[int]] = {}
+    mass: dict[str, float] = {}
+    for k, part in enumerate(parts):
+        body = words.bodies.get(solid.surfaces[part.surface].path)
+        if body is not None and body.mass is not None:
+            groups.setdefault(body.mass_of, []).append(k)
+            mass[body.mass_of] = body.mass
+    for owner, members in groups.items():
+        now = float(sum(made[k].density * volume[k] for k in members))
+        for k in members if now > 0.0 else ():
+            made[k] = replace(made[k], density=made[k].density * mass[owner] / now)
+    return made
+
+
+def _alike(one: Material, other: Material) -> bool:
+    if (one.name, one.law) != (other.name, other.law):
+        return False
+    a, b = (
+        np.array([v for v in vars(m).values() if not isinstance(v, str)], float)
+        for m in (one, other)
+    )
+    return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
+
+
+def one_law(materials: Sequence[Material], law: str | None) -> tuple[tuple[Material, ...], str]:
+    """Materials of one law, which a bake has, and a note where that is not all they asked for."""
+    laws = {m.law for m in materials}
+    if len(laws) == 1 or law is not None:
+        return tuple(materials), ""
+    changed = sorted({m.name for m in materials if m.law != "neoHookean"})
+    return (
+        tuple(replace(m, law="neoHookean") for m in materials),
+        f"materials of {len(laws)} laws meet in one bake: {', '.join(changed)} is neoHookean here"
+        " too",
+    )
+
+
+def stated_spacing(words: StageWords, volumes: dict[str, float]) -> tuple[float | None, str]:
+    """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
+
+    volumes : [m^3] of each surface, by prim path.
+    """
+    asked: dict[str, float] = {}
+    groups: dict[str, tuple[int, float]] = {}
+    for path, bake in words.bakes.items():
+        if bake.spacing is not None:
+            asked[path] = bake.spacing
+        elif bake.particles is not None:
+            count, volume = groups.get(bake.particles_of, (bake.particles, 0.0))
+            groups[bake.particles_of] = count, volume + volumes.get(path, 0.0)
+    asked |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
+    if not asked:
+        return None, ""
+    path, finest = min(asked.items(), key=lambda item: item[1])
+    several = max(asked.values()) > (1.0 + SAME) * finest
+    note = (
+        f"a bake has one spacing: the {finest:.4g} m of <{path}> holds for all" if several else ""
+    )
+    return finest, note

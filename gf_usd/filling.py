@@ -1,0 +1,249 @@
+"""From an asset that was read to a plan: bodies, particles, materials, settings, encounters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd import body_materials, paper_options
+from gf_usd.body_plan import encounters, plan_bodies, start_velocities
+from gf_usd.choices import Choices, clip_length, parse_only
+from gf_usd.errors import UsageError
+from gf_usd.estimate import frame_bytes
+from gf_usd.model import Asset, Material, Settings, SurfaceSamples
+from gf_usd.output_files import Outputs
+from gf_usd.pinning import make_pins
+from gf_usd.plan import Plan
+from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
+from gf_usd.stage_reading import StageWords, one_said, read_motion
+from gf_usd.timeline import sampled, written
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.solid import Solid
+
+
+def fill(
+    asset: Asset,
+    request: Request,
+    looks: Sequence[Any],
+    law: str | None,
+    files: Outputs,
+    file: Path,
+    *,
+    words: StageWords,
+    repair: bool,
+    known: Sequence[Diagnosis] = (),
+) -> tuple[Plan, Solid]:
+    """A plan for an asset that was read.  Raises InputError where it is refused.
+
+    file : its USD form; words : what its stage says.
+    known : what `diagnose` said of its surfaces, if it was asked already.
+    """
+    from gf_usd.geometry.diagnosis import diagnose, tolerated
+    from gf_usd.geometry.repair import notes, repair_asset
+    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.skinning import SKIN_NOTES
+    from gf_usd.geometry.solid import build_solid
+    from gf_usd.topology import signed_volume
+
+    mended: tuple[str, ...] = ()
+    if repair:
+        asset, repairs = repair_asset(asset)
+        mended = notes(repairs)
+    solid = build_solid(asset)
+    if not repair:
+        by_path = {seen.path: seen for seen in known}
+        all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
+        mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
+    request, stated = _with_stage(request, words, asset)
+    unit = asset.facts.units.length
+    paper = request.preset == "paper"
+    spacing = request.spacing * unit if request.spacing else None
+    spaced = ""
+    if spacing is None and request.particles is None and not paper:
+        volumes = {
+            s.path: abs(signed_volume(s.points, t)) for s, t in zip(solid.surfaces, solid.triangles)
+        }
+        spacing, spaced = body_materials.stated_spacing(words, volumes)
+    particles = sample_solid(
+        solid,
+        particles=(request.particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES))
+        if spacing is None
+        else None,
+        spacing=spacing,
+        seed=request.seed or 0,
+        uniform=paper,
+    )
+    owners = {path: body.owner for path, body in words.bodies.items()}
+    bodies, particles = plan_bodies(
+        asset, solid, particles, owners, combine=request.combine or paper or request.solver == "ul"
+    )
+    _require_one_body(request, bodies.count)
+    if paper:
+        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
+    else:
+        samples = sample_surface(
+            solid, particles.spacing, request.seed or 0,
+            bodies.of_surface if bodies.count > 1 else None,
+        )  # fmt: skip
+    floor, normal = parse_floor(request.floor, asset.facts.up, unit)
+    lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)
+    radius = float(bodies.radius.max())
+    settings = resolve(request, asset.facts, radius, lowest)
+    gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
+    physics = words.physics
+    if physics.colliders:
+        every = sampled(settings)
+        times = [every.time_code(i) for i in range(every.frames)]
+        physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
+    parts = body_materials.slots(solid, words)
+    slot = body_materials.slot_of_particles(solid, particles, parts)
+
+    def finish(look: Any, radius: float) -> Material:
+        return _made(look, radius, law, request)
+
+    tables, index, mixed = [], particles.material, []
+    for look in looks:
+        table, index = body_materials.table(
+            look, parts, slot, particles, solid, bodies, words, finish
+        )
+        table, note = body_materials.one_law(table, law)
+        tables.append(tuple(replace(m, law=law or m.law) for m in table))
+        mixed += [note] if note else []
+    particles = replace(particles, material=index)
+    made = tuple(
+        replace(_main(table, index, particles.V0), name=look.name)
+        for look, table in zip(looks, tables)
+    )
+    each = tuple(paper_options.of_material(settings, request, m, radius) for m in made)
+    choices, split = _chosen(request, files, settings, asset, len(particles))
+    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
+    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    skin = SKIN_NOTES.get(settings.skin, ())
+    plan = Plan(
+        asset=asset,
+        particles=particles,
+        samples=samples,
+        materials=made,
+        tables=tuple(tables),
+        settings=each[0],
+        each=each,
+        outputs=files,
+        riders=solid.riders,
+        drop=gap / float(normal @ asset.facts.up),
+        pins=pins,
+        choices=choices,
+        bodies=bodies,
+        encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
+        velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        notes=(
+            *asset.facts.notes, *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
+            *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
+        ),
+    )  # fmt: skip
+    return plan, solid
+
+
+def _with_stage(
+    request: Request, words: StageWords, asset: Asset
+) -> tuple[Request, tuple[str, ...]]:
+    """The request with what the stage says where it says nothing, and notes on that."""
+    notes = []
+    path, physics = asset.facts.path, words.physics
+    more: dict[str, Any] = {}
+    if request.gravity is None and physics.gravity is not None:
+        more["gravity"] = ",".join(repr(g) for g in physics.gravity)
+        notes.append(f"gravity is that of <{physics.scene}>: {_triple(physics.gravity)} m/s^2")
+    if physics.colliders:
+        if request.floor is None:
+            more["floor"] = "none"
+            notes.append(
+                f"the stage has {len(physics.colliders)} obstacles, so there is no floor; --floor 0"
+                " adds one"
+            )
+        if request.solver == "ul":
+            raise UsageError(
+                f"{path}: --solver ul does not know obstacles, and the stage has"
+                f" {len(physics.colliders)}, such as <{physics.colliders[0].path}>",
+                "use --solver tl",
+            )
+    for name in ("seed", "solver"):
+        if getattr(request, name) is None:
+            said = one_said(name, [(p, getattr(b, name)) for p, b in words.bakes.items()], path)
+            if said is not None:
+                more[name] = said
+                notes.append(f"{name} is {said}, as the stage asks for")
+    return replace(request, **more), tuple(notes)
+
+
+def _triple(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def _require_one_body(request: Request, count: int) -> None:
+    """Raise UsageError for options that know one body only."""
+    asked = {
+        "--skin " + str(request.skin): request.skin not in (None, "embed"),
+        "--wls": bool(request.wls),
+        "--procrustes": bool(request.procrustes),
+    }
+    for option, given in asked.items():
+        if given and count > 1:
+            raise UsageError(
+                f"{option} knows one body, and there are {count}", "add --combine, or leave it out"
+            )
+
+
+def _main(table: Sequence[Material], index: Any, V0: Any) -> Material:
+    """The material that most of the volume has."""
+    return table[int(np.bincount(index, V0).argmax())]
+
+
+def _chosen(
+    request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
+) -> tuple[Choices, tuple[str, ...]]:
+    """The output choices, with notes on what nobody asked for."""
+    if files.flat and request.clip_frames:
+        raise UsageError(
+            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            "a package is one file: leave one of them out",
+        )
+    choices = Choices(
+        shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
+    )
+    size = frame_bytes(asset, particles, settings, choices)
+    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    notes = ()
+    if length and request.clip_frames is None:
+        notes = (
+            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
+            f" of {length} frames: --clip-frames 0 keeps it in one file",
+        )
+    return replace(choices, clip_frames=length), notes
+
+
+def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
+    """Notes on the paper's options, once where they are the same for all materials."""
+    if all(settings == each[0] for settings in each):
+        return paper_options.notes(each[0])
+    pairs = zip(materials, each)
+    return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
+
+
+def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
+    """A material on a body of radius [m], with what the request says in place of its own."""
+    own = {
+        name: value
+        for name in ("damping_time", "friction", "restitution")
+        if (value := getattr(request, name)) is not None
+    }
+    if request.preset == "paper":
+        own.setdefault("damping_time", 0.0)  # the paper has none
+    return replace(look.material(radius, law), **own)

@@ -1,0 +1,48 @@
+"""The constants of nodes that follow a pin, as they stand on a solver's device."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.model import Floats
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+
+def constants(solver: TotalLagrangian) -> tuple[Floats, Floats]:
+    """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
+    c, rate = (
+        solver.arrays[name].to_numpy().astype(float).reshape(-1, 3)
+        for name in ("anchor", "anchor_rate")
+    )
+    count = solver.stencil.node_count - solver.stencil.free_count
+    return c[:count], rate[:count]
+
+
+def node_motion(solver: TotalLagrangian) -> tuple[Floats, Floats]:
+    """u and v as `Rows` stack them: with pins, the followers' constants too."""
+    u, v = solver.state()
+    if solver.holder is None:
+        return u, v
+    c, rate = constants(solver)
+    return np.concatenate([u, c]), np.concatenate([v, rate])
+
+
+def anchor(solver: TotalLagrangian, index: int) -> None:
+    """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
+    solver.arrays["work"].fill(0)
+    if solver.holder is None or not solver.holder.moving:
+        return
+    free, nodes = solver.stencil.free_count, solver.stencil
+    start, end = (
+        solver.holder.constants(
+            nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
+        )
+        for frame in (index - 1, index)
+    )
+    solver.arrays["anchor"].from_numpy(start.astype(solver.real).ravel())
+    rate = (end - start) / solver.frame_time
+    solver.arrays["anchor_rate"].from_numpy(rate.astype(solver.real).ravel())

@@ -1,0 +1,64 @@
+"""The bodies among the particles: which is whose, how heavy and how large each is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gf_usd.model import Floats, Ints, Particles
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bodies:
+    """Every body of a solver."""
+
+    of: Ints  # (N,) body of each particle
+    mass: Floats  # (B,) [kg]
+    radius: Floats  # (B,) [m] of a ball of the body's volume
+
+    @property
+    def count(self) -> int:
+        return len(self.mass)
+
+    def nearest(self, X: Floats, particles: Floats, body: Ints) -> Ints:
+        """Index of the particle (N, 3) [m] of the same body nearest to each point X (n, 3) [m]."""
+        out = np.zeros(len(X), np.int64)
+        for k in range(self.count):
+            at, mine = np.flatnonzero(body == k), np.flatnonzero(self.of == k)
+            if len(at):
+                out[at] = mine[cKDTree(particles[mine]).query(X[at])[1]]
+        return out
+
+
+def bodies_of(particles: Particles, density: Floats) -> Bodies:
+    """The bodies of particles; density : (N,) [kg/m^3]."""
+    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    volume = np.bincount(of, particles.V0)
+    return Bodies(
+        of=of,
+        mass=np.bincount(of, density * particles.V0),
+        radius=np.cbrt(3.0 * volume / (4.0 * np.pi)),
+    )
+
+
+Start = Any  # (3,) [m/s], a callable X (n, 3) -> (n, 3) [m/s], or a list of these, one a body
+
+
+def start_velocity(velocity: Start, X: Floats, body: Ints) -> Floats:
+    """(n, 3) [m/s] at points X (n, 3) [m] of bodies (n,)."""
+    each: Sequence[Any] = velocity if isinstance(velocity, list) else [velocity]
+    out = np.zeros(X.shape)
+    for k, one in enumerate(each):
+        mine = body == k if len(each) > 1 else np.ones(len(X), bool)
+        out[mine] = one(X[mine]) if isinstance(one, Callable) else np.asarray(one, float)
+    return out
+
+
+def fastest(velocity: Floats) -> float:
+    """[m/s] the greatest speed of (n, 3) that is a number."""
+    speed = np.linalg.norm(velocity, axis=1)
+    return float(speed[np.isfinite(speed)].max(initial=0.0))

@@ -1,0 +1,45 @@
+"""Substeps as launches of kernels: a small body's in one, a large one's each over all threads."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
+FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
+
+
+def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
+    """So many substeps of dt [s] in which `active` contact samples are looked at."""
+    s = solver.settings
+    every, alpha = filter_of(s.filter_rate, dt)
+    keep = float(np.exp(-s.drag * dt))
+    g, up = solver.vector(s.gravity), solver.vector(solver.normal)
+    lift = float(solver.offset @ solver.normal)
+    free = solver.stencil.free_count
+    counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
+    tail = (g, up, lift, dt, keep, 1.0 / solver.h, solver.converged)
+    if len(solver.particles) < SERIAL_BELOW:
+        phase = solver.done % every if every else 0
+        solver.kernels.serial(solver.pack, *counts, substeps, every, phase, alpha, *tail)
+    else:
+        solver.kernels.start(solver.pack, *counts[1:3], 0.5 * dt)
+        for k in range(substeps):
+            drift = dt if k < substeps - 1 else 0.5 * dt
+            due = int(every > 0 and (solver.done + k) % every == 0)
+            solver.kernels.parallel(solver.pack, *counts, due, alpha, *tail, drift)
+    solver.done += substeps
+
+
+def filter_of(rate: float, dt: float) -> tuple[int, float]:
+    """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
+    if rate <= 0.0:
+        return 0, 0.0
+    if np.isinf(rate):
+        return 1, 1.0
+    every = max(1, int(FILTER_STEP / (rate * dt)))
+    return every, float(1.0 - np.exp(-rate * every * dt))

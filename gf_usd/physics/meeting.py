@@ -1,0 +1,268 @@
+"""Bodies that meet each other and obstacles: when to look, and what a look changes.
+
+A look costs about as much as ten substeps, so it is done only when it has to be: a pair whose boxes
+are apart is left alone until they could have come together.  What the planes of a new look store
+in their springs more than the old ones is energy that nobody's motion paid for; it is counted.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gf_usd.encounters import Encounters
+from gf_usd.model import Floats, Ints
+from gf_usd.physics import pair_kernel as layout
+from gf_usd.physics.anchoring import constants, node_motion
+from gf_usd.physics.body_skin import BodySkin
+from gf_usd.physics.contact import FloorContact, damping_coefficient
+from gf_usd.physics.embedding import cofactor
+from gf_usd.physics.neighbours import (
+    ARRAYS,
+    FACING,
+    LOOK,
+    STIFFER,
+    Faced,
+    Looking,
+    facing_itself,
+    nothing,
+)
+from gf_usd.physics.neighbours import pair_values as values_of
+from gf_usd.physics.obstacles import box_gap, obstacles
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+
+# Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
+# each other strain them twice as fast as one that comes at a wall does.
+COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
+CROWD = 4.0 * STIFFER
+
+
+class Meeting:
+    """The encounters of a solver's bodies.
+
+    encounters : who meets whom; contact : the samples that feel it, as for the floor.
+    """
+
+    def __init__(
+        self, encounters: Encounters, contact: FloorContact, solver: TotalLagrangian
+    ) -> None:
+        self.encounters, self.contact = encounters, contact
+        samples = contact.samples
+        self._normal = samples.normal
+        self._X = samples.X
+        body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
+        self._members = [np.flatnonzero(body == k) for k in range(len(encounters.skins))]
+        self._spacing = solver.particles.spacing
+        self._obstacles = obstacles(encounters.colliders, solver.frame_time)
+        self._skins = [
+            BodySkin(skin, solver.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
+                     samples.X[m])
+            for k, (skin, m) in enumerate(zip(encounters.skins, self._members))
+        ]  # fmt: skip
+        self.faced = nothing(len(samples.X))
+        self._looked = 0.0  # [s] of the solver's time at the last look
+        self._k = contact.stiffness
+        self.injected = 0.0  # [J] since `begin`
+
+    def arrays(self) -> dict[str, Floats]:
+        """The part of the kernels' pack."""
+        return pack_arrays(len(self._X))
+
+    def save(self) -> dict[str, Any]:
+        """What `restore` wants."""
+        return {
+            **{f"facing_{name}": getattr(self.faced, name) for name in ARRAYS},
+            "facing_since": self._looked,
+            "facing_stiffness": self._k,
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to what `save` returned."""
+        self.faced = Faced(**{name: np.asarray(saved[f"facing_{name}"]) for name in ARRAYS})
+        self._looked = float(saved["facing_since"])
+        self._k = np.asarray(saved["facing_stiffness"])
+
+    def begin(self, solver: TotalLagrangian) -> None:
+        """Count from zero."""
+        self.injected = 0.0
+        pair = solver.arrays["pair"].to_numpy().reshape(-1, layout.ROW)
+        pair[:, layout.DEPTH] = pair[:, layout.WORK] = 0.0
+        solver.arrays["pair"].from_numpy(pair.ravel())
+
+    def energy(self, x: Floats, time: float) -> float:
+        """[J] in the springs of the last look's planes; x (n, 3) [m]."""
+        return float(0.5 * self._k @ self.faced.depth(x, time - self._looked) ** 2)
+
+    def imminent(self, solver: TotalLagrangian) -> bool:
+        """Whether anything may touch before the next frame."""
+        span = solver.frame_time
+        near, hold = self._schedule(solver, *self.motion(solver), solver.time / span, span)
+        return bool(near) or hold < span
+
+    def passage(self, solver: TotalLagrangian) -> tuple[float, float, float]:
+        """Work of the obstacles [J], energy given by looks [J] and deepest overlap [m]."""
+        pair = solver.arrays["pair"].to_numpy().astype(float).reshape(-1, layout.ROW)
+        return float(pair[:, layout.WORK].sum()), self.injected, float(pair[:, layout.DEPTH].max())
+
+    def motion(self, solver: TotalLagrangian) -> tuple[Floats, Floats]:
+        """x [m] and v [m/s] of the samples, (n, 3)."""
+        u, v = solver.state()
+        x, rate = self._X + solver.offset + self.contact.rows.W @ u, self.contact.rows.W @ v
+        if self.contact.constants is not None:
+            c, c_rate = constants(solver)
+            x, rate = x + self.contact.constants @ c, rate + self.contact.constants @ c_rate
+        return x, rate
+
+    def look(self, solver: TotalLagrangian, index: int, dt: float, done: int, left: int) -> int:
+        """Set the planes for the next substeps, and say how many they hold for, at most `left`.
+
+        index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
+        """
+        elapsed = done * dt
+        frame = index - 1 + elapsed / solver.frame_time
+        time = solver.time + elapsed
+        x, v = self.motion(solver)
+        meet, hold = self._schedule(solver, x, v, frame, left * dt)
+        steps = int(np.clip(hold / dt, 1, left))
+        before = self.energy(x, time)
+        nodes = node_motion(solver)[0]
+        seen = Looking(x, (FACING + LOOK) * self._spacing)
+        for mine, other in meet:
+            if other < 0:
+                self._face_obstacle(seen, mine, -1 - other, frame, steps * dt)
+            elif mine == other:
+                self._face_itself(seen, mine, nodes)
+            else:
+                self._face_body(seen, mine, other, nodes, solver.offset)
+        self.faced, self._looked = seen.faced, time
+        values = values_of(
+            self.faced, self.contact.stiffness, self.contact.mass, self.contact.friction,
+            self.contact.restitution,
+            [(c.words.friction, c.words.restitution) for c in self.encounters.colliders],
+        )  # fmt: skip
+        self._k = values["stiffness"]
+        self.injected += self.energy(x, time) - before
+        self._upload(solver, values, dt)
+        return steps
+
+    def _schedule(
+        self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float
+    ) -> tuple[list[tuple[int, int]], float]:
+        """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds."""
+        s, e = self._spacing, self.encounters
+        fall = float(np.linalg.norm(solver.settings.gravity)) * span
+        low = [x[m].min(0) for m in self._members]
+        high = [x[m].max(0) for m in self._members]
+        mean = [v[m].mean(0) for m in self._members]
+        spread = [
+            float(np.linalg.norm(v[m] - u, axis=1).max()) for m, u in zip(self._members, mean)
+        ]
+        near: list[tuple[int, int]] = []
+        hold = np.inf
+
+        def judge(pair: tuple[int, int], gap: float, speed: float) -> float:
+            if gap < (FACING + LOOK) * s:
+                near.append(pair)
+                return LOOK * s / max(speed, 1e-30)
+            return max(LOOK * s, gap - s) / max(speed, 1e-30)
+
+        for a in range(len(low)):
+            if e.self_contact:
+                hold = min(hold, judge((a, a), 0.0, 2.0 * spread[a] + fall))
+            for b in range(a):
+                if (a, b) in e.through or (b, a) in e.through:
+                    continue
+                speed = float(np.linalg.norm(mean[a] - mean[b])) + spread[a] + spread[b] + fall
+                gap = box_gap(low[a], high[a], low[b], high[b])
+                hold = min(hold, judge((a, b), gap, speed))
+                if near and near[-1] == (a, b):
+                    near.append((b, a))
+            for k, obstacle in enumerate(self._obstacles):
+                if (a, k) in e.through_colliders:
+                    continue
+                speed = float(np.linalg.norm(mean[a])) + spread[a] + fall + obstacle.speed(frame)
+                gap = obstacle.gap(low[a], high[a])
+                hold = min(hold, judge((a, -1 - k), gap, speed))
+        return near, hold
+
+    def _candidates(self, seen: Looking, mine: int, other: int) -> Ints:
+        """Samples of one body so near to samples of the other that they may reach its surface."""
+        x, theirs = seen.x[self._members[mine]], seen.x[self._members[other]]
+        low, high = theirs.min(0) - seen.reach, theirs.max(0) + seen.reach
+        boxed = self._members[mine][((x >= low) & (x <= high)).all(1)]
+        if len(boxed) == 0:
+            return boxed
+        far = seen.reach + COVER * self._spacing
+        gap = cKDTree(theirs).query(seen.x[boxed], distance_upper_bound=far)[0]
+        return boxed[np.isfinite(gap)]
+
+    def _face_body(
+        self, seen: Looking, mine: int, other: int, nodes: Floats, offset: Floats
+    ) -> None:
+        rows = self._candidates(seen, mine, other)
+        if len(rows) == 0:
+            return
+        theirs = seen.x[self._members[other]]
+        found, carrier = self._skins[other].near(seen.x[rows], theirs, nodes, offset, seen.reach)
+        seen.plane(rows[found.rows], found.gap, found.normal, found.point, carrier)
+
+    def _face_itself(self, seen: Looking, body: int, nodes: Floats) -> None:
+        members = self._members[body]
+        G = self.contact.rows.G
+        u = nodes[: G[0].shape[1]]
+        F = np.eye(3) + np.stack([g[members] @ u for g in G], -1)
+        normal = np.zeros_like(seen.x)
+        turned = np.einsum("nab,nb->na", cofactor(F), self._normal[members])
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        normal[members] = turned / np.where(length > 0.0, length, 1.0)
+        a, b = facing_itself(seen.x, normal, self._X, members, seen.reach, self._spacing)
+        gap = np.einsum("na,na->n", seen.x[a] - seen.x[b], normal[b])
+        seen.plane(a, gap, normal[b], seen.x[b], b)
+
+    def _face_obstacle(
+        self, seen: Looking, body: int, which: int, frame: float, span: float
+    ) -> None:
+        rows = self._members[body]
+        plane = self._obstacles[which].planes(seen.x[rows], seen.reach, frame, span)
+        found = plane.seen
+        seen.plane(
+            rows[found.rows], found.gap, found.normal, found.point, None, plane.velocity, which,
+        )  # fmt: skip
+
+    def _upload(self, solver: TotalLagrangian, values: dict[str, Floats], dt: float) -> None:
+        f, contact = self.faced, self.contact
+        pair = solver.arrays["pair"].to_numpy().astype(float).reshape(-1, layout.ROW)
+        pair[:, layout.REST : layout.RATE] = 0.0
+        pair[:, layout.REST : layout.DRIFT] = self._X
+        if contact.constants is not None:
+            c, rate = constants(solver)
+            pair[:, layout.REST : layout.DRIFT] += contact.constants @ (c + 0.5 * dt * rate)
+            pair[:, layout.DRIFT : layout.PLACE] = contact.constants @ rate
+        # The forces of a substep are those half of it later.
+        point = f.point + 0.5 * dt * f.velocity
+        point[f.partner == layout.OBSTACLE] -= solver.offset
+        pair[:, layout.FORCE : layout.POINT] = 0.0
+        pair[:, layout.POINT : layout.STIFFNESS] = np.hstack([point, f.normal, f.velocity])
+        damping = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])
+        pair[:, layout.STIFFNESS : layout.DEPTH] = np.stack(
+            [values["stiffness"], damping, values["friction"], values["mass"]], 1
+        )
+        start, order = f.lists()
+        links = np.full((len(start), layout.LINKS), layout.NOBODY)
+        links[:-1, layout.PARTNER], links[:, layout.START] = f.partner, start
+        links[: len(order), layout.FACING] = order
+        solver.arrays["pair"].from_numpy(pair.astype(solver.real).ravel())
+        solver.arrays["links"].from_numpy(links.astype(np.int32).ravel())
+
+
+def pack_arrays(n: int) -> dict[str, Floats]:
+    """The meeting's part of the kernels' pack for n samples; n = 0 where nobody meets."""
+    return {
+        "pair": np.zeros(layout.ROW * max(1, n)),
+        "links": np.full(layout.LINKS * (n + 1), layout.NOBODY),
+    }

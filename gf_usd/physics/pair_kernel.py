@@ -1,0 +1,100 @@
+"""Contact of surface samples with other bodies and with obstacles, inside a substep.
+
+A sample s faces at most one plane, chosen by `neighbours` between substeps.  The plane belongs to
+an obstacle, which moves it (point q, velocity v_q), or to a body, where it rides on that body's
+sample b nearest to it (q = x_b + offset, v_q = v_b).  With the plane's outward normal n, at depth
+d = (q - x_s) . n > 0,
+
+    f_n = max(0, k d - c (v_s - v_q) . n)        f_t by Coulomb, capped as on the floor
+    f_s += f,    f_b -= f
+
+so that what one body loses another gains, to rounding.  A sample sums what it is dealt in the order
+of a list, without atomics: the result does not depend on the number of threads.
+"""
+
+import taichi as ti
+
+NOBODY = -1
+OBSTACLE = -2
+
+# A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
+ROW = 30
+REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
+POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from x_b), n, v_q of an obstacle
+STIFFNESS, DAMPING, FRICTION, MASS = 24, 25, 26, 27
+DEPTH, WORK = 28, 29  # deepest [m] and work of an obstacle [J] since they were cleared
+# ... and its whole numbers in one of `links`: b; where its list starts; one entry of all lists.
+LINKS = 3
+PARTNER, START, FACING = 0, 1, 2
+
+
+@ti.func
+def row(A: ti.template(), o):
+    """Three numbers of an array from o on."""
+    return ti.Vector([A[o], A[o + 1], A[o + 2]])
+
+
+@ti.func
+def keep(A: ti.template(), o, value):
+    """The same, written."""
+    for a in ti.static(range(3)):
+        A[o + a] = value[a]
+
+
+@ti.func
+def sample_motion(body: ti.template(), s, dt):
+    """x (without the offset) and v of sample s, kept for those that face it."""
+    o = ROW * s
+    x = row(body.pair, o + REST)
+    v = row(body.pair, o + DRIFT)
+    keep(body.pair, o + REST, x + dt * v)  # what a pin gives moves on
+    for e in range(body.sample_start[s], body.sample_start[s + 1]):
+        w = body.sample_weight[e]
+        x += w * row(body.u, 3 * body.sample_node[e])
+        v += w * row(body.v, 3 * body.sample_node[e])
+    keep(body.pair, o + PLACE, x)
+    keep(body.pair, o + RATE, v)
+
+
+@ti.func
+def pair_contact(body: ti.template(), s, dt):
+    """Force on sample s of the plane it faces."""
+    who = body.links[LINKS * s + PARTNER]
+    o = ROW * s
+    f = row(body.pair, o + PLACE) * 0.0
+    if who != NOBODY:
+        n = row(body.pair, o + NORMAL)
+        q = row(body.pair, o + POINT)
+        vq = row(body.pair, o + VELOCITY)
+        if who == OBSTACLE:
+            keep(body.pair, o + POINT, q + dt * vq)
+        else:
+            q += row(body.pair, ROW * who + PLACE)
+            vq = row(body.pair, ROW * who + RATE)
+        d = (q - row(body.pair, o + PLACE)).dot(n)
+        if d > 0.0:
+            v = row(body.pair, o + RATE) - vq
+            vn = v.dot(n)
+            fn = ti.max(0.0, body.pair[o + STIFFNESS] * d - body.pair[o + DAMPING] * vn)
+            vt = v - vn * n
+            speed = vt.norm()
+            slip = body.pair[o + FRICTION] * fn
+            stick = 0.5 * body.pair[o + MASS] * speed / dt
+            if slip > stick:
+                body.sample_capped[s] = body.sample_capped[s] + 1
+            f = fn * n
+            if speed > 0.0:
+                f = f - (ti.min(slip, stick) / speed) * vt
+            body.pair[o + DEPTH] = ti.max(body.pair[o + DEPTH], d)
+            if who == OBSTACLE:
+                body.pair[o + WORK] = body.pair[o + WORK] + dt * f.dot(vq)
+    keep(body.pair, o + FORCE, f)
+
+
+@ti.func
+def pair_total(body: ti.template(), s):
+    """sample_force += own force - what those that face it got."""
+    f = row(body.sample_force, 3 * s) + row(body.pair, ROW * s + FORCE)
+    for e in range(body.links[LINKS * s + START], body.links[LINKS * (s + 1) + START]):
+        f = f - row(body.pair, ROW * body.links[LINKS * e + FACING] + FORCE)
+    keep(body.sample_force, 3 * s, f)

@@ -1,0 +1,215 @@
+"""Value clips: the samples of a cache in files of so many frames each.
+
+    duck.rubber.cache.usdc       the constant values, and on its root prims the metadata ``clips``
+    duck.rubber.clips/
+        manifest.usda            which attributes vary
+        0001.usdc, 0002.usdc     their samples
+
+A clip also holds the first sample of the next one.  Values between the two are then interpolated
+within one file, and at the border both say the same: the composed stage has the samples and the
+values of a single file, to the bit.
+
+A clip gets its final name as soon as it is full, and the cache, which still has its partial name,
+then lists it.  So memory does not grow, and what is full outlives an interrupt.  A folder that is
+there already is never written to: the clips of an earlier bake stay whole until nothing refers to
+them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pxr import Gf, Sdf, Tf, Usd, Vt
+
+from gf_usd.errors import BakeError
+from gf_usd.publish import publish
+from gf_usd.usd.stage import VARIANT_SET, asset_path, new_layer, refresh, save
+
+FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
+MANIFEST = "manifest.usda"
+OURS = re.compile(r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda)")
+
+
+@dataclass
+class _Clip:
+    """One file that is being written."""
+
+    path: Path  # final
+    layer: Sdf.Layer
+    first: float  # time code of its first sample
+    times: list[float] = field(default_factory=list)
+
+
+class ClipStore:
+    """Takes the samples of a cache that has no room for them.
+
+    Samples are authored on `stage`, whose edit target is a layer in memory; `keep` moves them on.
+
+    Parameters
+    ----------
+    path : final name of the cache.
+    cache : its layer, with the metadata of the bake; constant values are authored there.
+    samples : of a clip, the repeated one not counted.
+
+    Raises
+    ------
+    BakeError : the folder or the disk refuses.
+    """
+
+    def __init__(self, path: Path, cache: Sdf.Layer, samples: int) -> None:
+        self._cache, self._samples = cache, samples
+        self.folder = _free(folder_of(path))
+        self._moving = Sdf.Layer.CreateAnonymous("moving.usda")
+        self._moving.timeCodesPerSecond = cache.timeCodesPerSecond
+        self.stage = Usd.Stage.Open(cache, self._moving)
+        self.stage.SetEditTarget(cache)
+        self._done: list[_Clip] = []
+        self._clip: _Clip | None = None
+        self._roots: list[Sdf.Path] = []
+        try:
+            self.folder.mkdir(parents=True)
+        except OSError as error:
+            raise BakeError(
+                f"{self.folder} cannot be created: {error.strerror}.",
+                f"check that {self.folder.absolute().parent} is writable and has space left",
+            ) from error
+        where = asset_path(self.folder, path.parent)
+        cache.customLayerData = {**cache.customLayerData, VARIANT_SET: {FOLDER: where}}
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Final names of what is complete: the manifest and the clips."""
+        return (self.folder / MANIFEST, *(clip.path for clip in self._done)) if self._done else ()
+
+    def begin(self) -> None:
+        """From here on samples are authored, no longer constants."""
+        self.stage.SetEditTarget(self._moving)
+
+    def keep(self, time_code: float) -> None:
+        """Move what was authored at this time code into the clip; begin a new one if it is full."""
+        if self._clip is None:
+            self._write_manifest()
+            self._clip = self._open(time_code)
+        elif len(self._clip.times) > self._samples:
+            full, self._clip = self._clip, self._open(self._clip.times[-1])
+            for path in _attributes(full.layer):
+                value = full.layer.QueryTimeSample(path, self._clip.first)
+                self._put(path, self._clip.first, value)
+            self._clip.times.append(self._clip.first)
+            self._finish(full)
+        for path in _attributes(self._moving):
+            value = self._moving.QueryTimeSample(path, time_code)
+            if value is not None:
+                self._put(path, time_code, value)
+                self._moving.EraseTimeSample(path, time_code)
+        self._clip.times.append(time_code)
+
+    def save(self) -> None:
+        """Write unsaved samples to the disk."""
+        if self._clip is not None:
+            save(self._clip.layer)
+
+    def close(self) -> None:
+        """Complete the last clip, full or not."""
+        if self._clip is not None:
+            self._finish(self._clip)
+            self._clip = None
+
+    def _put(self, path: Sdf.Path, time_code: float, value: object) -> None:
+        layer = self._clip.layer if self._clip else None
+        assert layer is not None
+        if layer.GetAttributeAtPath(path) is None:
+            _declare(layer, self._moving.GetAttributeAtPath(path))
+        layer.SetTimeSample(path, time_code, value)
+
+    def _open(self, first: float) -> _Clip:
+        path = self.folder / f"{len(self._done) + (self._clip is not None) + 1:04d}.usdc"
+        layer = new_layer(path, path)
+        for name in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond"):
+            layer.pseudoRoot.SetInfo(name, self._cache.pseudoRoot.GetInfo(name))
+        return _Clip(path=path, layer=layer, first=first)
+
+    def _finish(self, clip: _Clip) -> None:
+        """Publish a clip and list it in the cache."""
+        clip.layer.startTimeCode, clip.layer.endTimeCode = clip.times[0], clip.times[-1]
+        save(clip.layer)
+        # publish renames the file under the layer: nothing may touch it afterwards
+        clip.layer = self._moving
+        publish(clip.path)
+        refresh(clip.path)
+        self._done.append(clip)
+        folder = Path(self._cache.realPath).parent
+        paths = [Sdf.AssetPath(asset_path(done.path, folder)) for done in self._done]
+        active = [Gf.Vec2d(done.first, k) for k, done in enumerate(self._done)]
+        manifest = Sdf.AssetPath(asset_path(self.folder / MANIFEST, folder))
+        for root in self._roots:
+            told = {
+                "assetPaths": Sdf.AssetPathArray(paths),
+                "active": Vt.Vec2dArray(active),
+                "manifestAssetPath": manifest,
+                "primPath": str(root),
+            }
+            # a name of our own: clip sets of one name are merged with those of the source
+            self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: told})
+        self._cache.endTimeCode = clip.times[-1]
+        save(self._cache)
+
+    def _write_manifest(self) -> None:
+        """Declare every attribute that has a sample; those at the first frame are all there are."""
+        path = self.folder / MANIFEST
+        layer = new_layer(path, path)
+        for attribute in _attributes(self._moving):
+            _declare(layer, self._moving.GetAttributeAtPath(attribute))
+        self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(self._moving)})
+        save(layer)
+        del layer
+        publish(path)
+
+
+def folder_of(cache: Path) -> Path:
+    """``duck.rubber.cache.usdc`` -> ``duck.rubber.clips``, beside it."""
+    return cache.with_name(f"{cache.stem.removesuffix('.cache')}.clips")
+
+
+def clips_of(cache: Path) -> Path | None:
+    """The folder in which a cache has its clips; None where it has none, or is no file."""
+    if not cache.is_file():
+        return None
+    try:
+        layer = Sdf.Layer.OpenAsAnonymous(str(cache), metadataOnly=True)
+    except Tf.ErrorException:
+        return None
+    told = layer.customLayerData.get(VARIANT_SET, {}) if layer else {}
+    return cache.parent / told[FOLDER] if FOLDER in told else None
+
+
+def remove_clips(folder: Path) -> None:
+    """Delete the clips in a folder, and the folder unless something else is in it."""
+    if not folder.is_dir():
+        return
+    for path in sorted(folder.iterdir()):
+        if OURS.fullmatch(path.name):
+            path.unlink()
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _free(folder: Path) -> Path:
+    path, count = folder, 1
+    while path.exists():
+        count += 1
+        path = folder.with_name(f"{folder.name}-{count}")
+    return path
+
+
+def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
+    sites: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, sites.append)
+    return [site for site in sites if site.IsPropertyPath()]
+
+
+def _declare(layer: Sdf.Layer, spec: Sdf.AttributeSpec) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, spec.path.GetPrimPath())
+    Sdf.AttributeSpec(prim, spec.name, spec.typeName, spec.variability, spec.custom)

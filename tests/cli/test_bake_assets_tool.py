@@ -1,0 +1,88 @@
+"""tools/bake_assets.py: what it makes of sound, damaged and foreign files, and that it can fail."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from small_bakes import BLOCK
+
+TOOLS = Path(__file__).parents[2] / "tools"
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import bake_assets
+
+    return bake_assets
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "assets"
+    (folder / "deep").mkdir(parents=True)
+    (folder / "deep" / "block.usda").write_text(BLOCK)
+    (folder / "damaged.usda").write_text("#usda 1.0\ndef")
+    (folder / "notes.txt").write_text("not an asset")
+    return folder
+
+
+def run(
+    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str
+) -> tuple[int, str]:
+    page = folder.parent / "page.md"
+    page.write_text(f"above\n{tool.BEGIN}old\n{tool.END}below\n")
+    monkeypatch.setattr(
+        sys, "argv", ["bake_assets", str(folder), "--write", str(page), "--frames", "2", *words]
+    )
+    return tool.main(), page.read_text()
+
+
+def test_baked_or_refused_in_words(
+    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    status, page = run(tool, monkeypatch, folder, "--particles", "100")
+    assert status == 0
+    above, *table, below = page.splitlines()
+    assert (above, below) == ("above", "below")
+    damaged, block = table[3:5]
+    assert damaged.startswith("| `damaged.usda` | refused | ")
+    assert "damaged.usda is damaged: " in damaged
+    assert "Hint: export the asset again" in damaged
+    assert block.startswith("| `deep/block.usda` | baked | ")
+    assert " | 1 mesh, " in block
+    assert len(table) == 6
+    assert str(folder) not in page
+
+
+def test_a_crash_and_a_changed_file_are_failures(
+    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    def crash(*words: str) -> tuple[int, str, str]:
+        (folder / "notes.txt").write_text("changed")
+        return 1, "", "Traceback\nKeyError: 'up'\n"
+
+    monkeypatch.setattr(tool, "gf_usd", crash)
+    before = tool.digests(folder)
+    status, page = run(tool, monkeypatch, folder)
+    assert status == 1
+    assert page.count("| failed | ") == 2
+    assert "KeyError: 'up'" in page
+    assert tool.digests(folder) != before
+
+
+def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
+    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    monkeypatch.setattr(tool, "gf_usd", lambda *words: (3, "", "error: no"))
+    assert run(tool, monkeypatch, folder)[0] == 1
+
+    def litter(*words: str) -> tuple[int, str, str]:
+        Path(words[3], "left.usda").write_text("")
+        return 3, "", "error: no\n\nhint: yes"
+
+    monkeypatch.setattr(tool, "gf_usd", litter)
+    assert run(tool, monkeypatch, folder)[0] == 1

@@ -1,0 +1,70 @@
+"""A job bundle run by the real openjd, from its tasks to the page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gf_usd.usd.check import check_file
+
+BESIDE = Path(sys.executable).with_name("openjd")
+OPENJD = str(BESIDE) if BESIDE.is_file() else shutil.which("openjd")
+NOTICE = 30.0  # [s] that the template grants to a task that is to end
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(OPENJD is None, reason="openjd-cli is not installed"),
+]
+
+
+def bundle(here: Path, block: Path, *words: str) -> list[str]:
+    """The command that runs a new bundle of three jobs, two in a task."""
+    command = [sys.executable, "-m", "gf_usd", "batch", str(block), "--seed", "0,1,2", "-o", "out",
+               "--openjd", "bundle", "--chunk", "2", *words]  # fmt: skip
+    subprocess.run(command, check=True, cwd=here, capture_output=True)
+    folder = here / "bundle"
+    return [str(OPENJD), "run", str(folder / "template.json"),
+            "-p", f"file://{folder / 'parameters.json'}"]  # fmt: skip
+
+
+def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -> None:
+    command = bundle(here, block, "--particles", "150", "--frames", "2")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    said = [line.split("\t", 1)[-1] for line in done.stdout.splitlines()]
+    assert said.count("openjd_progress: 100.0") >= 2
+    assert [s for s in said if s.startswith("openjd_status: 2 of 2 done; ")]
+    for seed in range(3):
+        assert check_file(here / "out" / f"block.rubber.seed{seed}.usda").ok
+    entry = json.loads((here / "out" / "out.batch.json").read_text("utf-8"))
+    assert entry["counts"] == {"done": 3}
+    assert (here / "out" / "out.batch.html").is_file()
+    # an asset that is damaged meanwhile fails its task, in words that the farm shows
+    block.write_text("#usda 1.0\ndef {", encoding="utf-8")
+    broken = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert broken.returncode == 1
+    assert "openjd_fail: 2 of 2 jobs are not good: block.rubber.seed" in broken.stdout
+
+
+def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
+    command = bundle(here, block, "--particles", "300", "--frames", "3000")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    while "frame 300 of" not in process.stdout.readline():
+        assert process.poll() is None
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    out, _ = process.communicate(timeout=2 * NOTICE)
+    assert time.monotonic() - began < NOTICE
+    assert process.returncode == 1
+    assert "openjd_fail: 2 of 2 jobs are not good" in out
+    assert "exited with code: 143" in out
+    final = [p.name for p in (here / "out").iterdir() if ".partial." not in p.name]
+    assert all(name.startswith(".") for name in final)

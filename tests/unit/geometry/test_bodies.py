@@ -1,0 +1,48 @@
+"""Surfaces that overlap or touch are one body; what lies apart is not."""
+
+from __future__ import annotations
+
+from solids import cube, solid, sphere
+
+from gf_usd.geometry.bodies import find_bodies
+
+
+def found(*surfaces, spacing: float = 0.1, **more) -> list[int]:
+    return find_bodies(solid(*surfaces), spacing, **more).tolist()
+
+
+def test_a_nose_in_a_head_and_a_hat_on_it_fall_as_one() -> None:
+    head = sphere(1.0, path="/Head")
+    nose = sphere(0.2, centre=(1.0, 0.0, 0.0), path="/Nose")
+    hat = cube((-0.5, 1.0, -0.5), 1.0, path="/Hat")  # touches the top vertex
+    assert found(head, nose, hat) == [0, 0, 0]
+
+
+def test_what_lies_apart_does_not() -> None:
+    left, right = cube(path="/Left"), cube((1.1, 0.0, 0.0), path="/Right")
+    assert found(left, right) == [0, 1]  # a spacing apart
+    assert found(left, right, spacing=1.0) == [0, 0]  # a tenth of a spacing
+    assert found(left, right, combine=True) == [0, 0]
+
+
+def test_a_chain_is_one_body_and_numbers_follow_the_surfaces() -> None:
+    far = cube((9.0, 0.0, 0.0), path="/Far")
+    links = [cube((float(k), 0.0, 0.0), (1.0, 0.2, 0.2), path=f"/L{k}") for k in range(3)]
+    assert found(links[0], far, links[1], links[2]) == [0, 1, 0, 0]
+
+
+def test_a_thing_inside_another_is_a_part_of_it() -> None:
+    assert found(cube((-2, -2, -2), 4.0, path="/Box"), cube(path="/In")) == [0, 0]
+
+
+def test_faces_that_cross_far_from_any_vertex_are_seen() -> None:
+    """Two crossed bars: no vertex of one is near the other."""
+    along = cube((-5, -0.1, -0.1), (10, 0.2, 0.2), path="/A")
+    across = cube((-0.1, -0.1, -5), (0.2, 0.2, 10), path="/B")
+    assert found(along, across) == [0, 0]
+
+
+def test_what_one_owner_holds_is_one_body() -> None:
+    three = [cube((3.0 * k, 0.0, 0.0), path=f"/C{k}") for k in range(3)]
+    assert found(*three, owners=["/Car", "", "/Car"]) == [0, 1, 0]
+    assert found(*three, owners=["", "", ""]) == [0, 1, 2]
