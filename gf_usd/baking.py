@@ -169,6 +169,8 @@ def _run_look(
     ) as cache:
         try:
             for baked in with_held(_samples(plan, material, carrier), settings):
+                if baked.index < 0 and baked.splats:
+                    baked = carrier.held(baked)
                 if baked.index >= settings.first:
                     cache.write(baked)
                     if baked.index % n == 0:

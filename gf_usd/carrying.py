@@ -36,6 +36,7 @@ class Carrier:
         self._tracks: dict[str, CarriedSplats] = {}
         self._spaces: dict[str, Space] = {}
         self._world: dict[str, CarriedSplats] = {}
+        self._riders: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
         self._in_world: dict[str, SplatPose] = {}
         clear(self._files)
@@ -58,12 +59,17 @@ class Carrier:
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""
+        self._riders = riders
         for path, track in self._tracks.items():
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
             self._now[path] = track.advance(riders[path], np.asarray(to_local))
         for path, track in self._world.items():
             self._in_world[path] = track.advance(riders[path], np.eye(3) / self._unit)
         return dict(self._now)
+
+    def held(self, frame: BakedFrame) -> BakedFrame:
+        """A frame before the start: the pose asked for last, in the prims' spaces at its time."""
+        return replace(frame, splats=self.poses(self._riders, frame.time_code))
 
     def export(self, frame: BakedFrame, number: int) -> None:
         """Write the files of a frame, the one that `poses` was asked for last.

@@ -15,6 +15,7 @@ from gf_usd.assets.splat_ply import read_splat_ply
 from gf_usd.assets.splat_raw import ROW
 from gf_usd.assets.splat_spz import read_spz
 from gf_usd.harmonics import Y_0
+from gf_usd.scene import gaussian_axes
 from tests.captures import ball, define, write_ply
 
 SMALL = ("--particles", "200", "--frames", "4", "--drop", "0.1")
@@ -169,3 +170,58 @@ def test_inspect_knows_captures(gf_usd, here, tmp_path):
     (mesh,) = said["meshes"]
     assert (mesh["type"], mesh["watertight"]) == ("ParticleField3DGaussianSplat", True)
     assert any("a surface was put around" in note for note in said["notes"])
+
+
+def test_samples_handles_and_clips_hold_for_captures(gf_usd, here, tmp_path):
+    path = write_usd(tmp_path / "ball.usda", ball(300, degree=1))
+    more = ("--samples-per-frame", "2", "--handles", "1", "--clip-frames", "2")
+    done = gf_usd("bake", path, "--material", "jelly", *SMALL, *more, "--export-ply", "frames")
+    assert done.status == 0, done.err
+    stage = Usd.Stage.Open("ball.jelly.usda")
+    prim = stage.GetPrimAtPath("/ball")
+    # frames -1 to 4 at time codes 0 to 5, two samples each
+    times = [0.5 * k for k in range(11)]
+    assert prim.GetAttribute("positions").GetTimeSamples() == times
+    assert prim.GetAttribute("radiance:sphericalHarmonicsCoefficientsh").GetTimeSamples() == times
+    assert len(names(here / "frames")) == 6
+    for number in (1, 2, 6):
+        frame = read_splat_ply(here / "frames" / f"ball.jelly.{number:04d}.ply")
+        there = prim.GetAttribute("positions").Get(float(number - 1))
+        np.testing.assert_allclose(frame.positions, there, atol=SINGLE)
+
+
+def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path):
+    path = write_usd(tmp_path / "ball.usda", ball(300))
+    stage = Usd.Stage.Open(str(path))
+    turn = UsdGeom.Xformable(stage.GetPrimAtPath("/ball")).AddRotateYOp()
+    for time, angle in ((0.0, 0.0), (8.0, 80.0)):
+        turn.Set(angle, time)
+    stage.Save()
+    done = gf_usd("bake", path, *SMALL, "--handles", "1", "--start", "4")
+    assert done.status == 0, done.err
+    assert "is made of Gaussians: no initial velocity is read" in done.err
+    stage = Usd.Stage.Open("ball.rubber.usda")
+    prim = stage.GetPrimAtPath("/ball")
+    turned = []
+    for time in (3.0, 4.0):
+        place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time)
+        quaternions = np.asarray(prim.GetAttribute("orientations").Get(time), float)
+        axes = gaussian_axes(quaternions[:, [3, 0, 1, 2]], prim.GetAttribute("scales").Get(time))
+        axes = np.asarray(place)[:3, :3].T @ axes
+        turned.append(axes @ axes.swapaxes(1, 2))
+    size = np.abs(turned[1]).max()
+    np.testing.assert_allclose(turned[0], turned[1], atol=SINGLE * size * 10)
+
+
+def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, here, tmp_path):
+    path = write_ply(tmp_path / "ball.ply", ball(300))
+    words = ("bake", path, "--material", "jelly", *SMALL, "--export-ply", "frames")
+    done = gf_usd(*words, "--only", "gaussians")
+    assert done.status == 0, done.err
+    stage = Usd.Stage.Open("ball.jelly.usda")
+    splats = stage.GetPrimAtPath("/ball/Splats")
+    assert splats.GetAttribute("positions").GetNumTimeSamples() == 0
+    frames = [read_splat_ply(here / "frames" / f"ball.jelly.000{n}.ply") for n in (1, 4)]
+    # it fell, and stays a capture
+    assert frames[0].positions[:, 1].mean() - frames[1].positions[:, 1].mean() > 0.01
+    assert len(frames[0]) == 300
