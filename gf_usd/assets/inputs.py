@@ -79,7 +79,9 @@ def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
         from gf_usd.assets.usd_inputs import usd_inputs
 
         return usd_inputs(path)
-    if suffix in PARSERS:
+    from gf_usd.assets.usd_splat_source import is_splat_file
+
+    if suffix in PARSERS and not is_splat_file(path):
         module, function = PARSERS[suffix].split(":")
         read = getattr(import_module(module), function)(path)
         # pictures that are only named become references of the layer made of the file

@@ -11,6 +11,7 @@ from mesh_makers import cube_obj, png
 
 from gf_usd.assets.inputs import read_inputs
 from gf_usd.errors import InputError
+from tests.captures import ball, write_ply
 
 LAYERS = {
     "shot.usda": """#usda 1.0
@@ -100,3 +101,8 @@ def test_what_cannot_be_read_is_refused(shot: Path) -> None:
     (shot.parent / "light.usda").write_text("#usda 1.0\ndef {", encoding="utf-8")
     with pytest.raises(InputError, match="damaged"):
         read_inputs(shot)
+
+
+def test_a_splat_file_is_one_file(tmp_path):
+    path = write_ply(tmp_path / "ball.ply", ball(60))
+    assert [name for name, _ in read_inputs(path).files] == ["ball.ply"]
