@@ -143,8 +143,10 @@ def fill(
         bodies=bodies,
         encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
         velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        advice=tuple(words.advice.values()),
         notes=(
-            *asset.facts.notes, *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
+            *asset.facts.notes, *(one.note for one in words.advice.values()),
+            *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
             *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
         ),
     )  # fmt: skip

@@ -71,9 +71,7 @@ def settled(advice: Advice) -> Advice:
         f"{advice.material} is too unsure, {advice.confidence:.2f} < {LEAST}: {advice.reason};"
         f" {FALLBACK} is assumed"
     )
-    return Advice(
-        path=advice.path, material=FALLBACK, confidence=0.0, reason=reason, by=advice.by
-    )
+    return Advice(path=advice.path, material=FALLBACK, confidence=0.0, reason=reason, by=advice.by)
 
 
 def faults(answer: object, paths: Sequence[str], presets: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ SUBSTANCES: dict[str, str] = {
     ),
     "metal": (
         "metal; metallic; metals; steel; iron; aluminum; aluminium; brass; bronze; copper; gold;"
-        " golden; silver; chrome; titanium; tin; zinc; lead; nickel; alloy; cast iron"
+        " silver; chrome; titanium; tin; zinc; nickel; alloy; cast iron"
     ),
     "jelly": "jelly; jello; slime; goo; gel; gummy; gooey",
     "gelatin": "gelatin; gelatine; agar; aspic; ballistic gel",
@@ -36,7 +36,7 @@ SUBSTANCES: dict[str, str] = {
 OBJECTS: dict[str, str] = {
     "rubber": "ball; balls; rubber duck; rubber ducky; balloon; eraser; squeaky",
     "metal": (
-        "anvil; bolt; bolts; screw; screws; nail; nails; wrench; spanner; gear; gears; chain;"
+        "anvil; bolt; bolts; screw; screws; wrench; spanner; gear; gears; chain;"
         " pipe; girder; rim; rims; hubcap; cutlery; spoon; fork; knife; blade; coin; coins"
     ),
     "jelly": "jellyfish; pudding; custard; panna cotta; flan; blob; gumdrop; gummybear; gummy bear",
@@ -56,7 +56,7 @@ OBJECTS: dict[str, str] = {
 STAND_INS: dict[str, str] = {
     "metal": (
         "wood; wooden; stone; rock; rocks; marble; granite; concrete; brick; glass; ceramic;"
-        " ceramics; porcelain; clay pot; plastic; plastics; abs; bone; bones; crystal"
+        " ceramics; porcelain; clay pot; plastic; plastics; bone; bones; crystal"
     ),
     "soft-silicone": "flesh; fat; muscle; muscles; tissue; tongue; meat; dough; putty",
     "foam": "cloth; fabric; cotton; wool; felt; leather; textile; fur",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pxr import Usd, UsdSemantics, UsdShade
+from pxr import Usd, UsdGeom, UsdSemantics, UsdShade
 
 from gf_usd.advice import Subject
 from gf_usd.assets.usd_select import named_prim
@@ -42,15 +42,18 @@ def _subject(prim: Usd.Prim, time: Usd.TimeCode) -> Subject:
 
 
 def _looks(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
-    """Paths of the materials bound to subsets, that of most faces first, then those of the prim."""
+    """Paths of the materials bound to the prim and its subsets, that of most faces first."""
     faces: dict[str, int] = {}
     for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
         count = len(subset.GetIndicesAttr().Get(time) or [])
         for path in _bound(subset.GetPrim()):
             faces[path] = faces.get(path, 0) + count
-    whole = _bound(prim)
-    most = sorted((p for p in faces if p not in whole), key=lambda path: -faces[path])
-    return (*most, *whole)
+    mesh = UsdGeom.Mesh(prim)
+    total = len(mesh.GetFaceVertexCountsAttr().Get(time) or []) if mesh else 0
+    left = total - sum(faces.values())
+    for path in _bound(prim):
+        faces[path] = faces.get(path, 0) + left
+    return tuple(sorted(faces, key=lambda path: -faces[path]))
 
 
 def _bound(prim: Usd.Prim) -> tuple[str, ...]:
