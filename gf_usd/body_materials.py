@@ -135,7 +135,9 @@ def _authored(
     bake, body = words.bakes.get(path), words.bodies.get(path)
     if part.subset is None and bake is not None and bake.material:
         return finish(find_preset(bake.material), radius)
-    base: Any = find_preset(bake.material if bake is not None and bake.material else "rubber")
+    advice = words.advice.get(path)
+    name = advice.material if advice is not None and advice.by != "stage" else "rubber"
+    base: Any = find_preset(bake.material if bake is not None and bake.material else name)
     stated = part.subset.words.density if part.subset else None
     if stated is None and body is not None:
         stated = body.words.density if body.density is None else body.density

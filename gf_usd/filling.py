@@ -126,6 +126,7 @@ def fill(
     choices, split = _chosen(request, files, settings, asset, len(particles))
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    advice = tuple(words.advice[s.path] for s in solid.surfaces) if words.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     plan = Plan(
         asset=asset,
@@ -143,8 +144,10 @@ def fill(
         bodies=bodies,
         encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
         velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        advice=advice,
         notes=(
-            *asset.facts.notes, *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
+            *asset.facts.notes, *(one.note for one in advice),
+            *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
             *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
         ),
     )  # fmt: skip

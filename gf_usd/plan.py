@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
+from gf_usd.advice import Advice
 from gf_usd.body_plan import BodyPlan
 from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
@@ -52,6 +53,7 @@ class Plan:
     converted: MeshSource | None = None  # of an asset that is not USD
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
+    advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
@@ -163,6 +165,7 @@ def describe(plan: Plan) -> dict[str, Any]:
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
         "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
+        "advice": [asdict(one) for one in plan.advice],
         "frames": written(plan.settings),
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd import materials as presets
+from gf_usd.advice import Auto
+from gf_usd.advising import advise, parse_auto
 from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
 from gf_usd.filling import fill
@@ -156,7 +158,11 @@ def _stage(
     """
     words = StageWords()
     if usd:
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=not looks)
+        elastic = not looks or isinstance(looks[0], Auto)
+        asset, words = read_words(asset, file, prims, rest=request.start, elastic=elastic)
+    if looks and isinstance(looks[0], Auto):
+        words = advise(asset, file, words, looks[0], usd=usd, rest=request.start)
+        return asset, words, [Authored(looks[0].name)]
     if looks:
         return asset, words, looks
     if words.says_material:
@@ -195,6 +201,9 @@ def _asked(
 
     if material is None and request.preset == "paper":
         material = "rubber"
+    auto = parse_auto(material, request.preset)
+    if auto is not None:
+        return request, [auto]
     return request, [_find(name, request) for name in material.split(",")] if material else []
 
 

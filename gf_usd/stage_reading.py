@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from gf_usd.advice import Advice
 from gf_usd.errors import InputError
 from gf_usd.model import Asset
 from gf_usd.stage_physics import BodyPhysics, PrimBake, StagePhysics
@@ -17,6 +18,7 @@ class StageWords:
 
     bakes: dict[str, PrimBake] = field(default_factory=dict)  # by prim path of a surface
     physics: StagePhysics = field(default_factory=StagePhysics)
+    advice: dict[str, Advice] = field(default_factory=dict)  # of --material auto, by prim path
 
     @property
     def bodies(self) -> dict[str, BodyPhysics]:

@@ -27,7 +27,7 @@ def bake(
         typer.Option(
             "--material", "-m",
             help="A preset (see gf-usd materials) or a USD file with a material; several with"
-            " commas become variants.",
+            " commas become variants. auto: by names and labels; auto:NAME asks an advisor.",
             show_default="what the stage says, else rubber",
         ),
     ] = None,
