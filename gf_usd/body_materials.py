@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.body_plan import BodyPlan
 from gf_usd.materials import Look, find_preset
 from gf_usd.model import Ints, Material, Particles
-from gf_usd.stage_physics import BodyPhysics, SubsetMaterial
+from gf_usd.stage_physics import SubsetMaterial
 from gf_usd.stage_reading import StageWords
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The immutable values that cross rooms.
 
-SI, in the source stage's world frame and up axis; quaternions (w, x, y, z), colours linear Rec. 709.
+SI, in the source stage's world frame and up axis.  Quaternions (w, x, y, z); linear Rec. 709.
 """
 
 from __future__ import annotations

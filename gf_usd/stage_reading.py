@@ -41,8 +41,8 @@ def read_words(
     """The asset without what its stage keeps out of a bake, and what the stage says of the rest.
 
     file : the asset's USD file; prims : what was asked for by name, which goes before the stage;
-    rest : time code of the rest pose; elastic : False: the materials of bodies, and what is painted on
-    them, are not read.
+    rest : time code of the rest pose; elastic : False: the materials of bodies and what is painted
+    on them are not read.
 
     Raises InputError where nothing is left, and for values that make no sense.
     """
