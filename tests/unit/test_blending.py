@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from gf_usd.preflight import prepare
 
 UNIT = 0.01  # [m]: centimetres; the bar is 40 x 10 x 10 of them
 RINGS, LENGTH = 8, 40.0
-FEW = {"particles": 400, "frames": 2}
+FEW: dict[str, Any] = {"particles": 400, "frames": 2}
 SOFT, STIFF = 1e5, 1e6  # [Pa]
 EPS = float(np.finfo(np.float32).eps)
 
