@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd import body_materials, paper_options
+from gf_usd.blending import with_own_values
 from gf_usd.body_plan import encounters, plan_bodies, start_velocities
 from gf_usd.choices import Choices, clip_length, parse_only
 from gf_usd.errors import UsageError
@@ -117,7 +118,10 @@ def fill(
         table, note = body_materials.one_law(table, law)
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
         mixed += [note] if note else []
-    particles = replace(particles, material=index)
+    particles, own = with_own_values(
+        replace(particles, material=index), tables[0], slot, parts, solid, bodies, words,
+        (request.blend_width or 0.0) * unit,
+    )  # fmt: skip
     made = tuple(
         replace(_main(table, index, particles.V0), name=look.name)
         for look, table in zip(looks, tables)
@@ -148,7 +152,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
+            *mixed, *own, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
         ),
     )  # fmt: skip
     return plan, solid

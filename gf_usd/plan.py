@@ -19,6 +19,7 @@ from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
+from gf_usd.own_values import summary
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
 from gf_usd.timeline import sampled, written
@@ -166,6 +167,7 @@ def describe(plan: Plan) -> dict[str, Any]:
         "materials": [asdict(m) for m in plan.materials],
         "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
         "advice": [asdict(one) for one in plan.advice],
+        "own_values": summary(plan.particles, plan.table(plan.materials[0])),
         "frames": written(plan.settings),
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),

@@ -116,6 +116,13 @@ def bake(
         float | None,
         typer.Option(help="Of the contact springs, 0 to 1.", show_default="the material's"),
     ] = None,
+    blend_width: Annotated[
+        float | None,
+        typer.Option(
+            help="Over which materials of one body turn into each other [stage units].",
+            show_default="0",
+        ),
+    ] = None,
     drag: Annotated[float | None, typer.Option(help="On velocity [1/s].", show_default="0")] = None,
     time_scale: Annotated[
         str | None,
@@ -219,6 +226,7 @@ def bake(
         gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
         combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
+        blend_width=blend_width,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, meters_per_unit=meters_per_unit, up_axis=up_axis,
