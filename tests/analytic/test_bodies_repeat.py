@@ -29,7 +29,8 @@ def march(threads: int) -> np.ndarray:
     solver = falling(threads)
     health = [f.health for f in solver.frames()]
     faced = solver.meeting.faced
-    assert (faced.partner >= 0).any() and (faced.obstacle >= 0).any(), "all meet"
+    assert (faced.partner >= 0).any(), "they meet each other"
+    assert (faced.obstacle >= 0).any(), "and the slope"
     assert max(h.overlap for h in health) > 0.0
     return whole(solver)
 
