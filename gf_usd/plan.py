@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import gf_usd
 from gf_usd.body_plan import BodyPlan
+from gf_usd.checkpoint import Checkpoint
 from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
@@ -50,6 +51,7 @@ class Plan:
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `TotalLagrangian`
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
+    standing: tuple[Checkpoint | None, ...] = ()  # of each look, where it goes on; none: anew
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
