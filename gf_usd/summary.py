@@ -173,7 +173,8 @@ class HealthLog:
 
 def health_of(row: Mapping[str, Any]) -> Health:
     """The health of its fields, whose vectors may be lists, as JSON has them."""
-    return Health(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+    return Health(**fields)
 
 
 def energy(f: Health) -> float:

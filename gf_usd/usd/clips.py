@@ -164,7 +164,8 @@ class ClipStore:
 
     def _open(self, first: float) -> _Clip:
         path = self.folder / f"{len(self._done) + 1:04d}.usdc"
-        layer = new_layer(path, path)
+        # it may be there: of a bake that was killed before it could tell, and is gone on with
+        layer = new_layer(path, self.folder)
         for name in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond"):
             layer.pseudoRoot.SetInfo(name, self._cache.pseudoRoot.GetInfo(name))
         return _Clip(path=path, layer=layer, first=first)

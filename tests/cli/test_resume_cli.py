@@ -81,13 +81,14 @@ def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("kills", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
-    gf_usd, here: Path, block: Path
+    gf_usd, here: Path, block: Path, kills: int
 ) -> None:
     words = ("bake", block, "--particles", "200", "--frames", "61", "--drop", "0.05r",
              "--clip-frames", "1", "-q")  # fmt: skip
     assert gf_usd(*words, "-o", "one/").status == 0
-    moments = np.random.default_rng(5).integers(1, 50, 4)
+    moments = np.random.default_rng(5).integers(1, 50, kills)
     reached = 0
     for moment in sorted(int(m) for m in moments):
         process = start(*words, "-o", "two/", "--resume")
