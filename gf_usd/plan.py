@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import gf_usd
 from gf_usd.advice import Advice
 from gf_usd.body_plan import BodyPlan
+from gf_usd.checkpoint import Checkpoint
 from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
@@ -52,6 +53,7 @@ class Plan:
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `TotalLagrangian`
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
+    standing: tuple[Checkpoint | None, ...] = ()  # of each look, where it goes on; none: anew
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface

@@ -15,9 +15,16 @@ from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
 from gf_usd.filling import fill
 from gf_usd.model import Asset
-from gf_usd.output_files import USD, outputs, require_free, require_source_free
+from gf_usd.output_files import (
+    USD,
+    interrupted,
+    outputs,
+    require_free,
+    require_source_free,
+)
 from gf_usd.plan import Plan, command_line
 from gf_usd.planning import Request
+from gf_usd.resuming import going_on
 from gf_usd.runtime import init_taichi
 from gf_usd.stage_reading import StageWords, read_words
 
@@ -36,15 +43,18 @@ def prepare(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     repair: bool = False,
+    resume: bool = False,
     **options: Any,
 ) -> Plan:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
+    anew = overwrite
     request, looks = _asked(material, law, options)
     source = Path(path)
     target_name = None if output is None else str(output)
     if looks:
         names = [look.name for look in looks]
-        require_free(outputs(source, names, target_name, request.flatten), overwrite)
+        files = outputs(source, names, target_name, request.flatten)
+        require_free(files, overwrite or (resume and interrupted(files)))
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
@@ -63,6 +73,8 @@ def prepare(
     asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
     names = [look.name for look in looks]
     files = outputs(source, names, target_name, request.flatten)
+    # what it wrote before it ended was free to be written
+    overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
     if converted is not None:
         target = files.source
@@ -84,7 +96,8 @@ def prepare(
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
-    return replace(plan, converted=converted, command=command, notes=notes)
+    plan = replace(plan, converted=converted, command=command, notes=notes)
+    return going_on(plan, overwrite=anew) if resume else plan
 
 
 def inspect(

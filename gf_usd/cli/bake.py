@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli import remains
 from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
 from gf_usd.cli.output_options import (
     ClipFrames,
@@ -16,7 +17,9 @@ from gf_usd.cli.output_options import (
     Handles,
     Only,
     Range,
+    Resume,
     SamplesPerFrame,
+    Slice,
 )
 
 
@@ -195,6 +198,8 @@ def bake(
     range: Range = None,
     handles: Handles = None,
     clip_frames: ClipFrames = None,
+    resume: Resume = False,
+    slice: Slice = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
@@ -231,19 +236,20 @@ def bake(
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
-        range=range, handles=handles, clip_frames=clip_frames,
+        range=range, handles=handles, clip_frames=clip_frames, resume=resume,
     )  # fmt: skip
+    remains.watch(plan.outputs.checkpoints)
     if dry_run:
         show_plan(plan, as_json=as_json, max_hours=max_hours)
         return
     if verbose:
         show_plan(plan, err=True, max_hours=max_hours)
     if quiet:
-        result = run(plan, max_hours=max_hours)
+        result = run(plan, max_hours=max_hours, slice=slice)
     else:
         announce(plan)
         with progress(plan) as advance:
-            result = run(plan, advance, max_hours=max_hours)
+            result = run(plan, advance, max_hours=max_hours, slice=slice)
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:

@@ -105,6 +105,16 @@ class ParticleTrack:
                 transform.Set(matrix, time_code)
 
     @property
+    def errors(self) -> list[float]:
+        """See `SplatTrack.errors`."""
+        return self._splats.errors if self._splats else []
+
+    @errors.setter
+    def errors(self, known: Sequence[float]) -> None:
+        if self._splats:
+            self._splats.errors = known
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was rounded, in words."""
         return self._splats.notes if self._splats else ()
