@@ -94,6 +94,7 @@ def half_space(degrees: float = 0.0, height: float = 0.0, **said: Any) -> Collid
 def momenta(solver: TotalLagrangian, frame: Frame) -> np.ndarray:
     """(B, 3) [kg m/s] of every body."""
     body = solver.particles.body
+    assert body is not None
     return np.stack([np.bincount(body, solver.m * frame.particles.v[:, a]) for a in range(3)], 1)
 
 

@@ -77,7 +77,7 @@ def cost(count: int, runs: int) -> tuple[int, int, Sample]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="What contact between bodies costs.")
     parser.add_argument("--runs", type=int, default=5)
     asked = parser.parse_args()
     print("| balls | particles | substeps | CPU s | spread | over half as many |")

@@ -70,6 +70,7 @@ def test_what_new_planes_store_is_counted():
     )
     last = list(solver.frames())[-1].health
     assert last.contact > 0.0
+    assert solver.meeting is not None
     solver.meeting.begin(solver)
     solver.meeting.look(solver, 7, solver.dt, 0, solver.substeps)
     change = solver.read(6).health.contact - last.contact

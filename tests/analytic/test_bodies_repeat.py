@@ -7,16 +7,18 @@ import pytest
 from meetings import half_space, meeting
 from solids import sphere
 
+from gf_usd.model import Health
 from gf_usd.physics import launch as module
 
 
 def falling(threads: int = 2, frames: int = 7):
-    """Two balls on a slope that meet it, each other and themselves."""
+    """Two balls on a slope that comes up: they meet it, each other and themselves."""
+    rise = np.arange(frames)[:, None] * [0.0, 0.02, 0.0]
     low = sphere(centre=(0.0, 1.1, 0.0), subdivisions=2, path="/Low")
     high = sphere(centre=(0.3, 3.2, 0.1), subdivisions=2, path="/High")
     return meeting(
         low, high, particles=400, frames=frames, threads=threads, gravity=(0.0, -9.81, 0.0),
-        velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)], colliders=(half_space(10.0),),
+        velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)], colliders=(half_space(10.0, offset=rise),),
         self_contact=True,
     )  # fmt: skip
 
@@ -28,6 +30,7 @@ def whole(solver) -> np.ndarray:
 def march(threads: int) -> np.ndarray:
     solver = falling(threads)
     health = [f.health for f in solver.frames()]
+    assert solver.meeting is not None
     faced = solver.meeting.faced
     assert (faced.partner >= 0).any(), "they meet each other"
     assert (faced.obstacle >= 0).any(), "and the slope"
@@ -44,8 +47,8 @@ def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below):
 
 
 def test_a_kept_state_goes_on_to_the_bit():
-    solver, last, kept = falling(), None, {}
-    ends = []
+    solver = falling()
+    last, kept, strained, ends = Health(), {}, 1, []
     for frame in solver.frames():
         if frame.index == 4:
             assert frame.health.overlap > 0.0, "it is kept in contact"
