@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,13 @@ from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
 from gf_usd.judgement import judge, require_healthy
-from gf_usd.model import BakedFrame, BakeInfo, Frame, Material, MeshPose, Pose
+from gf_usd.model import BakeInfo, Material
+from gf_usd.moving import Moving
 from gf_usd.output_files import claim
 from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
 from gf_usd.publish import partial_path, publish_text
+from gf_usd.resuming import Keeper, finished
 from gf_usd.summary import HealthLog
 from gf_usd.timeline import sampled, with_held
 
@@ -42,6 +44,8 @@ def bake(
     repair: bool = False,
     strict: bool = False,
     max_hours: float = MAX_HOURS,
+    resume: bool = False,
+    slice: int | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -61,6 +65,8 @@ def bake(
     repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
     strict : raise UnhealthyError where the finished bake has warnings.
     max_hours : refuse a bake whose estimate is longer.
+    resume : go on from the checkpoints of this bake, if it ended early; see the guide.
+    slice : full value clips after which it ends, to be resumed.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
@@ -72,20 +78,25 @@ def bake(
     InputError : the asset was refused; nothing was written.
     BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
         SolverError, with the frame and the particle, where the solver could not go on.
+    Unfinished : the slice is done, and there are frames left.
     UnhealthyError : strict, and there are warnings; the files are written.
     """
     plan = prepare(
         path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
-        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, **options,
+        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume, **options,
     )  # fmt: skip
-    result = run(plan, progress, max_hours=max_hours)
+    result = run(plan, progress, max_hours=max_hours, slice=slice)
     if strict:
         require_healthy(result)
     return result
 
 
 def run(
-    plan: Plan, progress: Progress | None = None, *, max_hours: float = MAX_HOURS
+    plan: Plan,
+    progress: Progress | None = None,
+    *,
+    max_hours: float = MAX_HOURS,
+    slice: int | None = None,
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
@@ -94,6 +105,7 @@ def run(
     """
     from gf_usd.usd.review import review
 
+    keeper = Keeper(plan, slice)
     require_affordable(plan, max_hours)
     earlier = sweep(plan)
     claim(plan.outputs)
@@ -104,13 +116,14 @@ def run(
     looks: list[BakedLook] = []
     notes = list(plan.notes)
     for number, material in enumerate(plan.materials):
-        result, look, more, error = _run_look(plan, number, material, progress)
+        result, look, more, error = _run_look(plan, number, material, progress, keeper)
         results.append(result)
         looks.append(look)
         notes += more
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
             results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
+            finished(plan.outputs)  # it would fail again
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
     notes += deliver(plan, looks, earlier)
@@ -118,6 +131,7 @@ def run(
     seconds = time.perf_counter() - began
     report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
     publish_text(plan.outputs.report, json.dumps(report, indent=1) + "\n")
+    finished(plan.outputs)
     return BakeResult(
         root=plan.outputs.root,
         report=plan.outputs.report,
@@ -132,7 +146,7 @@ def run(
 
 
 def _run_look(
-    plan: Plan, number: int, material: Material, progress: Progress | None
+    plan: Plan, number: int, material: Material, progress: Progress | None, keeper: Keeper
 ) -> tuple[LookResult, BakedLook, tuple[str, ...], SolverError | None]:
     """Simulate one material into its cache, which keeps its partial name.
 
@@ -161,14 +175,24 @@ def _run_look(
         held=bool(plan.pins),
         bodies=plan.bodies.count if plan.bodies else 1,
     )
+    since = plan.standing[number] if plan.standing else None
+    if since:
+        log.recall(since.log)
     target = plan.outputs.caches[number]
+    carrier = Carrier(plan, number, since)
+    moving = Moving(plan, material, carrier, since)
     failure = None
-    carrier = Carrier(plan, number)
     with CacheWriter(
-        target, plan.asset, plan.particles, info, source=plan.source, choices=plan.choices
+        target,
+        plan.asset,
+        plan.particles,
+        info,
+        source=plan.source,
+        choices=plan.choices,
+        since=since.cache if since else None,
     ) as cache:
         try:
-            for baked in with_held(_samples(plan, material, carrier), settings):
+            for baked in with_held(moving.samples(), settings):
                 if baked.index < 0 and baked.splats:
                     baked = carrier.held(baked)
                 if baked.index >= settings.first:
@@ -181,6 +205,18 @@ def _run_look(
                 if progress and baked.index % n == 0:
                     done = number * total + baked.index // n + 1
                     progress(done, total * len(plan.materials))
+                if cache.full:
+                    keeper.keep(
+                        number,
+                        baked.index,
+                        {
+                            "last": baked.health,
+                            "log": log.state(),
+                            "cache": cache.state(),
+                            "solver": moving.solver.standing(),
+                            "track": {**moving.track.state(), **carrier.state()},
+                        },
+                    )
         except SolverError as error:
             failure = error
         summary = cache.close()
@@ -204,53 +240,6 @@ def _run_look(
         failure="" if failure is None else failure.message,
     )
     return result, look, (*summary.notes, *carrier.notes), failure
-
-
-def _samples(plan: Plan, material: Material, carrier: Carrier) -> Iterator[BakedFrame]:
-    """Poses of meshes and Gaussians, sample by sample, in playback time."""
-    from gf_usd.geometry.skinning import MeshSkin
-    from gf_usd.physics.gaussians import GaussianTrack
-
-    track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
-    skin = None
-    if plan.points and plan.settings.skin != "embed":
-        skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
-    settings = sampled(plan.settings)
-    for frame in plan.solver(material).frames():
-        poses = skin.poses(frame.particles) if skin else frame.riders
-        splats = carrier.poses(poses, settings.time_code(frame.index))
-        baked = _baked(plan, frame, poses, track)
-        yield replace(baked, splats=splats if plan.choices.mesh else {})
-
-
-def _baked(plan: Plan, frame: Frame, poses: Mapping[str, Pose], track: Any) -> BakedFrame:
-    from gf_usd.physics.embedding import deform_normals
-
-    s = sampled(plan.settings)
-    meshes = {}
-    for surface in plan.asset.surfaces if plan.choices.mesh else ():
-        if surface.splats is not None:
-            continue
-        pose = poses[surface.path]
-        normals = None
-        if surface.normals is not None and surface.normal_points is not None:
-            normals = deform_normals(surface.normals, surface.normal_points, pose.F)
-        meshes[surface.path] = MeshPose(
-            points=pose.x, velocities=pose.v * s.time_scale, normals=normals
-        )
-    gaussians = track.advance(frame.particles)
-    return BakedFrame(
-        index=frame.index,
-        time_code=s.time_code(frame.index),
-        meshes=meshes,
-        gaussians=replace(
-            gaussians,
-            velocities=gaussians.velocities * s.time_scale,
-            F=frame.particles.F if s.deformation_gradients else None,
-            stress=frame.stress,
-        ),
-        health=frame.health,
-    )
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.body_plan import BodyPlan
 from gf_usd.materials import Look, find_preset
 from gf_usd.model import Ints, Material, Particles
-from gf_usd.stage_physics import BodyPhysics, SubsetMaterial
+from gf_usd.stage_physics import SubsetMaterial
 from gf_usd.stage_reading import StageWords
 
 if TYPE_CHECKING:
@@ -57,34 +57,40 @@ def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot])
     from gf_usd.geometry.surface import nearest
 
     at = nearest(solid, particles.X)
+    of_triangle = slot_of_triangles(solid, parts)
     for k in divided:
-        surface = solid.surfaces[k]
-        last = np.cumsum(surface.face_counts)
         mine = np.flatnonzero(at.surface == k)
-        corner = surface.triangle_corners[at.triangle[mine], 0]
-        face = np.searchsorted(last, corner, side="right")
+        out[mine] = of_triangle[k][at.triangle[mine]]
+    return out
+
+
+def slot_of_triangles(solid: Solid, parts: Sequence[Slot]) -> list[Ints]:
+    """For each surface (T,) the part of each row of `Surface.triangles`."""
+    out = []
+    for k, surface in enumerate(solid.surfaces):
+        last = np.cumsum(surface.face_counts)
+        face = np.searchsorted(last, surface.triangle_corners[:, 0], side="right")
+        of = np.full(len(face), k)
         for number, slot in enumerate(parts):
             if slot.surface == k and slot.subset:
-                out[mine[np.isin(face, slot.subset.faces)]] = number
+                of[np.isin(face, slot.subset.faces)] = number
+        out.append(of)
     return out
 
 
 def look_name(words: StageWords, paths: Sequence[str]) -> str:
     """What the stage's own materials are called together."""
-    names = {
-        name
-        for path in paths
-        if (name := _own_name(words.bakes.get(path), words.bodies.get(path))) is not None
-    }
+    names = {name for path in paths if (name := _own_name(path, words)) is not None}
     return names.pop() if len(names) == 1 else AUTHORED
 
 
-def _own_name(bake: Any, body: BodyPhysics | None) -> str | None:
+def _own_name(path: str, words: StageWords) -> str | None:
+    bake, body = words.bakes.get(path), words.bodies.get(path)
     if bake is not None and bake.material:
         return bake.material
     if body is not None and body.material:
         return body.material.name
-    return "rubber"
+    return AUTHORED if path in words.painted else "rubber"
 
 
 def table(
@@ -135,7 +141,9 @@ def _authored(
     bake, body = words.bakes.get(path), words.bodies.get(path)
     if part.subset is None and bake is not None and bake.material:
         return finish(find_preset(bake.material), radius)
-    base: Any = find_preset(bake.material if bake is not None and bake.material else "rubber")
+    advice = words.advice.get(path)
+    name = advice.material if advice is not None and advice.by != "stage" else "rubber"
+    base: Any = find_preset(bake.material if bake is not None and bake.material else name)
     stated = part.subset.words.density if part.subset else None
     if stated is None and body is not None:
         stated = body.words.density if body.density is None else body.density

@@ -9,13 +9,14 @@ import numpy as np
 
 from gf_usd.colour import linear_to_srgb
 from gf_usd.harmonics import Y_0
-from gf_usd.model import BakedFrame, Particles, Pose
+from gf_usd.model import BakedFrame, Floats, Particles, Pose
 from gf_usd.splat_sequence import clear
 from gf_usd.splats import SplatPose, Splats, joined
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from gf_usd.checkpoint import Checkpoint
     from gf_usd.physics.carried import CarriedSplats
     from gf_usd.plan import Plan
     from gf_usd.usd.space import Space
@@ -27,9 +28,10 @@ class Carrier:
     """The captured Gaussians of a plan, for one bake.
 
     number : of its material.
+    since : where to go on from; None: at the start.
     """
 
-    def __init__(self, plan: Plan, number: int) -> None:
+    def __init__(self, plan: Plan, number: int, since: Checkpoint | None = None) -> None:
         self._plan = plan
         self._files = plan.sequences[number] if plan.sequences else ()
         self._unit = plan.asset.facts.units.length
@@ -39,7 +41,8 @@ class Carrier:
         self._riders: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
         self._in_world: dict[str, SplatPose] = {}
-        clear(self._files)
+        if since is None:
+            clear(self._files)
         ridden = [s for s in plan.asset.surfaces if s.path in plan.points]
         carried = [(s.path, s.splats) for s in ridden if s.splats is not None]
         if not carried:
@@ -56,6 +59,19 @@ class Carrier:
             self._spaces[path] = Space(prim, time, self._unit)
             if self._files and len(carried) > 1:
                 self._world[path] = CarriedSplats(splats)
+        if since:
+            for name, track in self._named():
+                kept = since.track.items()
+                track.recall({k[len(name) :]: v for k, v in kept if k.startswith(name)})
+
+    def state(self) -> dict[str, Floats]:
+        """What the next frame starts from, for `Checkpoint.track`."""
+        rows = self._named()
+        return {f"{name}{key}": v for name, one in rows for key, v in one.state().items()}
+
+    def _named(self) -> list[tuple[str, CarriedSplats]]:
+        own = [(f"carried{k}_", one) for k, one in enumerate(self._tracks.values())]
+        return own + [(f"world{k}_", one) for k, one in enumerate(self._world.values())]
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gf_usd.publish import partial_path, publish
+from gf_usd.resuming import abandoned, folders
 
 if TYPE_CHECKING:
     from gf_usd.plan import Plan
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def sweep(plan: Plan) -> set[Path]:
-    """Delete the clips of a bake of these names that was interrupted.
+    """Delete the clips of a bake of these names that was interrupted and is not gone on with.
 
     Returns the folders of clips that a finished bake refers to: nothing touches these before the
     new one is there.
@@ -23,10 +24,11 @@ def sweep(plan: Plan) -> set[Path]:
     from gf_usd.usd.clips import clips_of, remove_clips
 
     kept = {folder for cache in plan.outputs.caches if (folder := clips_of(cache))}
-    for cache in plan.outputs.caches:
-        folder = clips_of(partial_path(cache))
-        if folder is not None and folder not in kept:
-            remove_clips(folder)
+    stale = {folder for c in plan.outputs.caches if (folder := clips_of(partial_path(c)))}
+    if not any(plan.standing):
+        stale |= abandoned(plan.outputs)
+    for folder in stale - kept - folders(plan.standing, plan.outputs):
+        remove_clips(folder)
     return kept
 
 

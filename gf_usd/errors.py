@@ -43,6 +43,12 @@ class BakeError(GfUsdError):
     exit_status = 1
 
 
+class Unfinished(GfUsdError):
+    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault."""
+
+    exit_status = 5
+
+
 class SolverError(BakeError):
     """The simulation could not go on.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd import body_materials, paper_options
+from gf_usd.blending import with_own_values
 from gf_usd.body_plan import encounters, plan_bodies, start_velocities
 from gf_usd.choices import Choices, clip_length, parse_only
 from gf_usd.errors import UsageError
@@ -117,7 +118,10 @@ def fill(
         table, note = body_materials.one_law(table, law)
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
         mixed += [note] if note else []
-    particles = replace(particles, material=index)
+    particles, own = with_own_values(
+        replace(particles, material=index), tables[0], slot, parts, solid, bodies, words,
+        (request.blend_width or 0.0) * unit,
+    )  # fmt: skip
     made = tuple(
         replace(_main(table, index, particles.V0), name=look.name)
         for look, table in zip(looks, tables)
@@ -126,6 +130,7 @@ def fill(
     choices, split = _chosen(request, files, settings, asset, len(particles))
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    advice = tuple(words.advice[s.path] for s in solid.surfaces) if words.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     plan = Plan(
         asset=asset,
@@ -143,9 +148,11 @@ def fill(
         bodies=bodies,
         encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
         velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        advice=advice,
         notes=(
-            *asset.facts.notes, *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *mixed, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
+            *asset.facts.notes, *(one.note for one in advice),
+            *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
+            *mixed, *own, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
         ),
     )  # fmt: skip
     return plan, solid

@@ -18,12 +18,13 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
+advice      of --material auto, for each mesh: path, material, confidence, reason, by
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -99,6 +100,7 @@ class Inspection:
             "parts": [_part(part) for part in self.parts],
             "suggested_particles": suggestion(self.parts),
             "materials": self.cost["per_material"] if self.cost else [],
+            "advice": [asdict(one) for one in self.plan.advice] if self.plan else [],
         }
 
     def _mesh(self, seen: Diagnosis) -> dict[str, Any]:

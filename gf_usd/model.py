@@ -1,7 +1,6 @@
 """The immutable values that cross rooms.
 
-SI, in the world frame of the source stage (its up axis is kept; positions are stage positions times
-metersPerUnit).  Quaternions are (w, x, y, z), colours linear Rec. 709.
+SI, in the source stage's world frame and up axis.  Quaternions (w, x, y, z); linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -138,6 +137,7 @@ class Particles:
     lattice: float  # [m] edge of the strata the particles were drawn from
     corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
+    own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
 
     def __len__(self) -> int:
         return len(self.X)

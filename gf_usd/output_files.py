@@ -36,6 +36,12 @@ class Outputs:
         return (self.root, *self.caches, self.report)
 
     @property
+    def checkpoints(self) -> tuple[Path, ...]:
+        """Where an unfinished bake can be gone on from, one for each look."""
+        stems = (cache.name.removesuffix(".cache.usdc") for cache in self.caches)
+        return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
+
+    @property
     def layers(self) -> Path:
         """The root layer over the caches: of a flat bake only there while it is made."""
         return self.root.with_name(f"{self.stem}.layers.usda") if self.flat else self.root
@@ -170,6 +176,11 @@ def report_of_failure(files: Outputs) -> Path:
     """Where a bake that fails says so: under the report's name, unless a good one has it."""
     good = files.report.exists() and not tells_of_failure(files.report)
     return partial_path(files.report) if good else files.report
+
+
+def interrupted(files: Outputs) -> bool:
+    """Whether a bake of these names ended early and can be resumed."""
+    return any(path.exists() for path in files.checkpoints)
 
 
 def claim(files: Outputs) -> None:

@@ -12,12 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gf_usd
+from gf_usd.advice import Advice
 from gf_usd.body_plan import BodyPlan
+from gf_usd.checkpoint import Checkpoint
 from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
+from gf_usd.own_values import summary
 from gf_usd.pins import Pin
 from gf_usd.runtime import epoch
 from gf_usd.splat_sequence import SplatSequence
@@ -52,8 +55,10 @@ class Plan:
     each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
     converted: MeshSource | None = None  # of an asset that is not USD
     sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each material
+    standing: tuple[Checkpoint | None, ...] = ()  # of each look, where it goes on; none: anew
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
+    advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
     _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     @property
@@ -170,6 +175,8 @@ def describe(plan: Plan) -> dict[str, Any]:
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
         "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
+        "advice": [asdict(one) for one in plan.advice],
+        "own_values": summary(plan.particles, plan.table(plan.materials[0])),
         "frames": written(plan.settings),
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),

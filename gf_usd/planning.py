@@ -53,6 +53,7 @@ class Request:
     preset: str | None = None  # "paper"
     deformation_gradients: bool = False
     stress: bool = False
+    blend_width: float | None = None  # [stage units] between materials of a body; None: 0
     skin: str | None = None  # one of SKINS
     solver: str | None = None  # one of SOLVERS
     pins: tuple[str, ...] = ()  # prim paths, or "box:x0,y0,z0,x1,y1,z1" [stage units]
@@ -83,6 +84,7 @@ class Request:
         for option, value, high in (
             ("--filter-rate", self.filter_rate, np.inf),
             ("--drag", self.drag, 1e6),
+            ("--blend-width", self.blend_width, 1e6),
             ("--damping-time", self.damping_time, 1e6),
             ("--friction", self.friction, 100.0),
             ("--restitution", self.restitution, 1.0),

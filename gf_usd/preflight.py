@@ -10,13 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd import materials as presets
 from gf_usd import splat_sequence
+from gf_usd.advice import Auto
+from gf_usd.advising import advise, parse_auto
 from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
 from gf_usd.filling import fill
 from gf_usd.model import Asset
-from gf_usd.output_files import USD, outputs, require_free, require_source_free
+from gf_usd.output_files import (
+    USD,
+    interrupted,
+    outputs,
+    require_free,
+    require_source_free,
+)
 from gf_usd.plan import Plan, command_line
 from gf_usd.planning import Request
+from gf_usd.resuming import going_on
 from gf_usd.runtime import init_taichi
 from gf_usd.stage_reading import StageWords, read_words
 
@@ -35,14 +44,18 @@ def prepare(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     repair: bool = False,
+    resume: bool = False,
     **options: Any,
 ) -> Plan:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
+    anew = overwrite
     request, looks = _asked(material, law, options)
     source = Path(path)
     target_name = None if output is None else str(output)
 
-    def frames_of(looks: Sequence[Any]) -> tuple[tuple[splat_sequence.SplatSequence, ...], ...]:
+    def frames_of(
+        looks: Sequence[Any], overwrite: bool
+    ) -> tuple[tuple[splat_sequence.SplatSequence, ...], ...]:
         """The splat files of each look, which must be free."""
         names = [look.name for look in looks]
         asked = splat_sequence.sequences(
@@ -53,8 +66,10 @@ def prepare(
 
     if looks:
         names = [look.name for look in looks]
-        require_free(outputs(source, names, target_name, request.flatten), overwrite)
-        frames_of(looks)
+        files = outputs(source, names, target_name, request.flatten)
+        overwritten = overwrite or (resume and interrupted(files))
+        require_free(files, overwritten)
+        frames_of(looks, overwritten)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
@@ -75,8 +90,10 @@ def prepare(
     asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
     names = [look.name for look in looks]
     files = outputs(source, names, target_name, request.flatten)
+    # what it wrote before it ended was free to be written
+    overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
-    frames = frames_of(looks)
+    frames = frames_of(looks, overwrite)
     if converted is not None:
         target = files.source
         if target is not None:
@@ -97,7 +114,8 @@ def prepare(
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
-    return replace(plan, converted=converted, command=command, notes=notes, sequences=frames)
+    plan = replace(plan, converted=converted, command=command, notes=notes, sequences=frames)
+    return going_on(plan, overwrite=anew) if resume else plan
 
 
 def inspect(
@@ -173,7 +191,11 @@ def _stage(
     """
     words = StageWords()
     if usd:
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=not looks)
+        elastic = not looks or isinstance(looks[0], Auto)
+        asset, words = read_words(asset, file, prims, rest=request.start, elastic=elastic)
+    if looks and isinstance(looks[0], Auto):
+        words = advise(asset, file, words, looks[0], usd=usd, rest=request.start)
+        return asset, words, [Authored(looks[0].name)]
     if looks:
         return asset, words, looks
     if words.says_material:
@@ -212,6 +234,9 @@ def _asked(
 
     if material is None and request.preset == "paper":
         material = "rubber"
+    auto = parse_auto(material, request.preset)
+    if auto is not None:
+        return request, [auto]
     return request, [_find(name, request) for name in material.split(",")] if material else []
 
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from gf_usd.advice import Advice
 from gf_usd.errors import InputError
-from gf_usd.model import Asset
+from gf_usd.model import Asset, Floats
 from gf_usd.stage_physics import BodyPhysics, PrimBake, StagePhysics
 
 
@@ -17,6 +18,8 @@ class StageWords:
 
     bakes: dict[str, PrimBake] = field(default_factory=dict)  # by prim path of a surface
     physics: StagePhysics = field(default_factory=StagePhysics)
+    advice: dict[str, Advice] = field(default_factory=dict)  # of --material auto, by prim path
+    painted: dict[str, dict[str, Floats]] = field(default_factory=dict)  # see `read_painted`
 
     @property
     def bodies(self) -> dict[str, BodyPhysics]:
@@ -31,7 +34,7 @@ class StageWords:
             body.material or any(subset.material for subset in body.subsets)
             for body in self.physics.bodies
         )
-        return named or bound
+        return named or bound or bool(self.painted)
 
 
 def read_words(
@@ -40,11 +43,13 @@ def read_words(
     """The asset without what its stage keeps out of a bake, and what the stage says of the rest.
 
     file : the asset's USD file; prims : what was asked for by name, which goes before the stage;
-    rest : time code of the rest pose; elastic : False: the materials of bodies are not read.
+    rest : time code of the rest pose; elastic : False: the materials of bodies and what is painted
+    on them are not read.
 
     Raises InputError where nothing is left, and for values that make no sense.
     """
     from gf_usd.assets.usd_bake import read_bake_settings
+    from gf_usd.assets.usd_painted import read_painted
 
     found = read_bake_settings(file, asset.facts, [s.path for s in asset.surfaces], rest=rest)
     bakes = {bake.path: bake for bake in found}
@@ -65,7 +70,9 @@ def read_words(
     physics = read_motion(asset, file, rest=rest, times=(), elastic=elastic)
     left = {s.path for s in asset.surfaces}
     return asset, StageWords(
-        bakes={path: bake for path, bake in bakes.items() if path in left}, physics=physics
+        bakes={path: bake for path, bake in bakes.items() if path in left},
+        physics=physics,
+        painted=read_painted(file, asset.facts, asset.surfaces, rest=rest) if elastic else {},
     )
 
 

@@ -7,7 +7,7 @@ GaussianFleshHealthAPI in docs/schema.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
@@ -56,6 +56,18 @@ class HealthLog:
         if not self.frames or len(self._passing) == self._settings.samples_per_frame:
             self.frames.append(joined(self._passing))
             self._passing = []
+
+    def state(self) -> dict[str, Any]:
+        """What was added, as plain values."""
+        return {
+            "frames": [asdict(health) for health in self.frames],
+            "passing": [asdict(health) for health in self._passing],
+        }
+
+    def recall(self, state: Mapping[str, Any]) -> None:
+        """Go on from `state`."""
+        self.frames = [health_of(row) for row in state["frames"]]
+        self._passing = [health_of(row) for row in state["passing"]]
 
     def summary(self) -> dict[str, Any]:
         """Totals and extremes over the frames so far; None where a question has no answer."""
@@ -157,6 +169,12 @@ class HealthLog:
         out["momentum_drift"] = linear / (m * speed)
         out["angular_momentum_drift"] = spin / (m * self._radius * speed)
         return out
+
+
+def health_of(row: Mapping[str, Any]) -> Health:
+    """The health of its fields, whose vectors may be lists, as JSON has them."""
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+    return Health(**fields)
 
 
 def energy(f: Health) -> float:

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.batch.child import Children
-from gf_usd.batch.identity import program
 from gf_usd.batch.inputs import InputTable
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.run import BEAT, Event
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.errors import UsageError
+from gf_usd.program import program
 
 if TYPE_CHECKING:
     from distributed import Client, Future

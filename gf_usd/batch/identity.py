@@ -6,51 +6,12 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job
 from gf_usd.batch.options import decisive, material_files
-
-PACKAGE = Path(__file__).resolve().parents[1]
-SCHEMA = "generatedSchema.usda"
-APART = ("batch", "verify", "view")  # no bake runs any of it
-# their versions may round differently, or write differently
-LIBRARIES = ("usd-core", "taichi", "numpy", "scipy", "trimesh", "libigl", "pillow")
-
-
-@cache
-def program() -> dict[str, Any]:
-    """What bakes: a hash of its source, one of the schema, versions of libraries."""
-    schemas = (PACKAGE / "schemas", PACKAGE.parent / "schemas")
-    schema = next((p for folder in schemas for p in folder.glob(f"*/{SCHEMA}")), None)
-    return {
-        "code": _hash_files(_sources(), PACKAGE),
-        "schema": _hash_files([schema], schema.parent) if schema else "",
-        "libraries": {name: _version(name) for name in LIBRARIES},
-    }
-
-
-def _sources() -> list[Path]:
-    files = sorted(PACKAGE.rglob("*.py"))
-    return [file for file in files if file.relative_to(PACKAGE).parts[0] not in APART]
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
-
-
-def _hash_files(files: list[Path], folder: Path) -> str:
-    content = hashlib.sha256()
-    for file in files:
-        content.update(file.relative_to(folder).as_posix().encode() + b"\0")
-        content.update(hashlib.sha256(file.read_bytes()).digest())
-    return content.hexdigest()
+from gf_usd.program import program
 
 
 def read_by(job: Job) -> tuple[Path, ...]:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd import materials as presets
+from gf_usd.advice import AUTO
+from gf_usd.advising import parse_auto
 from gf_usd.errors import UsageError
 from gf_usd.output_files import USD
 from gf_usd.planning import Request
@@ -104,7 +106,15 @@ def parse(name: str, text: str, where: str) -> Any:
 
 
 def _materials(text: str, folder: Path) -> str:
-    """Presets by name, and material files by their absolute path."""
+    """Presets by name, auto, and material files by their absolute path."""
+    auto = parse_auto(text, None)
+    if auto is not None and auto.advisor:
+        raise UsageError(
+            f"--material {text}: a batch asks no advisor, whose answers may change between jobs",
+            f"use {AUTO}, or bake the assets one by one",
+        )
+    if auto is not None:
+        return AUTO
     parts = []
     for part in text.split(","):
         part = part.strip()

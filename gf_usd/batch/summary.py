@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gf_usd.batch.identity import program
 from gf_usd.batch.job import GOOD, STATES, Job, Outcome
 from gf_usd.batch.locks import locked
 from gf_usd.batch.record import read_record
+from gf_usd.program import program
 from gf_usd.publish import publish_text
 
 SUMMARY, PAGE = ".batch.json", ".batch.html"

@@ -19,7 +19,7 @@ from gf_usd.batch.locks import Held, acquire
 from gf_usd.batch.record import finished, write_record
 from gf_usd.batch.verdict import Bake, judge
 from gf_usd.errors import GfUsdError
-from gf_usd.output_files import outputs
+from gf_usd.output_files import interrupted, outputs
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
@@ -134,7 +134,10 @@ def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watc
     if "threads" not in job.options and limits.threads:
         words += ["--threads", str(limits.threads)]
     # Jobs of one mesh file share a layer, which is written before the first frame.
-    source = outputs(job.asset, [Path(m).stem for m in job.materials], str(job.root)).source
+    files = outputs(job.asset, [Path(m).stem for m in job.materials], str(job.root))
+    source = files.source
+    if interrupted(files):
+        words.append("--resume")
     shared = None
     if source is not None:
         shared = acquire(source, patience=float("inf"), stopped=lambda: children.stopping)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli import remains
 from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
 from gf_usd.cli.output_options import (
     ClipFrames,
@@ -16,7 +17,9 @@ from gf_usd.cli.output_options import (
     Handles,
     Only,
     Range,
+    Resume,
     SamplesPerFrame,
+    Slice,
 )
 
 
@@ -27,7 +30,7 @@ def bake(
         typer.Option(
             "--material", "-m",
             help="A preset (see gf-usd materials) or a USD file with a material; several with"
-            " commas become variants.",
+            " commas become variants. auto: by names and labels; auto:NAME asks an advisor.",
             show_default="what the stage says, else rubber",
         ),
     ] = None,
@@ -128,6 +131,13 @@ def bake(
         float | None,
         typer.Option(help="Of the contact springs, 0 to 1.", show_default="the material's"),
     ] = None,
+    blend_width: Annotated[
+        float | None,
+        typer.Option(
+            help="Over which materials of one body turn into each other [stage units].",
+            show_default="0",
+        ),
+    ] = None,
     drag: Annotated[float | None, typer.Option(help="On velocity [1/s].", show_default="0")] = None,
     time_scale: Annotated[
         str | None,
@@ -200,6 +210,8 @@ def bake(
     range: Range = None,
     handles: Handles = None,
     clip_frames: ClipFrames = None,
+    resume: Resume = False,
+    slice: Slice = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results.")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
@@ -231,24 +243,26 @@ def bake(
         gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
         combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
+        blend_width=blend_width,
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,
         meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
-        range=range, handles=handles, clip_frames=clip_frames,
+        range=range, handles=handles, clip_frames=clip_frames, resume=resume,
     )  # fmt: skip
+    remains.watch(plan.outputs.checkpoints)
     if dry_run:
         show_plan(plan, as_json=as_json, max_hours=max_hours)
         return
     if verbose:
         show_plan(plan, err=True, max_hours=max_hours)
     if quiet:
-        result = run(plan, max_hours=max_hours)
+        result = run(plan, max_hours=max_hours, slice=slice)
     else:
         announce(plan)
         with progress(plan) as advance:
-            result = run(plan, advance, max_hours=max_hours)
+            result = run(plan, advance, max_hours=max_hours, slice=slice)
     if as_json:
         typer.echo(json.dumps(result.as_json(), indent=1))
     elif not quiet:

@@ -30,6 +30,7 @@ def show(seen: Inspection) -> None:
     _facts(console, seen)
     _meshes(console, seen)
     _body(console, seen)
+    _advice(console, seen)
     _parts(console, seen)
     _lines(console, "skipped", [f"{p}: {why}" for p, why in seen.asset.skipped])
     _lines(console, "note", _said(seen))
@@ -138,6 +139,22 @@ def _body(console: Console, seen: Inspection) -> None:
     console.print(table)
 
 
+def _advice(console: Console, seen: Inspection) -> None:
+    if seen.plan is None or not seen.plan.advice:
+        return
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("mesh", overflow="fold")
+    for title in ("auto", "confidence", "by", "reason"):
+        table.add_column(title)
+    for one in seen.plan.advice[:MOST_MESHES]:
+        sure = f"{one.confidence:.2f}"
+        table.add_row(*(escape(t) for t in (one.path, one.material, sure, one.by, one.reason)))
+    console.print()
+    console.print(table)
+    if len(seen.plan.advice) > MOST_MESHES:
+        console.print(f"and {len(seen.plan.advice) - MOST_MESHES} more (--json lists all)")
+
+
 def _parts(console: Console, seen: Inspection) -> None:
     if not seen.parts:
         return
@@ -173,6 +190,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 def _said(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
     left = {f"<{p}> is left as it is: {why}" for p, why in seen.asset.skipped}
+    left |= {one.note for one in (seen.plan.advice if seen.plan else ())}
     said = [note for note in seen.notes if note not in left]
     for mesh in seen.diagnoses:
         odd = [

@@ -1,7 +1,7 @@
 """The command ``gf-usd``: its commands, and how any of them ends.
 
-Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 130 and 143
-interrupted (docs/guide.md).
+Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 4
+warnings under --strict, 5 a slice is done, 130 and 143 interrupted (docs/guide.md).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gf_usd import __version__
+from gf_usd.cli import remains
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
@@ -26,7 +27,7 @@ from gf_usd.cli.schema_path import schema_path
 from gf_usd.cli.thumbnails import thumbnails
 from gf_usd.cli.verify import verify
 from gf_usd.cli.view import view
-from gf_usd.errors import GfUsdError
+from gf_usd.errors import GfUsdError, Unfinished
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
@@ -77,12 +78,13 @@ def run() -> NoReturn:
     try:
         app(standalone_mode=True)
     except GfUsdError as error:
-        typer.echo(f"error: {error}", err=True)
+        said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
+        typer.echo(said, err=True)
         sys.exit(error.exit_status)
     sys.exit(0)
 
 
 def _stop(number: int, frame: object) -> NoReturn:
     # typer ends a KeyboardInterrupt without a word
-    typer.echo(f"{STOPPED[number]}; only *.partial.* files remain", err=True)
+    typer.echo(f"{STOPPED[number]}; {remains.words()}", err=True)
     sys.exit(128 + number)

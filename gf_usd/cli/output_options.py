@@ -42,6 +42,18 @@ ClipFrames = Annotated[
         show_default="one file up to 2 GB",
     ),
 ]
+Resume = Annotated[
+    bool,
+    typer.Option("--resume", help="Go on from the last full clip of this bake, if it ended early."),
+]
+Slice = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="End after so many full clips (status 5), to go on with --resume.",
+        show_default="never",
+    ),
+]
 Half = Annotated[
     bool, typer.Option("--half", help="Half precision for what of the Gaussians it is safe for.")
 ]

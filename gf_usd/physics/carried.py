@@ -12,6 +12,7 @@ x = x_a + R (X - X_a).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,15 @@ class CarriedSplats:
         self._arm = arm[self._hanging]
         self._colours = splats.degree > 0
         self.clamped = 0  # Gaussians that were kept within bounds, summed over the frames
+
+    def state(self) -> dict[str, Floats]:
+        """What the next frame starts from: that of `GaussianTrack`, and what was clamped."""
+        return {**self._track.state(), "clamped": np.array([self.clamped])}
+
+    def recall(self, state: Mapping[str, Floats]) -> None:
+        """Go on from `state`."""
+        self._track.recall(state)
+        self.clamped = int(state["clamped"][0])
 
     def advance(self, pose: Pose, to_local: Floats) -> SplatPose:
         """The Gaussians at a pose of the anchors; call once a frame, in order.

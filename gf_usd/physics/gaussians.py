@@ -9,6 +9,8 @@ cyclic Jacobi rotations of at most 45 degrees.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +36,14 @@ class GaussianTrack:
     def turn(self) -> NDArray[np.float64]:
         """(N, 3, 3) rotation of the body at the last pose."""
         return self._turn
+
+    def state(self) -> dict[str, Floats]:
+        """What the next frame starts from: axes and turn (N, 3, 3), quaternions (N, 4)."""
+        return {"axes": self._axes, "turn": np.array(self._turn), "last": self._last}
+
+    def recall(self, state: Mapping[str, Floats]) -> None:
+        """Go on from `state`."""
+        self._axes, self._turn, self._last = state["axes"], state["turn"], state["last"]
 
     def advance(self, pose: Pose) -> GaussianPose:
         """The Gaussians at a pose; call once a frame, in order."""

@@ -8,7 +8,7 @@ and redoes it with half the step, and ends in words where that does not help.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -89,9 +89,29 @@ class Marcher(ABC):
         """
         frame = self.read(0)
         yield frame
-        for index in range(1, self.settings.frames):
-            frame = self.next(index, frame.health)
+        yield from self.frames_after(0, frame.health)
+
+    def frames_after(self, index: int, last: Health) -> Iterator[Frame]:
+        """Yield the frames after `index`, at which the state stands and whose health was `last`.
+
+        Raises SolverError as `frames` does.
+        """
+        for following in range(index + 1, self.settings.frames):
+            frame = self.next(following, last)
+            last = frame.health
             yield frame
+
+    def standing(self) -> dict[str, Any]:
+        """Between two frames, all that another solver of the same body needs to go on alike."""
+        guard = {f"guard_{name}": value for name, value in self.guard.state().items()}
+        return {**self.save(), **guard, "strained": self.strained}
+
+    def stand(self, standing: Mapping[str, Any]) -> None:
+        """Go on from `standing`, to the bit."""
+        self.restore(dict(standing))
+        known = self.guard.state()
+        self.guard.recall({name: float(standing[f"guard_{name}"]) for name in known})
+        self.strained = int(standing["strained"])
 
     def _hint(self) -> str:
         """What a person may do about a frame that cannot be had."""

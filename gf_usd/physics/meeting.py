@@ -128,18 +128,18 @@ class Meeting:
         time = solver.time + elapsed
         x, v = self.motion(solver)
         meet, hold = self._schedule(solver, x, v, frame, left * dt)
-        steps = int(np.clip(hold / dt, 1, left))
         before = self.energy(x, time)
         nodes = node_motion(solver)[0]
         seen = Looking(x, (FACING + LOOK) * self._spacing)
         for mine, other in meet:
             if other < 0:
-                self._face_obstacle(seen, mine, -1 - other, frame, steps * dt)
+                self._face_obstacle(seen, mine, -1 - other, frame, min(hold, left * dt))
             elif mine == other:
                 self._face_itself(seen, mine, nodes)
             else:
                 self._face_body(seen, mine, other, nodes, solver.offset)
         self.faced, self._looked = seen.faced, time
+        hold = min(hold, LOOK * self._spacing / max(self._sliding(v), 1e-30))
         values = values_of(
             self.faced, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
@@ -148,7 +148,14 @@ class Meeting:
         self._k = values["stiffness"]
         self.injected += self.energy(x, time) - before
         self._upload(solver, values, dt)
-        return steps
+        return int(np.clip(hold / dt, 1, left))
+
+    def _sliding(self, v: Floats) -> float:
+        """[m/s] the fastest of the samples against what they face."""
+        f = self.faced
+        theirs = np.where((f.partner >= 0)[:, None], v[np.maximum(f.partner, 0)], f.velocity)
+        speed = np.linalg.norm(v - theirs, axis=1)[f.partner != layout.NOBODY]
+        return float(speed.max(initial=0.0))
 
     def _schedule(
         self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float
@@ -166,10 +173,11 @@ class Meeting:
         hold = np.inf
 
         def judge(pair: tuple[int, int], gap: float, speed: float) -> float:
-            if gap < (FACING + LOOK) * s:
+            # What no sample faces yet is farther than that off, or comes from beyond the box.
+            reach = (FACING + LOOK) * s
+            if gap < reach:
                 near.append(pair)
-                return LOOK * s / max(speed, 1e-30)
-            return max(LOOK * s, gap - s) / max(speed, 1e-30)
+            return max(reach, gap - s) / max(speed, 1e-30)
 
         for a in range(len(low)):
             if e.self_contact:

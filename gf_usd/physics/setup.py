@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.model import Floats, Ints, Material, Particles, Settings, SurfaceSamples
+from gf_usd.own_values import spread
 from gf_usd.physics import body as layout
 from gf_usd.physics import options
 from gf_usd.physics.bodies import bodies_of
@@ -17,10 +18,6 @@ from gf_usd.physics.stencil import Stencil
 from gf_usd.physics.timestep import StableStep, stable_step
 from gf_usd.pins import Pin
 
-PER_PARTICLE = (
-    *("density", "mu", "lam", "youngs_modulus", "poissons_ratio", "wave_speed"),
-    *("damping_time", "friction", "restitution"),
-)
 NO_FLOOR = -1e9  # [m] where no sample ever comes
 PILE = 8.0  # bodies on top of one that its contact is laid out to carry
 
@@ -32,8 +29,7 @@ def per_particle(
 
     held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
     """
-    table = {name: np.array([getattr(m, name) for m in materials]) for name in PER_PARTICLE}
-    per = {name: values[particles.material] for name, values in table.items()}
+    per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
     return {**per, "V0": particles.V0 * free}
 

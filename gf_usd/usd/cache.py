@@ -9,10 +9,11 @@ behind should the process be killed.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from pxr import Usd
 
@@ -65,6 +66,7 @@ class CacheWriter:
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
     choices : which shapes are written, and whether in clips; default all in one file.
+    since : the `state` of a writer of the same bake, to go on from; its clips stay as they are.
     save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
     Raises
@@ -82,6 +84,7 @@ class CacheWriter:
         source: Path | None = None,
         choices: Choices | None = None,
         save_every: int | None = None,
+        since: Mapping[str, Any] | None = None,
     ) -> None:
         self.path = Path(path)
         choices = choices or Choices()
@@ -105,7 +108,7 @@ class CacheWriter:
         self._clips = None
         if choices.clip_frames:
             length = choices.clip_frames * self._per_frame
-            self._clips = ClipStore(self.path, self._layer, length)
+            self._clips = ClipStore(self.path, self._layer, length, since)
         self._stage = self._clips.stage if self._clips else Usd.Stage.Open(self._layer)
         for prim in prims:
             free_instances(self._stage, prim)
@@ -139,6 +142,21 @@ class CacheWriter:
         save(self._layer)
         if self._clips:
             self._clips.begin()
+        if since:
+            self._frames, self._time_code = int(since["samples"]), since["clips"][-1][-1]
+            if self._particles:
+                self._particles.errors = since["errors"]
+
+    @property
+    def full(self) -> bool:
+        """Whether the last sample that was written completed a value clip."""
+        return self._clips is not None and self._clips.full
+
+    def state(self) -> dict[str, Any]:
+        """What another writer goes on from, where this one is `full`; plain values."""
+        assert self._clips is not None
+        errors = self._particles.errors if self._particles else []
+        return {**self._clips.state(), "samples": self._frames, "errors": errors}
 
     def write(self, frame: BakedFrame) -> None:
         """Add one frame.

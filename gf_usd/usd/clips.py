@@ -18,13 +18,15 @@ them.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pxr import Gf, Sdf, Tf, Usd, Vt
 
 from gf_usd.errors import BakeError
-from gf_usd.publish import publish
+from gf_usd.publish import partial_path, publish
 from gf_usd.usd.stage import VARIANT_SET, asset_path, new_layer, refresh, save
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
@@ -52,15 +54,18 @@ class ClipStore:
     path : final name of the cache.
     cache : its layer, with the metadata of the bake; constant values are authored there.
     samples : of a clip, the repeated one not counted.
+    since : a `state` to go on from; its clips stay as they are.
 
     Raises
     ------
     BakeError : the folder or the disk refuses.
     """
 
-    def __init__(self, path: Path, cache: Sdf.Layer, samples: int) -> None:
+    def __init__(
+        self, path: Path, cache: Sdf.Layer, samples: int, since: Mapping[str, Any] | None = None
+    ) -> None:
         self._cache, self._samples = cache, samples
-        self.folder = _free(folder_of(path))
+        self.folder = path.with_name(since["folder"]) if since else _free(folder_of(path))
         self._moving = Sdf.Layer.CreateAnonymous("moving.usda")
         self._moving.timeCodesPerSecond = cache.timeCodesPerSecond
         self.stage = Usd.Stage.Open(cache, self._moving)
@@ -68,8 +73,11 @@ class ClipStore:
         self._done: list[_Clip] = []
         self._clip: _Clip | None = None
         self._roots: list[Sdf.Path] = []
+        self._border: dict[Sdf.Path, object] = {}  # values of the last sample of the last clip
+        if since:
+            self._go_on(since["clips"])
         try:
-            self.folder.mkdir(parents=True)
+            self.folder.mkdir(parents=True, exist_ok=since is not None)
         except OSError as error:
             raise BakeError(
                 f"{self.folder} cannot be created: {error.strerror}.",
@@ -86,25 +94,55 @@ class ClipStore:
     def begin(self) -> None:
         """From here on samples are authored, no longer constants."""
         self.stage.SetEditTarget(self._moving)
+        if self._done:
+            self._list()
+
+    @property
+    def full(self) -> bool:
+        """Whether the last sample that was kept completed a clip."""
+        return self._clip is None and bool(self._done)
+
+    def state(self) -> dict[str, Any]:
+        """What another store goes on from, where this one is `full`."""
+        return {
+            "folder": self.folder.name,
+            "clips": [[clip.times[0], clip.times[-1]] for clip in self._done],
+        }
+
+    def _go_on(self, clips: Sequence[Sequence[float]]) -> None:
+        """Take over the clips with these first and last time codes, and what the next repeats."""
+        for count, times in enumerate(clips, 1):
+            path = self.folder / f"{count:04d}.usdc"
+            partial_path(path).unlink(missing_ok=True)
+            self._done.append(
+                _Clip(path=path, layer=self._moving, first=times[0], times=list(times))
+            )
+        partial_path(self.folder / f"{len(clips) + 1:04d}.usdc").unlink(missing_ok=True)
+        manifest = _open_complete(self.folder / MANIFEST)
+        self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(manifest)})
+        last = self._done[-1]
+        self._border = _values(_open_complete(last.path), last.times[-1])
 
     def keep(self, time_code: float) -> None:
-        """Move what was authored at this time code into the clip; begin a new one if it is full."""
-        if self._clip is None:
+        """Move what was authored at this time code into the clip; complete it if it is full."""
+        if self._clip is None and not self._done:
             self._write_manifest()
             self._clip = self._open(time_code)
-        elif len(self._clip.times) > self._samples:
-            full, self._clip = self._clip, self._open(self._clip.times[-1])
-            for path in _attributes(full.layer):
-                value = full.layer.QueryTimeSample(path, self._clip.first)
+        elif self._clip is None:
+            self._clip = self._open(self._done[-1].times[-1])
+            for path, value in self._border.items():
                 self._put(path, self._clip.first, value)
             self._clip.times.append(self._clip.first)
-            self._finish(full)
         for path in _attributes(self._moving):
             value = self._moving.QueryTimeSample(path, time_code)
             if value is not None:
                 self._put(path, time_code, value)
                 self._moving.EraseTimeSample(path, time_code)
         self._clip.times.append(time_code)
+        if len(self._clip.times) > self._samples:
+            self._border = _values(self._clip.layer, time_code)
+            self._finish(self._clip)
+            self._clip = None
 
     def save(self) -> None:
         """Write unsaved samples to the disk."""
@@ -125,8 +163,9 @@ class ClipStore:
         layer.SetTimeSample(path, time_code, value)
 
     def _open(self, first: float) -> _Clip:
-        path = self.folder / f"{len(self._done) + (self._clip is not None) + 1:04d}.usdc"
-        layer = new_layer(path, path)
+        path = self.folder / f"{len(self._done) + 1:04d}.usdc"
+        # it may be there: of a bake that was killed before it could tell, and is gone on with
+        layer = new_layer(path, self.folder)
         for name in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond"):
             layer.pseudoRoot.SetInfo(name, self._cache.pseudoRoot.GetInfo(name))
         return _Clip(path=path, layer=layer, first=first)
@@ -140,6 +179,10 @@ class ClipStore:
         publish(clip.path)
         refresh(clip.path)
         self._done.append(clip)
+        self._list()
+
+    def _list(self) -> None:
+        """Say in the cache which clips there are."""
         folder = Path(self._cache.realPath).parent
         paths = [Sdf.AssetPath(asset_path(done.path, folder)) for done in self._done]
         active = [Gf.Vec2d(done.first, k) for k, done in enumerate(self._done)]
@@ -153,7 +196,7 @@ class ClipStore:
             }
             # a name of our own: clip sets of one name are merged with those of the source
             self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: told})
-        self._cache.endTimeCode = clip.times[-1]
+        self._cache.endTimeCode = self._done[-1].times[-1]
         save(self._cache)
 
     def _write_manifest(self) -> None:
@@ -208,6 +251,22 @@ def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
     sites: list[Sdf.Path] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, sites.append)
     return [site for site in sites if site.IsPropertyPath()]
+
+
+def _values(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, object]:
+    """What has a sample at this time code."""
+    found = {path: layer.QueryTimeSample(path, time_code) for path in _attributes(layer)}
+    return {path: value for path, value in found.items() if value is not None}
+
+
+def _open_complete(path: Path) -> Sdf.Layer:
+    try:
+        return Sdf.Layer.FindOrOpen(str(path.absolute()))
+    except Tf.ErrorException as error:
+        raise BakeError(
+            f"{path} cannot be read, which the bake goes on from.",
+            "bake without --resume, which begins anew",
+        ) from error
 
 
 def _declare(layer: Sdf.Layer, spec: Sdf.AttributeSpec) -> None:

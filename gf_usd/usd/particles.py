@@ -13,6 +13,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.choices import Choices
 from gf_usd.model import Asset, BakeInfo, Floats, GaussianPose, Particles
+from gf_usd.own_values import spread
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before its APIs are applied)
 from gf_usd.usd.materials import bind, write_materials
 from gf_usd.usd.meshes import check
@@ -104,6 +105,16 @@ class ParticleTrack:
                 transform.Set(matrix, time_code)
 
     @property
+    def errors(self) -> list[float]:
+        """See `SplatTrack.errors`."""
+        return self._splats.errors if self._splats else []
+
+    @errors.setter
+    def errors(self, known: Sequence[float]) -> None:
+        if self._splats:
+            self._splats.errors = known
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was rounded, in words."""
         return self._splats.notes if self._splats else ()
@@ -129,7 +140,8 @@ def _describe(prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo
     """GaussianFleshParticlesAPI's rest state, in stage units."""
     prim.ApplyAPI("GaussianFleshParticlesAPI")
     units = asset.facts.units
-    density = np.array([m.density for m in info.materials])[np.asarray(particles.material)]
+    values = spread(particles, info.materials)
+    density = values["density"]
     volume = np.asarray(particles.V0, np.float64)
     indices = np.ascontiguousarray(particles.material, np.int32)
     rest = np.asarray(particles.X, np.float64) / units.length
@@ -143,6 +155,15 @@ def _describe(prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo
         ("materialIndices", Types.IntArray, Vt.IntArray.FromNumpy(indices)),
     ):
         prim.CreateAttribute(f"gaussianFlesh:{name}", kind, False, UNIFORM).Set(value)
+    if particles.own is None:
+        return
+    for name, value in (
+        ("youngsModulus", values["youngs_modulus"] / units.pressure),
+        ("poissonsRatio", values["poissons_ratio"]),
+        ("densities", density / units.density),
+    ):
+        made = prim.CreateAttribute(f"gaussianFlesh:{name}", Types.FloatArray, False, UNIFORM)
+        made.Set(Vt.FloatArray.FromNumpy(f32(value)))
 
 
 def _vectors(values: Floats) -> Vt.Vec3fArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from pxr import Sdf, Usd, UsdVol, Vt
 
@@ -98,6 +100,16 @@ class SplatTrack:
         self.low = (positions - reach).min(axis=0)
         self.high = (positions + reach).max(axis=0)
         self._extent.Set(box(self.low, self.high), time_code)
+
+    @property
+    def errors(self) -> list[float]:
+        """Largest error so far of each array in half precision."""
+        return [track.error for track in self._halves]
+
+    @errors.setter
+    def errors(self, known: Sequence[float]) -> None:
+        for track, error in zip(self._halves, known):
+            track.error = error
 
     @property
     def notes(self) -> tuple[str, ...]:

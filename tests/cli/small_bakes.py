@@ -18,7 +18,7 @@ REPORT = {
     "command", "version", "source", "input_sha256", "bodies", "riders", "particles", "spacing_m",
     "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m", "settings", "outputs",
     "notes", "seconds", "bakes", "warnings", "check", "pins",
-    "separate_bodies", "obstacles", "tables",
+    "separate_bodies", "obstacles", "tables", "advice", "own_values",
 }  # fmt: skip
 BAKE = ["look", "cache", "material", "frames", "health"]
 HEALTH = {

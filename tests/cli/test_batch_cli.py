@@ -137,6 +137,19 @@ def test_kill_9_leaves_no_bake_and_no_lock(running: subprocess.Popen[str], here:
 
 
 @pytest.mark.slow
+def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: Path) -> None:
+    words = ("--particles", "150", "--frames", "5")
+    cut = gf_usd("bake", block, "-m", "rubber", *words, "--clip-frames", "1", "--slice", "2",
+                 "-o", "out/block.rubber.usda", "-q")  # fmt: skip
+    assert cut.status == 5
+    done = gf_usd("batch", block, "-m", "rubber", *words, "--set", "clip_frames=1", "-o", "out",
+                  "--no-report", "-q")  # fmt: skip
+    assert done.status == 0
+    report = json.loads((here / "out" / "block.rubber.report.json").read_text("utf-8"))
+    assert any("rubber goes on after frame 2, from " in note for note in report["notes"])
+    assert not list((here / "out").glob("*.checkpoint.*"))
+
+
 def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
     words = ["batch", block, "--particles", "300", "--frames", "40", "-o", "out", "--json", "-q",
              "--no-report"]  # fmt: skip

@@ -16,7 +16,10 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "gf_usd"
 ROOMS = ("assets", "geometry", "physics", "usd", "view")
 # The street: the files that may know several rooms, and that no room may know.
-STREET = ("baking.py", "carrying.py", "pinning.py", "plan.py", "estimate.py", "preflight.py")
+STREET = (
+    *("advising.py", "baking.py", "carrying.py", "moving.py", "pinning.py"),
+    *("plan.py", "estimate.py", "preflight.py"),
+)
 # Rooms above rooms: the accuracy cases fill bodies and move them, a batch starts bakes; no other
 # room knows them.
 ABOVE = ("verify", "batch")

@@ -13,12 +13,11 @@ from batch_jobs import TRIANGLE, job, outcome
 
 from gf_usd.assets.inputs import read_inputs
 from gf_usd.batch import identity as identity_module
-from gf_usd.batch.identity import APART, describe, identity, read_by
+from gf_usd.batch.identity import describe, identity, read_by
 from gf_usd.batch.inputs import stamps
 from gf_usd.batch.job import Job
 from gf_usd.batch.record import finished, read_record, write_record
-
-PACKAGE = Path(identity_module.__file__).parents[1]
+from gf_usd.program import APART, PACKAGE
 
 
 def rows(of: Job) -> dict:

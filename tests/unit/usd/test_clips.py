@@ -169,8 +169,8 @@ def test_a_full_clip_is_there_before_the_bake_is_done(tmp_path: Path) -> None:
                 assert names == ["0001.usdc", "0002.usdc"]
                 assert stage.GetEndTimeCode() == 14.0
                 del stage
-    # a clip is full with two frames and the first of the next, and closed by the one after that
-    assert [len(names) for names in seen] == [1, 1, 1, 2, 2, 3, 3, 4]
+    # a clip is full, and closed, with two frames and the first of the next
+    assert [len(names) for names in seen] == [1, 1, 2, 2, 3, 3, 4, 4]
     assert not cache.exists()
 
 

@@ -1,0 +1,64 @@
+"""Contact between bodies repeats to the bit, and goes on to the bit from a state that was kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from meetings import half_space, meeting
+from solids import sphere
+
+from gf_usd.model import Health
+from gf_usd.physics import launch as module
+
+
+def falling(threads: int = 2, frames: int = 7):
+    """Two balls on a slope that comes up: they meet it, each other and themselves."""
+    rise = np.arange(frames)[:, None] * [0.0, 0.02, 0.0]
+    low = sphere(centre=(0.0, 1.1, 0.0), subdivisions=2, path="/Low")
+    high = sphere(centre=(0.3, 3.2, 0.1), subdivisions=2, path="/High")
+    return meeting(
+        low, high, particles=400, frames=frames, threads=threads, gravity=(0.0, -9.81, 0.0),
+        velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)], colliders=(half_space(10.0, offset=rise),),
+        self_contact=True,
+    )  # fmt: skip
+
+
+def whole(solver) -> np.ndarray:
+    return np.concatenate([*solver.state(), [solver.offset]])
+
+
+def march(threads: int) -> np.ndarray:
+    solver = falling(threads)
+    health = [f.health for f in solver.frames()]
+    assert solver.meeting is not None
+    faced = solver.meeting.faced
+    assert (faced.partner >= 0).any(), "they meet each other"
+    assert (faced.obstacle >= 0).any(), "and the slope"
+    assert max(h.overlap for h in health) > 0.0
+    return whole(solver)
+
+
+@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
+def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below):
+    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
+    first = march(threads=2)
+    assert np.array_equal(first, march(threads=2))
+    assert np.array_equal(first, march(threads=1))
+
+
+def test_a_kept_state_goes_on_to_the_bit():
+    solver = falling()
+    last, kept, strained, ends = Health(), {}, 1, []
+    for frame in solver.frames():
+        if frame.index == 4:
+            assert frame.health.overlap > 0.0, "it is kept in contact"
+            kept, last = solver.save(), frame.health
+            strained = solver.strained
+        ends.append(frame.health)
+    other = falling()
+    other.restore(kept)
+    other.strained = strained
+    for index in range(5, 7):
+        last = other.next(index, last).health
+        assert last == ends[index]  # what is counted, too: overlap, work, energy of new planes
+    assert np.array_equal(whole(solver), whole(other))

@@ -1,0 +1,89 @@
+"""A bake that was ended early and resumed, beside the same bake in one go."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd
+
+OWN = ("seconds", "notes", "outputs", "command")  # of the report: of the run, not of the motion
+
+
+def samples(path: Path) -> dict:
+    """Every sample of every attribute of a clip, as bytes."""
+    layer = Sdf.Layer.OpenAsAnonymous(str(path))
+    found = {}
+
+    def visit(where: Sdf.Path) -> None:
+        if where.IsPropertyPath():
+            for code in layer.ListTimeSamplesForPath(where):
+                value = np.array(layer.QueryTimeSample(where, code))
+                found[str(where), code] = value.dtype.str, value.shape, value.tobytes()
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, visit)
+    return found
+
+
+def require_same(one: Path, other: Path) -> None:
+    """All files of two bakes are there, and hold the same bits."""
+    clips = sorted(p.relative_to(one) for p in one.glob("*.clips/*.usdc"))
+    assert clips
+    assert clips == sorted(p.relative_to(other) for p in other.glob("*.clips/*.usdc"))
+    for clip in clips:
+        a, b = samples(one / clip), samples(other / clip)
+        assert a.keys() == b.keys()
+        assert [key for key in a if a[key] != b[key]] == []
+    for text in (path.relative_to(one) for path in one.glob("*.clips/manifest.usda")):
+        assert (one / text).read_text() == (other / text).read_text()
+    for cache in one.glob("*.cache.usdc"):
+        a, b = (
+            Sdf.Layer.OpenAsAnonymous(str(folder / cache.name)).ExportToString()
+            for folder in (one, other)
+        )
+        assert a == b
+    for report in one.glob("*.report.json"):
+        a, b = (json.loads((folder / report.name).read_text()) for folder in (one, other))
+        for bake in (*a["bakes"], *b["bakes"]):
+            del bake["cache"]
+        assert {k: v for k, v in a.items() if k not in OWN} == {
+            k: v for k, v in b.items() if k not in OWN
+        }
+    leftovers = [p.name for p in other.rglob("*") if "partial" in p.name or "checkpoint" in p.name]
+    assert leftovers == []
+
+
+def require_whole(folder: Path) -> None:
+    """What lies in a folder under a final name is no half of a file."""
+    for path in folder.rglob("*"):
+        if "partial" in path.name or path.is_dir():
+            continue
+        if path.suffix in (".usda", ".usdc"):
+            assert Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(path))), path
+        elif path.suffix == ".npz":
+            with np.load(path, allow_pickle=False) as file:
+                assert all(file[name] is not None for name in file.files)
+        elif path.suffix == ".json":
+            json.loads(path.read_text())
+
+
+def start(*words: object) -> subprocess.Popen:
+    """``gf-usd`` in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "gf_usd", *map(str, words)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**os.environ},
+    )  # fmt: skip
+
+
+def wait_for(process: subprocess.Popen, path: Path) -> None:
+    """Until a file is there; fails where the process ends first, or a minute passes."""
+    deadline = time.monotonic() + 60.0
+    while not path.exists():
+        assert process.poll() is None, "it ended before"
+        assert time.monotonic() < deadline, f"no {path.name} within a minute"
+        time.sleep(0.005)

@@ -1,0 +1,193 @@
+"""A bake that ends early goes on from its last full clip, and comes to the same bits."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from resumed import require_same, require_whole, samples, start, wait_for
+from small_bakes import names
+
+STEM = "block.rubber"
+KEPT = f"{STEM}.checkpoint.npz"
+# it meets the floor in the second frame, so that what it resumes from is strained
+SMALL = ("--particles", "200", "--frames", "9", "--drop", "0.05r", "--clip-frames", "2")
+STATES = {
+    "as it is": (),
+    "half": ("--half", "--samples-per-frame", "2", "--stress"),
+    "looks": ("-m", "rubber,jelly"),
+    "updated": ("--solver", "ul"),
+    "paper": ("--preset", "paper"),
+    "held": ("--pin", "box:-20,-20,225,20,20,240", "--handles", "1"),
+    "range": ("--range", "104:"),
+}
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_slices_come_to_the_same_bits(gf_usd, here: Path, block: Path, state: str) -> None:
+    words = ("bake", block, *SMALL, *STATES[state], "-q")
+    assert gf_usd(*words, "-o", "one/").status == 0
+    runs = 1
+    first = gf_usd(*words, "-o", "two/", "--slice", "1")
+    assert first.status == 5
+    assert "the slice of 1 clips ends here; two/block." in first.err
+    assert "hint: the same command with --resume continues" in first.err
+    while gf_usd(*words, "-o", "two/", "--slice", "1", "--resume").status == 5:
+        require_whole(here / "two")
+        runs += 1
+    # nine frames of two a clip; a range begins three frames later, looks come one after another
+    assert runs == {"range": 2, "looks": 7, "held": 4}.get(state, 3)
+    require_same(here / "one", here / "two")
+
+
+TWO = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World"
+{
+    def Cube "Low" {
+        double size = 0.2
+        double3 xformOp:translate = (0, 0.1, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Cube "High" {
+        double size = 0.2
+        double3 xformOp:translate = (0.03, 0.32, 0.02)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+}
+"""
+
+
+def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "two.usda"
+    scene.write_text(TWO, encoding="utf-8")
+    words = ("bake", scene, "--particles", "400", "--frames", "9", "--drop", "0", "-q",
+             "-m", "jelly", "--clip-frames", "3")  # fmt: skip
+    assert gf_usd(*words, "-o", "one/").status == 0
+    assert gf_usd(*words, "-o", "two/", "--slice", "2").status == 5
+    found = samples(here / "two/two.jelly.clips/0002.usdc")
+    overlap = [np.frombuffer(value[2], value[0])[0]
+               for key, value in found.items() if key[0].endswith("health:overlap")]  # fmt: skip
+    assert max(overlap) > 0.0  # they touch before the state is kept
+    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    require_same(here / "one", here / "two")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("kills", [1, pytest.param(20, marks=pytest.mark.slow)])
+def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
+    gf_usd, here: Path, block: Path, kills: int
+) -> None:
+    words = ("bake", block, "--particles", "200", "--frames", "61", "--drop", "0.05r",
+             "--clip-frames", "1", "-q")  # fmt: skip
+    assert gf_usd(*words, "-o", "one/").status == 0
+    moments = np.random.default_rng(5).integers(1, 50, kills)
+    reached = 0
+    for moment in sorted(int(m) for m in moments):
+        process = start(*words, "-o", "two/", "--resume")
+        try:
+            if moment > reached:
+                wait_for(process, here / f"two/{STEM}.clips/{moment:04d}.usdc")
+        finally:
+            process.kill()
+            process.communicate(timeout=60)
+        require_whole(here / "two")
+        reached = max(reached, moment)
+        assert not (here / f"two/{STEM}.usda").exists()
+    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    require_same(here / "one", here / "two")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_signal_says_how_to_go_on(gf_usd, here: Path, block: Path) -> None:
+    words = ("bake", block, "--particles", "200", "--frames", "100000", "--drop", "150",
+             "--max-hours", "1000", "--clip-frames", "1", "-q")  # fmt: skip
+    process = start(*words)
+    try:
+        wait_for(process, here / KEPT)
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 143
+    assert err == (
+        f"terminated; {KEPT} and the full clips are kept: the same command with --resume"
+        " continues\n"
+    )
+    require_whole(here)
+
+
+def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -> None:
+    words = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*words, "--slice", "1").status == 5
+    before = (here / KEPT).read_bytes()
+    other = gf_usd(*words, "--resume", "--friction", "0.1")
+    assert other.status == 2
+    assert f"{KEPT} is of another bake: its options differed" in other.err
+    block.write_text(block.read_text() + "\n", encoding="utf-8")
+    assert "its asset differed" in gf_usd(*words, "--resume").err
+    assert (here / KEPT).read_bytes() == before
+    assert gf_usd(*words, "--resume", "--overwrite").status == 0
+    assert KEPT not in names(here)
+    report = (here / f"{STEM}.report.json").read_text()
+    assert "its asset differed; with --overwrite the bake begins anew" in report
+
+
+def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Path) -> None:
+    words = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*words, "--slice", "2").status == 5
+    (here / f"{STEM}.clips" / "0001.usdc").unlink()
+    again = gf_usd(*words, "--resume")
+    assert again.status == 2
+    assert f"{STEM}.clips/0001.usdc is gone" in again.err
+    (here / KEPT).write_bytes(b"no checkpoint")
+    assert f"{KEPT} is no checkpoint that this program can read" in gf_usd(*words, "--resume").err
+    assert gf_usd(*words).status == 0
+    assert names(here / f"{STEM}.clips") == [
+        *(f"{k:04d}.usdc" for k in (1, 2, 3, 4)),
+        "manifest.usda",
+    ]
+
+
+def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, block: Path) -> None:
+    words = ("bake", block, "--particles", "200", "--frames", "3")
+    done = gf_usd(*words, "--resume")
+    assert done.status == 0
+    assert f"--resume: there is no {KEPT}" in done.err
+    assert "there will be none without --clip-frames; it begins anew" in done.err
+    refused = gf_usd(*words, "--slice", "1", "--overwrite")
+    assert refused.status == 2
+    assert "--slice 1 counts value clips, and this bake has none" in refused.err
+
+
+def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, block: Path) -> None:
+    words = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*words, "--slice", "1").status == 5
+    assert gf_usd("bake", block, "--particles", "200", "--frames", "3", "-q").status == 0
+    assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
+
+
+def test_a_bake_cut_between_its_last_files_is_resumed(
+    gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gf_usd import baking
+
+    words = ("bake", block, *SMALL, "-q")
+    assert gf_usd(*words, "-o", "one/").status == 0
+
+    def killed(*args: object) -> None:
+        raise SystemExit(137)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(baking, "publish_text", killed)
+        assert gf_usd(*words, "-o", "two/").status == 137
+    assert (here / "two" / f"{STEM}.usda").exists()
+    assert gf_usd(*words, "-o", "two/", "--resume").status == 0
+    require_same(here / "one", here / "two")
