@@ -11,6 +11,8 @@ import pytest
 from resumed import require_same, require_whole, samples, start, wait_for
 from small_bakes import names
 
+from tests.captures import ball, write_ply
+
 STEM = "block.rubber"
 KEPT = f"{STEM}.checkpoint.npz"
 # it meets the floor in the second frame, so that what it resumes from is strained
@@ -191,3 +193,17 @@ def test_a_bake_cut_between_its_last_files_is_resumed(
     assert (here / "two" / f"{STEM}.usda").exists()
     assert gf_usd(*words, "-o", "two/", "--resume").status == 0
     require_same(here / "one", here / "two")
+
+
+def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
+    path = write_ply(tmp_path / "block.ply", ball(300, degree=1))
+    words = ("bake", path, *SMALL, "-q")
+    assert gf_usd(*words, "-o", "one/", "--export-ply", "all").status == 0
+    words = (*words, "-o", "two/", "--export-ply", "parts")
+    assert gf_usd(*words, "--slice", "1").status == 5
+    while gf_usd(*words, "--slice", "1", "--resume").status == 5:
+        pass
+    require_same(here / "one", here / "two")
+    assert len(names(here / "all")) == 9
+    for name in names(here / "all"):
+        assert (here / "all" / name).read_bytes() == (here / "parts" / name).read_bytes()
