@@ -99,7 +99,8 @@ def test_no_bake_runs_what_the_code_leaves_out() -> None:
     """The hash of the code is over everything but these; nothing else may import them."""
     apart = {f"gf_usd.{room}" for room in APART}
     for path in PACKAGE.rglob("*.py"):
-        if path.relative_to(PACKAGE).parts[0] in (*APART, "cli"):
+        # An advisor is shown a picture; a batch, whose records the hash is for, asks none.
+        if path.relative_to(PACKAGE).parts[0] in (*APART, "cli", "advising.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
