@@ -54,10 +54,15 @@ class Solid:
 
         A surface that is inside out as a whole still has an outside.
         """
-        points, triangles = self.surfaces[index].points, self.triangles[index]
-        if signed_volume(points, triangles) < 0.0:
+        triangles = self.triangles[index]
+        if self.orientation(index) < 0.0:
             triangles = triangles[:, ::-1]
-        return points, triangles
+        return self.surfaces[index].points, triangles
+
+    def orientation(self, index: int) -> float:
+        """-1 for a surface that is inside out as a whole, else 1."""
+        inverted = signed_volume(self.surfaces[index].points, self.triangles[index]) < 0.0
+        return -1.0 if inverted else 1.0
 
     @staticmethod
     def _in_box(X: Floats, points: Floats) -> NDArray[np.bool_]:

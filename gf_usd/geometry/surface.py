@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gf_usd.colour import srgb_to_linear
 from gf_usd.geometry.solid import Solid
-from gf_usd.model import Floats, Ints, Surface, Texture
+from gf_usd.model import Floats, Ints, Texture
 
 DEFAULT_COLOUR = (0.18, 0.18, 0.18)  # mid grey, UsdPreviewSurface's own fallback
 
@@ -44,7 +44,7 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = n / np.where(length > 0.0, length, 1.0)
     # A surface that is inside out as a whole still has an outside.
-    sign = np.array([_orientation(s, t) for s, t in zip(solid.surfaces, solid.triangles)])
+    sign = np.array([solid.orientation(k) for k in range(len(solid.surfaces))])
     return Nearest(
         surface=owner[at],
         triangle=source[at],
@@ -52,12 +52,6 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
         normal=n * sign[owner[at], None],
         distance=np.sqrt(np.maximum(squared, 0.0)),
     )
-
-
-def _orientation(surface: Surface, triangles: Ints) -> float:
-    from gf_usd.topology import signed_volume
-
-    return 1.0 if signed_volume(surface.points, triangles) >= 0.0 else -1.0
 
 
 def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:

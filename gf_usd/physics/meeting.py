@@ -18,7 +18,7 @@ from gf_usd.physics import pair_kernel as layout
 from gf_usd.physics.anchoring import constants, node_motion
 from gf_usd.physics.body_skin import BodySkin
 from gf_usd.physics.contact import FloorContact, damping_coefficient
-from gf_usd.physics.embedding import cofactor
+from gf_usd.physics.embedding import deform_normals
 from gf_usd.physics.neighbours import (
     ARRAYS,
     FACING,
@@ -225,9 +225,7 @@ class Meeting:
         u = nodes[: G[0].shape[1]]
         F = np.eye(3) + np.stack([g[members] @ u for g in G], -1)
         normal = np.zeros_like(seen.x)
-        turned = np.einsum("nab,nb->na", cofactor(F), self._normal[members])
-        length = np.linalg.norm(turned, axis=1, keepdims=True)
-        normal[members] = turned / np.where(length > 0.0, length, 1.0)
+        normal[members] = deform_normals(self._normal[members], np.arange(len(members)), F)
         a, b = facing_itself(seen.x, normal, self._X, members, seen.reach, self._spacing)
         gap = np.einsum("na,na->n", seen.x[a] - seen.x[b], normal[b])
         seen.plane(a, gap, normal[b], seen.x[b], b)

@@ -21,6 +21,7 @@ from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, Sur
 from gf_usd.physics import setup, ul_setup
 from gf_usd.physics.guard import Guard
 from gf_usd.physics.health import strains
+from gf_usd.physics.launch import SERIAL_BELOW
 from gf_usd.physics.marching import Marcher, Passage, first_bad
 from gf_usd.physics.stencil import build_stencil
 from gf_usd.physics.stiffening import strained_step
@@ -31,7 +32,6 @@ from gf_usd.physics.ul_step import strained_speed, world_stiffness
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge, as for the Total Lagrangian solver
-SERIAL_BELOW = 12_000  # particles; smaller bodies run a whole frame in one launch
 LARGEST_BOX = 1 << 23  # nodes, or eight times the box at rest where that is more
 STATE = ("x", "v", "C", "F", "L")
 NO_ROOM = 2  # see `ul_sort_kernel`
