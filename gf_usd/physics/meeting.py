@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Encounters
 from gf_usd.model import Floats, Ints
-from gf_usd.physics import pair_kernel as layout
+from gf_usd.physics import pair_layout as layout
 from gf_usd.physics.anchoring import constants, node_motion
 from gf_usd.physics.body_skin import BodySkin
 from gf_usd.physics.contact import FloorContact, damping_coefficient

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints
-from gf_usd.physics.pair_kernel import NOBODY, OBSTACLE
+from gf_usd.physics.pair_layout import NOBODY, OBSTACLE
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
 LOOK = 0.5  # [spacings] that samples may move between two looks

@@ -34,10 +34,13 @@ class Fault:
 
 FAULTS = {
     "slope of the spline turned round": Fault(
-        "physics/stencil_kernel.py", "[f - 1.5, -2.0 * b, c]", "[1.5 - f, -2.0 * b, c]", "patch"
+        "physics/stencil_kernel.py",
+        "b = q[o + 2 * n] - q[o]\n",
+        "b = q[o] - q[o + 2 * n]\n",
+        "patch",
     ),
     "2/h^2 for 4/h^2 in APIC": Fault(
-        "physics/cell_kernel.py", "e = 4.0 * m * w0[i]", "e = 2.0 * m * w0[i]", "spin-apic"
+        "physics/cell_kernel.py", "e = 4.0 * m * w[0][i]", "e = 2.0 * m * w[0][i]", "spin-apic"
     ),
     "no lambda in the Neo-Hookean stress": Fault(
         "physics/laws.py",

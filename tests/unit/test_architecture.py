@@ -237,3 +237,11 @@ def test_importing_costs_nothing(module: str) -> None:
     code = f"import sys, {module}; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_taichi_is_started_by_the_runtime_alone() -> None:
+    # Imported elsewhere first, it prints its banner into the JSON on stdout.
+    modules = "gf_usd.preflight, gf_usd.baking, gf_usd.verify.run, gf_usd.physics.solvers"
+    code = f"import sys, {modules}; print('taichi' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
