@@ -26,9 +26,11 @@ def place(plan: Plan, look: str, error: SolverError) -> dict[str, Any]:
     if error.particle >= 0:
         unit = plan.asset.facts.units.length
         surface = int(plan.particles.surface[error.particle])
+        riding = {path for path, _ in plan.riders}  # particles count the surfaces that are filled
+        filled = [s.path for s in plan.asset.surfaces if s.path not in riding]
         found = {
             "particle": error.particle,
-            "prim": plan.asset.surfaces[surface].path,
+            "prim": filled[surface],
             "rest_position": [float(x) / unit for x in plan.particles.X[error.particle]],
         }
     return {
