@@ -13,7 +13,7 @@ import numpy as np
 
 from gf_usd.body_plan import BodyPlan
 from gf_usd.materials import Look, find_preset
-from gf_usd.model import Ints, Material, Particles
+from gf_usd.model import Ints, Material, Particles, Surface
 from gf_usd.stage_physics import SubsetMaterial
 from gf_usd.stage_reading import StageWords
 
@@ -78,19 +78,24 @@ def slot_of_triangles(solid: Solid, parts: Sequence[Slot]) -> list[Ints]:
     return out
 
 
-def look_name(words: StageWords, paths: Sequence[str]) -> str:
+def look_name(words: StageWords, surfaces: Sequence[Surface]) -> str:
     """What the stage's own materials are called together."""
-    names = {name for path in paths if (name := _own_name(path, words)) is not None}
+    names = set().union(*(_own_names(surface, words) for surface in surfaces))
     return names.pop() if len(names) == 1 else AUTHORED
 
 
-def _own_name(path: str, words: StageWords) -> str | None:
-    bake, body = words.bakes.get(path), words.bodies.get(path)
-    if bake is not None and bake.material:
-        return bake.material
-    if body is not None and body.material:
-        return body.material.name
-    return AUTHORED if path in words.painted else "rubber"
+def _own_names(surface: Surface, words: StageWords) -> set[str]:
+    bake, body = words.bakes.get(surface.path), words.bodies.get(surface.path)
+    own = bake.material if bake is not None and bake.material else ""
+    if not own and body is not None and body.material:
+        own = body.material.name
+    subsets = [one for one in (body.subsets if body else ()) if one.material is not None]
+    names = {one.material.name for one in subsets if one.material is not None}
+    if not subsets or len(np.unique(np.concatenate([s.faces for s in subsets]))) < len(
+        surface.face_counts
+    ):
+        names.add(own or (AUTHORED if surface.path in words.painted else "rubber"))
+    return names
 
 
 def table(

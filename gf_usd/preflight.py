@@ -199,7 +199,7 @@ def _stage(
     if looks:
         return asset, words, looks
     if words.says_material:
-        return asset, words, [Authored(look_name(words, [s.path for s in asset.surfaces]))]
+        return asset, words, [Authored(look_name(words, asset.surfaces))]
     return asset, words, [Authored("rubber")]
 
 

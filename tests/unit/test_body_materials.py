@@ -120,3 +120,18 @@ def test_spacing_and_particles_of_the_stage_hold_unless_asked(plan) -> None:
     assert noted(seen, "a bake has one spacing: the 0.1 m of </One> holds for all")
     assert plan(said, particles=None, spacing=0.2).particles.spacing == pytest.approx(0.2, rel=0.02)
     assert len(plan(said).particles) == pytest.approx(200, rel=0.1)
+
+
+def side(faces: str, bound_to: str) -> str:
+    return prim(
+        "GeomSubset", "side", 'uniform token elementType = "face"', f"int[] indices = [{faces}]",
+        'uniform token familyName = "materialBind"', bound(bound_to), apis=["MaterialBindingAPI"],
+    )  # fmt: skip
+
+
+def test_materials_of_subsets_name_the_look(plan) -> None:
+    # All six faces of the cube, or one and five of rubber.
+    seen = plan(material(), mesh("One", side("0, 1, 2, 3, 4, 5", "/Soft")))
+    assert [m.name for m in seen.materials] == ["Soft"]
+    seen = plan(material(), mesh("One", side("5", "/Soft")))
+    assert [m.name for m in seen.materials] == ["authored"]
