@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.body_plan import BodyPlan
+from gf_usd.material_boxes import MaterialBox
 from gf_usd.materials import Look, find_preset
 from gf_usd.model import Ints, Material, Particles, Surface
 from gf_usd.stage_physics import SubsetMaterial
@@ -26,10 +27,11 @@ SAME = 1e-3  # relative: materials that differ by less are one
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """A part of a body that has one material: a surface, or some faces of it."""
+    """A part of a body that has one material: a surface, some faces of it, or what is in a box."""
 
     surface: int  # into Solid.surfaces
     subset: SubsetMaterial | None = None
+    box: MaterialBox | None = None
 
 
 @dataclass(frozen=True)
@@ -39,13 +41,23 @@ class Authored:
     name: str
 
 
-def slots(solid: Solid, words: StageWords) -> list[Slot]:
-    """The parts, first the surfaces in their order."""
+def slots(solid: Solid, words: StageWords, boxes: Sequence[MaterialBox] = ()) -> list[Slot]:
+    """The parts, first the surfaces in their order, last those in boxes."""
     found = [Slot(surface=k) for k in range(len(solid.surfaces))]
     for k, surface in enumerate(solid.surfaces):
         body = words.bodies.get(surface.path)
         found += [Slot(surface=k, subset=one) for one in (body.subsets if body else ())]
-    return found
+    return found + [Slot(surface=k, box=b) for b in boxes for k in range(len(solid.surfaces))]
+
+
+def in_boxes(slot: Ints, particles: Particles, parts: Sequence[Slot], of: Ints) -> Ints:
+    """(N,) part of each particle, with those in boxes in parts of their own.
+
+    slot : of `slot_of_particles`; of : (N,) of `material_boxes.owners`.
+    """
+    first = next((k for k, part in enumerate(parts) if part.box is not None), len(parts))
+    surfaces = 1 + max(part.surface for part in parts)
+    return np.where(of < 0, slot, first + of * surfaces + np.asarray(particles.surface))
 
 
 def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot]) -> Ints:
@@ -110,14 +122,17 @@ def table(
 ) -> tuple[tuple[Material, ...], Ints]:
     """The materials of a look, and (N,) which of them each particle has.
 
-    look : `Authored`, or a preset for every part; slot : (N,) of `slot_of_particles`; finish : the
-    material of a preset on a body of radius [m], with what the command line says.
+    look : `Authored`, or a preset for every part that is in no box; slot : (N,) of
+    `slot_of_particles`; finish : the material of a preset on a body of radius [m], with what the
+    command line says.
     """
     made: list[Material] = []
     for part in parts:
         surface = solid.surfaces[part.surface]
         radius = float(bodies.radius[bodies.of_surface[part.surface]])
-        if isinstance(look, Authored):
+        if part.box is not None:
+            made.append(finish(find_preset(part.box.material), radius))
+        elif isinstance(look, Authored):
             made.append(_authored(surface.path, part, radius, words, finish))
         else:
             made.append(finish(look, radius))

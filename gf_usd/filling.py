@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd import body_materials, paper_options
+from gf_usd import body_materials, material_boxes, paper_options
 from gf_usd.blending import with_own_values
 from gf_usd.body_plan import encounters, plan_bodies, start_velocities
 from gf_usd.choices import Choices, clip_length, parse_only
@@ -104,8 +104,11 @@ def fill(
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
-    parts = body_materials.slots(solid, words)
+    boxes = material_boxes.parse_boxes(request.material_boxes)
+    parts = body_materials.slots(solid, words, boxes)
     slot = body_materials.slot_of_particles(solid, particles, parts)
+    of, boxed = material_boxes.owners(boxes, particles.X, unit)
+    slot = body_materials.in_boxes(slot, particles, parts, of)
 
     def finish(look: Any, radius: float) -> Material:
         return _made(look, radius, law, request)
@@ -152,7 +155,8 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *mixed, *own, *physics.notes, *ridden, *left, *skin, *_options(made, each), *split,
+            *boxed, *mixed, *own, *physics.notes, *ridden, *left, *skin,
+            *_options(made, each), *split,
         ),
     )  # fmt: skip
     return plan, solid

@@ -32,6 +32,8 @@ from gf_usd.stage_reading import StageWords, read_words
 if TYPE_CHECKING:
     from gf_usd.inspection import Inspection
 
+REPEATED = ("pins", "material_boxes")  # options that may be given several times
+
 
 def prepare(
     path: str | Path,
@@ -108,10 +110,11 @@ def prepare(
     plan = fill(asset, request, looks, law, files, file, words=words, repair=repair)[0]
     command = command_line(
         source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, **{k: v for k, v in options.items() if k != "pins"},
+        repair=repair, **{k: v for k, v in options.items() if k not in REPEATED},
     )  # fmt: skip
     command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
+    command += "".join(f" --material-box {shlex.quote(box)}" for box in request.material_boxes)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
     plan = replace(plan, converted=converted, command=command, notes=notes, sequences=frames)
@@ -226,7 +229,8 @@ def _asked(
         raise UsageError(
             f"bake() has no option {unknown[0]!r}", f"its options are {', '.join(sorted(known))}"
         )
-    request = Request(**{**options, "pins": tuple(options.get("pins") or ())})
+    lists = {name: tuple(options.get(name) or ()) for name in REPEATED}
+    request = Request(**{**options, **lists})
     request.check()
     if law is not None:
         presets.check_law(law)

@@ -138,6 +138,14 @@ def bake(
             show_default="0",
         ),
     ] = None,
+    material_box: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A preset for what rests in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
+            " repeatable, the later one goes first.",
+            show_default="nothing",
+        ),
+    ] = None,
     drag: Annotated[float | None, typer.Option(help="On velocity [1/s].", show_default="0")] = None,
     time_scale: Annotated[
         str | None,
@@ -243,7 +251,7 @@ def bake(
         gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
         combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
-        blend_width=blend_width,
+        blend_width=blend_width, material_boxes=tuple(material_box or ()),
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,
