@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.body_plan import BodyPlan
-from gf_usd.material_boxes import MaterialBox
+from gf_usd.material_regions import Region
 from gf_usd.materials import Look, find_preset
 from gf_usd.model import Ints, Material, Particles, Surface
 from gf_usd.stage_physics import SubsetMaterial
@@ -27,11 +27,11 @@ SAME = 1e-3  # relative: materials that differ by less are one
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """A part of a body that has one material: a surface, some faces of it, or what is in a box."""
+    """A part of a body that has one material: a surface, some of its faces, or a region."""
 
     surface: int  # into Solid.surfaces
     subset: SubsetMaterial | None = None
-    box: MaterialBox | None = None
+    region: Region | None = None
 
 
 @dataclass(frozen=True)
@@ -41,21 +41,21 @@ class Authored:
     name: str
 
 
-def slots(solid: Solid, words: StageWords, boxes: Sequence[MaterialBox] = ()) -> list[Slot]:
-    """The parts, first the surfaces in their order, last those in boxes."""
+def slots(solid: Solid, words: StageWords, regions: Sequence[Region] = ()) -> list[Slot]:
+    """The parts, first the surfaces in their order, last those in regions."""
     found = [Slot(surface=k) for k in range(len(solid.surfaces))]
     for k, surface in enumerate(solid.surfaces):
         body = words.bodies.get(surface.path)
         found += [Slot(surface=k, subset=one) for one in (body.subsets if body else ())]
-    return found + [Slot(surface=k, box=b) for b in boxes for k in range(len(solid.surfaces))]
+    return found + [Slot(surface=k, region=r) for r in regions for k in range(len(solid.surfaces))]
 
 
-def in_boxes(slot: Ints, particles: Particles, parts: Sequence[Slot], of: Ints) -> Ints:
-    """(N,) part of each particle, with those in boxes in parts of their own.
+def in_regions(slot: Ints, particles: Particles, parts: Sequence[Slot], of: Ints) -> Ints:
+    """(N,) part of each particle, with those in regions in parts of their own.
 
-    slot : of `slot_of_particles`; of : (N,) of `material_boxes.owners`.
+    slot : of `slot_of_particles`; of : (N,) of `material_regions.owners`.
     """
-    first = next((k for k, part in enumerate(parts) if part.box is not None), len(parts))
+    first = next((k for k, part in enumerate(parts) if part.region is not None), len(parts))
     surfaces = 1 + max(part.surface for part in parts)
     return np.where(of < 0, slot, first + of * surfaces + np.asarray(particles.surface))
 
@@ -122,7 +122,7 @@ def table(
 ) -> tuple[tuple[Material, ...], Ints]:
     """The materials of a look, and (N,) which of them each particle has.
 
-    look : `Authored`, or a preset for every part that is in no box; slot : (N,) of
+    look : `Authored`, or a preset for every part that is in no region; slot : (N,) of
     `slot_of_particles`; finish : the material of a preset on a body of radius [m], with what the
     command line says.
     """
@@ -130,8 +130,8 @@ def table(
     for part in parts:
         surface = solid.surfaces[part.surface]
         radius = float(bodies.radius[bodies.of_surface[part.surface]])
-        if part.box is not None:
-            made.append(finish(find_preset(part.box.material), radius))
+        if part.region is not None:
+            made.append(finish(find_preset(part.region.material), radius))
         elif isinstance(look, Authored):
             made.append(_authored(surface.path, part, radius, words, finish))
         else:

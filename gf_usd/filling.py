@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd import body_materials, material_boxes, paper_options
+from gf_usd import body_materials, material_regions, paper_options
 from gf_usd.blending import with_own_values
 from gf_usd.body_plan import encounters, plan_bodies, start_velocities
 from gf_usd.choices import Choices, clip_length, parse_only
@@ -104,11 +104,11 @@ def fill(
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
-    boxes = material_boxes.parse_boxes(request.material_boxes)
-    parts = body_materials.slots(solid, words, boxes)
+    regions = material_regions.parse_regions(request.material_boxes, request.material_labels)
+    parts = body_materials.slots(solid, words, regions)
     slot = body_materials.slot_of_particles(solid, particles, parts)
-    of, boxed = material_boxes.owners(boxes, particles.X, unit)
-    slot = body_materials.in_boxes(slot, particles, parts, of)
+    of, regional = material_regions.owners(regions, solid.surfaces, particles, unit)
+    slot = body_materials.in_regions(slot, particles, parts, of)
 
     def finish(look: Any, radius: float) -> Material:
         return _made(look, radius, law, request)
@@ -155,7 +155,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *boxed, *mixed, *own, *physics.notes, *ridden, *left, *skin,
+            *regional, *mixed, *own, *physics.notes, *ridden, *left, *skin,
             *_options(made, each), *split,
         ),
     )  # fmt: skip

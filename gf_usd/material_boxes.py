@@ -22,10 +22,11 @@ class MaterialBox:
     material: str  # name of a preset
     low: Floats  # (3,) [stage units]
     high: Floats  # (3,) [stage units]
+    option = OPTION
 
     def holds(self, X: Floats, unit: float) -> Floats:
         """(n,) which points (n, 3) [m] lie in it; unit : [m] per stage length."""
-        return ((self.low * unit <= X) & (self.high * unit >= X)).all(axis=1)
+        return np.all((self.low * unit <= X) & (self.high * unit >= X), axis=1)
 
 
 def parse_boxes(texts: Sequence[str]) -> tuple[MaterialBox, ...]:
@@ -57,8 +58,8 @@ def _parse(text: str) -> MaterialBox:
     return MaterialBox(text=text, material=preset.name, low=low, high=high)
 
 
-def owners(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> tuple[Ints, tuple[str, ...]]:
-    """(N,) index of the box that each particle X (N, 3) [m] rests in, -1: none, and a note on each.
+def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
+    """(N,) index of the box that each particle X (N, 3) [m] rests in, -1: none.
 
     Where boxes overlap the later one holds.  Raises InputError for a box that holds no particle.
     """
@@ -73,17 +74,7 @@ def owners(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> tuple[Ints, 
                 "give corners in the asset's units and axes, or use more --particles",
             )
         out[mine] = k
-    counts = np.bincount(out[out >= 0], minlength=len(boxes))
-    for box, count in zip(boxes, counts):
-        if not count:
-            raise InputError(
-                f"{OPTION} {box.text}: later boxes take all of its particles",
-                "leave it out, or name it after them",
-            )
-    return out, tuple(
-        f"{count} of {len(X)} particles are {box.material}, by {OPTION} {box.text}"
-        for box, count in zip(boxes, counts)
-    )
+    return out
 
 
 def _triple(values: Floats) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from gf_usd import paper_options
 from gf_usd.choices import parse_only
 from gf_usd.errors import UsageError
-from gf_usd.material_boxes import parse_boxes
+from gf_usd.material_regions import parse_regions
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
 from gf_usd.playback import authored_rate, first_time_code
@@ -56,6 +56,7 @@ class Request:
     stress: bool = False
     blend_width: float | None = None  # [stage units] between materials of a body; None: 0
     material_boxes: tuple[str, ...] = ()  # "PRESET:x0,y0,z0,x1,y1,z1" [stage units]
+    material_labels: tuple[str, ...] = ()  # "NAME=VALUE:PRESET"
     skin: str | None = None  # one of SKINS
     solver: str | None = None  # one of SOLVERS
     pins: tuple[str, ...] = ()  # prim paths, or "box:x0,y0,z0,x1,y1,z1" [stage units]
@@ -98,10 +99,11 @@ class Request:
         if self.skin not in (None, *SKINS):
             raise UsageError(f"there is no skin {self.skin!r}", f"choose {', '.join(SKINS)}")
         self._check_solver()
-        if parse_boxes(self.material_boxes) and self.blend_width:
+        regions = parse_regions(self.material_boxes, self.material_labels)
+        if regions and self.blend_width:
             raise UsageError(
-                f"--blend-width {self.blend_width:g} and --material-box were both given",
-                "leave one out: materials blend between faces, and a box has none",
+                f"--blend-width {self.blend_width:g} and {regions[0].option} were both given",
+                "leave one out: materials blend between faces only",
             )
         paper_options.check(self)
         parse_time_scale(self.time_scale, 1.0)

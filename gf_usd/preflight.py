@@ -32,7 +32,7 @@ from gf_usd.stage_reading import StageWords, read_words
 if TYPE_CHECKING:
     from gf_usd.inspection import Inspection
 
-REPEATED = ("pins", "material_boxes")  # options that may be given several times
+REPEATED = ("pins", "material_boxes", "material_labels")  # options that may be given several times
 
 
 def prepare(
@@ -115,6 +115,7 @@ def prepare(
     command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
     command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
     command += "".join(f" --material-box {shlex.quote(box)}" for box in request.material_boxes)
+    command += "".join(f" --material-label {shlex.quote(one)}" for one in request.material_labels)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
     plan = replace(plan, converted=converted, command=command, notes=notes, sequences=frames)

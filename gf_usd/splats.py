@@ -11,7 +11,7 @@ f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -37,6 +37,7 @@ class Splats:
     to_world: Floats = field(default_factory=lambda: np.eye(4))  # (4, 4) x_world [m] = x M
     half: bool = False  # the coefficients are authored in half precision only
     anchors: Floats | None = None  # (N, 3) [m] the points of the body that carry them, world
+    labels: Mapping[str, Ints] = field(default_factory=dict)  # (N,) of each whole-number property
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -83,6 +84,7 @@ class Splats:
             path=self.path,
             to_world=self.to_world,
             half=self.half,
+            labels={name: values[rows] for name, values in self.labels.items()},
         )
 
 
@@ -138,6 +140,7 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
         path=splats.path,
         to_world=splats.to_world,
         half=splats.half,
+        labels=splats.labels,
     )
     return sound if keep.all() else sound.take(np.flatnonzero(keep))
 

@@ -2,12 +2,15 @@
 
 Per vertex: x y z; scale_0..2 (natural logarithm of the standard deviation); rot_0..3 (w, x, y, z,
 not normalised); opacity (a logit); f_dc_0..2 (coefficients of degree 0, one a colour); f_rest_*
-(the higher degrees, all of red first, then green, then blue).  The packed layout of PlayCanvas is
+(the higher degrees, all of red first, then green, then blue).  Any other column of whole numbers is
+a label.  The packed layout of PlayCanvas is
 read by `splat_packed`.
 """
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +21,13 @@ from gf_usd.assets.ply import header
 from gf_usd.assets.ply_body import Element, Ragged, Table, read_body
 from gf_usd.assets.splat_packed import PACKED, unpack
 from gf_usd.errors import InputError
-from gf_usd.model import Floats
+from gf_usd.model import Floats, Ints
 from gf_usd.splats import Splats
 
 HEAD = 65536  # bytes in which the header of a splat file ends
+# What 3DGS and its heirs write beside labels.
+KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_\d|f_rest_\d+|opacity|scale_\d|rot_\d|packed_\w+")
+WHOLE = 2.0**31  # labels are as large as USD's int at most
 REST = {0: 0, 9: 1, 24: 2, 45: 3}  # columns of f_rest, and the degree
 
 
@@ -46,7 +52,7 @@ def read_splat_ply(path: Path) -> Splats:
     tables = read_body(path, data, start, elements, order)
     vertex = tables.get("vertex", {})
     if PACKED in vertex:
-        return unpack(path, tables)
+        return replace(unpack(path, tables), labels=_labels(vertex))
     _require(path, elements)
     degree, rest = _rest(path, vertex)
     count = len(np.asarray(vertex["x"]))
@@ -62,6 +68,7 @@ def read_splat_ply(path: Path) -> Splats:
         scales=scales,
         opacities=sigmoid(_stack(vertex, ["opacity"])[:, 0]),
         harmonics=harmonics,
+        labels=_labels(vertex),
     )
 
 
@@ -97,6 +104,18 @@ def _rest(path: Path, vertex: Table) -> tuple[int, list[str]]:
             REPAIR,
         )
     return REST[count], names
+
+
+def _labels(vertex: Table) -> dict[str, Ints]:
+    """Every column of whole numbers but those that 3DGS has; some programs store them as floats."""
+    found = {}
+    for name, column in vertex.items():
+        if isinstance(column, Ragged) or KNOWN.fullmatch(name):
+            continue
+        values = np.asarray(column, np.float64)
+        if (np.isfinite(values) & (np.abs(values) < WHOLE) & (values == np.rint(values))).all():
+            found[name] = values.astype(np.int64)
+    return found
 
 
 def _stack(table: Table, names: list[str]) -> NDArray[np.float32]:

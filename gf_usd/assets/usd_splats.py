@@ -16,10 +16,12 @@ from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_particles import SPLAT_TYPE, is_ours
 from gf_usd.assets.usd_place import ANIMATED, LeftAlone, Placement
 from gf_usd.errors import InputError
+from gf_usd.model import Ints
 from gf_usd.splats import Splats, tidy
 
 Types = Sdf.ValueTypeNames
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
+WHOLE = (Types.IntArray, Types.UIntArray, Types.Int64Array, Types.UInt64Array, Types.UCharArray)
 DEGREE = "radiance:sphericalHarmonicsDegree"
 WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, HARMONICS: 3}
 
@@ -64,6 +66,7 @@ def read_captured(
         path=where,
         to_world=to_world,
         half=half,
+        labels=_labels(prim, time, count),
     )
     whole = tidy(splats, where, lambda text: notes.add(text, where))
     if len(whole) != count:
@@ -116,6 +119,17 @@ def _harmonics(
     return np.zeros((count, 1, 3), np.float32), half
 
 
+def _labels(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> dict[str, Ints]:
+    """The primvars of a prim that hold an integer for each Gaussian."""
+    found = {}
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithValues():
+        flat = primvar.ComputeFlattened(time)
+        if flat is None or primvar.GetTypeName() not in WHOLE or len(flat) != count:
+            continue
+        found[str(primvar.GetPrimvarName())] = np.asarray(flat).astype(np.int64)
+    return found
+
+
 def write_splat_layer(
     splats: Splats, path: Path, name: str, *, meters_per_unit: float, up_axis: str, turn: float = 0
 ) -> None:
@@ -146,6 +160,11 @@ def write_splat_layer(
     )  # fmt: skip
     for attribute, kind, value in values:
         prim.CreateAttribute(attribute, kind, False).Set(value)
+    for label, whole in splats.labels.items():
+        name = Tf.MakeValidIdentifier(label)
+        UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, Types.IntArray, UsdGeom.Tokens.vertex).Set(
+            Vt.IntArray.FromNumpy(np.ascontiguousarray(whole, np.int32))
+        )
     degree = prim.CreateAttribute(DEGREE, Types.Int, False, Sdf.VariabilityUniform)
     degree.Set(splats.degree)
     reach = 3.0 * np.linalg.norm(splats.axes, axis=2)

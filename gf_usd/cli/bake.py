@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 
 from gf_usd.cli import remains
-from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import (
+    Combine,
+    Fps,
+    Frames,
+    MaterialBoxes,
+    MaterialLabels,
+    Particles,
+    Prims,
+    Seed,
+    Spacing,
+    Start,
+)
 from gf_usd.cli.output_options import (
     ClipFrames,
     Flatten,
@@ -138,14 +149,8 @@ def bake(
             show_default="0",
         ),
     ] = None,
-    material_box: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A preset for what rests in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
-            " repeatable, the later one goes first.",
-            show_default="nothing",
-        ),
-    ] = None,
+    material_box: MaterialBoxes = None,
+    material_label: MaterialLabels = None,
     drag: Annotated[float | None, typer.Option(help="On velocity [1/s].", show_default="0")] = None,
     time_scale: Annotated[
         str | None,
@@ -252,6 +257,7 @@ def bake(
         combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
         damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
         blend_width=blend_width, material_boxes=tuple(material_box or ()),
+        material_labels=tuple(material_label or ()),
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
         stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
         stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,

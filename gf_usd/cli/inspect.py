@@ -8,7 +8,18 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import (
+    Combine,
+    Fps,
+    Frames,
+    MaterialBoxes,
+    MaterialLabels,
+    Particles,
+    Prims,
+    Seed,
+    Spacing,
+    Start,
+)
 from gf_usd.errors import InputError
 
 
@@ -34,6 +45,8 @@ def inspect(
         ),
     ] = None,
     prim: Prims = None,
+    material_box: MaterialBoxes = None,
+    material_label: MaterialLabels = None,
     meters_per_unit: Annotated[
         float | None,
         typer.Option(help="Size of the file's unit [m], e.g. 0.01.", show_default="as for bake"),
@@ -60,7 +73,8 @@ def inspect(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
             spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,
-            seed=seed, combine=combine,
+            seed=seed, combine=combine, material_boxes=tuple(material_box or ()),
+            material_labels=tuple(material_label or ()),
         )  # fmt: skip
     except InputError as error:
         if as_json:

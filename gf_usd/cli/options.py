@@ -31,3 +31,20 @@ Seed = Annotated[
 Combine = Annotated[
     bool, typer.Option("--combine", help="All meshes are one body, also where they lie apart.")
 ]
+MaterialBoxes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--material-box",
+        help="A preset for what rests in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
+        " repeatable, the later one goes first.",
+        show_default="nothing",
+    ),
+]
+MaterialLabels = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--material-label",
+        help="A preset for captured Gaussians of a label, NAME=VALUE:PRESET; repeatable.",
+        show_default="nothing",
+    ),
+]
