@@ -1,7 +1,9 @@
 """The particle prims of the cache: a Gaussian splat field and its twin of points.
 
 Both stand in the world frame of the source: where the root prim above them has a transform of its
-own, theirs is its inverse, so that they follow the asset wherever a shot puts it.
+own, theirs is its inverse, so that they follow the asset wherever a shot puts it.  Far from the
+world's origin, where single precision is coarse, they stand near the asset instead, moved there by
+their transform, which is in double precision.
 """
 
 from __future__ import annotations
@@ -25,6 +27,9 @@ from gf_usd.usd.values import f32, quaternions
 
 Types = Sdf.ValueTypeNames
 UNIFORM = Sdf.VariabilityUniform
+# Rounding of positions, in spacings, from which on the particles have an origin of their own: far
+# below what is seen, and far above what an asset near the origin has.
+COARSE = 1e-3
 
 
 class ParticleTrack:
@@ -52,6 +57,7 @@ class ParticleTrack:
         self._unit = asset.facts.units.length
         self.path = home.scope
         self.low = self.high = np.zeros(3)
+        self._origin = own_origin(particles) / self._unit
         UsdGeom.Scope.Define(cache, home.scope)
         self._splats = self._twin = None
         if "gaussians" in choices.shapes:
@@ -72,7 +78,7 @@ class ParticleTrack:
         )
         meshes = [Sdf.Path(s.path) for s in asset.surfaces]
         for prim in prims:
-            _describe(prim, asset, particles, info)
+            _describe(prim, asset, particles, info, self._origin)
             prim.CreateRelationship("gaussianFlesh:materials", False).SetTargets(materials)
             # a payload may not point outside its root prim: the root layer adds the rest
             inside = [p for p in meshes if p.HasPrefix(home.scope.GetPrefixes()[0])]
@@ -90,7 +96,7 @@ class ParticleTrack:
         for name in ("positions", "velocities"):
             what = f"{name} of <{self.path}>"
             check(getattr(pose, name), (self._count, 3), what, time_code)
-        positions = np.asarray(pose.positions, np.float64) / self._unit
+        positions = np.asarray(pose.positions, np.float64) / self._unit - self._origin
         velocities = Vt.Vec3fArray.FromNumpy(f32(np.asarray(pose.velocities) / self._unit))
         if self._splats:
             self._splats.write(pose, positions, velocities, time_code)
@@ -100,7 +106,7 @@ class ParticleTrack:
         self.low = np.min([low for low, _ in boxes], axis=0)
         self.high = np.max([high for _, high in boxes], axis=0)
         if self.space is not None and self.space.animated:
-            matrix = Gf.Matrix4d(self.space.from_world(time_code))
+            matrix = Gf.Matrix4d(self.to_world(time_code) @ self.space.from_world(time_code))
             for transform in self._transforms:
                 transform.Set(matrix, time_code)
 
@@ -120,23 +126,36 @@ class ParticleTrack:
         return self._splats.notes if self._splats else ()
 
     def to_world(self, time_code: float) -> Floats:
-        """Where ``low`` and ``high`` are: in the world, whatever the time."""
+        """(4, 4) from where ``low`` and ``high`` are to the world, whatever the time."""
         del time_code
-        return np.eye(4)
+        matrix = np.eye(4)
+        matrix[3, :3] = self._origin
+        return matrix
 
     def _place(self, prims: Sequence[Usd.Prim], start: float) -> list[UsdGeom.XformOp]:
-        if self.space is None:
-            return []
-        if not self.space.animated and np.array_equal(self.space.from_world(start), np.eye(4)):
+        animated = self.space is not None and self.space.animated
+        matrix = self.to_world(start)
+        if self.space is not None:
+            matrix = matrix @ self.space.from_world(start)
+        if not animated and np.array_equal(matrix, np.eye(4)):
             return []
         ops = [UsdGeom.Xformable(prim).AddTransformOp() for prim in prims]
-        if not self.space.animated:
+        if not animated:
             for op in ops:
-                op.Set(Gf.Matrix4d(self.space.from_world(start)))
+                op.Set(Gf.Matrix4d(matrix))
         return ops
 
 
-def _describe(prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo) -> None:
+def own_origin(particles: Particles) -> Floats:
+    """(3,) [m] what positions are counted from: 0, or the body's middle where that is too far."""
+    X = np.asarray(particles.X, np.float64)
+    rounding = np.finfo(np.float32).eps * np.abs(X).max(initial=0.0)
+    return X.mean(axis=0) if rounding > COARSE * particles.spacing else np.zeros(3)
+
+
+def _describe(
+    prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo, origin: Floats
+) -> None:
     """GaussianFleshParticlesAPI's rest state, in stage units."""
     prim.ApplyAPI("GaussianFleshParticlesAPI")
     units = asset.facts.units
@@ -144,7 +163,7 @@ def _describe(prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo
     density = values["density"]
     volume = np.asarray(particles.V0, np.float64)
     indices = np.ascontiguousarray(particles.material, np.int32)
-    rest = np.asarray(particles.X, np.float64) / units.length
+    rest = np.asarray(particles.X, np.float64) / units.length - origin
     scales = np.asarray(particles.scale, np.float64) / units.length
     for name, kind, value in (
         ("restPositions", Types.Point3fArray, _vectors(rest)),
