@@ -82,7 +82,8 @@ def motion(root: Path, unit: float, at: tuple[float, ...]) -> Motion:
     for frame in range(FRAMES):
         mesh.append(world_points(stage, "/Box/Mesh", 1.0 + frame))
         gaussians.append(in_world(stage, 1.0 + frame))
-    return tuple((np.array(x) - np.asarray(at, float)) * unit for x in (mesh, gaussians))
+    middle = np.asarray(at, float)
+    return (np.array(mesh) - middle) * unit, (np.array(gaussians) - middle) * unit
 
 
 def in_world(stage: Usd.Stage, time_code: float) -> np.ndarray:
