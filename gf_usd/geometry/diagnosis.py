@@ -42,6 +42,7 @@ class Shell:
     winding: str  # outward | inside out | cavity | mixed | one-sided | open | flat
     against: int  # triangles that face against their neighbours
     holes: tuple[Hole, ...]
+    inner: bool = False  # lies in the flesh of another shell: it bounds nothing
 
     @property
     def size(self) -> Floats:
@@ -85,8 +86,9 @@ class Diagnosis:
 
     @property
     def volume(self) -> float:
-        """[m^3] of the shells, cavities taken off; overlaps count twice."""
-        return sum(-s.volume if s.winding == "cavity" else s.volume for s in self.shells)
+        """[m^3] of the shells, cavities taken off, inner shells left out; overlaps count twice."""
+        flesh = [s for s in self.shells if not s.inner]
+        return sum(-s.volume if s.winding == "cavity" else s.volume for s in flesh)
 
     def with_winding(self, *kinds: str) -> int:
         """How many shells are wound in any of these ways."""
@@ -166,6 +168,7 @@ def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell,
             volume=float(volume[k]),
             winding=kind(k),
             against=int(against[k]),
+            inner=bool(facing.inner[k]),
             holes=_holes([points[ring] for ring in holes.get(k, ())], float(area[k])),
         )
         for k, count in enumerate(np.bincount(label).tolist())
@@ -199,6 +202,8 @@ def faults(seen: Diagnosis) -> list[str]:
         said.append(f"{_count(against, 'triangle')} facing against the rest")
     if inward := seen.with_winding("inside out"):
         said.append(f"{inward} of {_count(len(seen.shells), 'shell')} inside out")
+    if inner := sum(shell.inner for shell in seen.shells):
+        said.append(f"{_count(inner, 'shell')} inside others that bound nothing")
     if seen.duplicates:
         said.append(_count(seen.duplicates, "duplicate triangle"))
     return said

@@ -32,6 +32,7 @@ class Repairs:
     turned: int = 0  # faced against their neighbours
     turned_parts: int = 0  # whole parts that faced the wrong way
     cavities: int = 0  # parts inside others that face inward, kept so
+    inner: int = 0  # parts dropped: inside others, where there is flesh anyway
     holes_closed: int = 0  # holes
     caps: int = 0  # added to close them
     largest_closed: float = 0.0  # share of the closed area
@@ -44,7 +45,7 @@ class Repairs:
         """Whether anything was altered."""
         return bool(
             self.collapsed + self.slivers + self.duplicates
-            + self.turned + self.turned_parts + self.holes_closed
+            + self.turned + self.turned_parts + self.inner + self.holes_closed
         )  # fmt: skip
 
     def words(self) -> tuple[str, ...]:
@@ -65,6 +66,8 @@ class Repairs:
             said.append(f"turned {_count(self.turned, 'triangle')} to agree with the rest")
         if self.turned_parts:
             said.append(f"turned {_count(self.turned_parts, 'part')} that faced the wrong way")
+        if self.inner:
+            said.append(f"dropped {_count(self.inner, 'part')} inside others, which bound nothing")
         if self.cavities:
             said.append(
                 f"left {_count(self.cavities, 'part')} that lie inside others and face inward:"
@@ -109,8 +112,9 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """A surface whose triangles bound a solid as well as they can, and what was done.
 
     In this order: drop collapsed triangles, those without area that hold no seam together, and
-    duplicates; make neighbours agree; face every part outward, cavities aside; close holes up to
-    `HOLE_LIMIT`.  Nothing but the triangles and what hangs on their corners changes.
+    duplicates; make neighbours agree; face every part outward, cavities aside; drop parts inside
+    others, which bound nothing; close holes up to `HOLE_LIMIT`.  Nothing but the triangles and what
+    hangs on their corners changes.
     """
     points = surface.points
     vertex = weld(points)[0][surface.triangles].reshape(-1)
@@ -129,6 +133,7 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     slots = winding.turned(slots, patch.against)
     facing = winding.facing(points, vertex[slots], patch.label)
     slots = winding.turned(slots, facing.wrong[patch.label])
+    slots = slots[~facing.inner[patch.label]]
     caps, closing = _close(points, vertex, slots)
     slots = np.concatenate([slots, caps])
 
@@ -138,7 +143,8 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
         slivers=int(flat.sum()),
         duplicates=int(double.sum()),
         turned=int(patch.against.sum()),
-        turned_parts=int(facing.wrong.sum()),
+        turned_parts=int((facing.wrong & ~facing.inner).sum()),
+        inner=int(facing.inner.sum()),
         cavities=int((facing.goal == -1).sum()),
         caps=len(caps),
         **closing,

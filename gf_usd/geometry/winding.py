@@ -142,6 +142,7 @@ class Facing:
 
     now: Ints  # (K,)
     goal: Ints  # (K,) -1 for cavities
+    inner: Flags  # (K,) lie in the flesh of another part and enclose nothing that is not so too
 
     @property
     def wrong(self) -> Flags:
@@ -168,4 +169,9 @@ def facing(points: Floats, triangles: Ints, label: Ints) -> Facing:
         j = parent[i]
         if j >= 0 and goal[j] == 1 and now[i] * now[j] == -1:
             goal[i] = -1
-    return Facing(now=now, goal=goal)
+    inner = np.zeros(len(goal), bool)
+    # From the inside out: a part that holds a cavity bounds flesh, wherever it lies.
+    for i in np.argsort(np.abs(volume), kind="stable"):
+        within = goal[i] == 1 and parent[i] >= 0 and goal[parent[i]] == 1
+        inner[i] = within and inner[parent == i].all()
+    return Facing(now=now, goal=goal, inner=inner)
