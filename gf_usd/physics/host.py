@@ -49,6 +49,7 @@ def _memory(array: Any) -> Floats | None:
     runtime.sync()
     kind = np.dtype(to_numpy_type(array.dtype))
     shape = _shape(array)
+    assert runtime.prog is not None
     address = runtime.prog.get_ndarray_data_ptr_as_int(array.arr)
     raw: Any = (ctypes.c_byte * (math.prod(shape) * kind.itemsize)).from_address(address)
     return np.ndarray(shape, kind, raw)
