@@ -208,6 +208,7 @@ class TotalLagrangian(Marcher):
             work=float(host.values(self.arrays["work"]).astype(float).sum()) + work,
             injected=injected + given,
             overlap=overlap,
+            let_go=self.meeting.let_go if self.meeting else 0,
             clamped=int((touched["clamped"] | clipped).sum()),
             stress_capped=int(touched["stress_capped"].sum()),
         )
