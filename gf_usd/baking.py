@@ -24,6 +24,7 @@ from gf_usd.publish import partial_path, publish_text
 from gf_usd.resuming import Keeper, finished
 from gf_usd.summary import HealthLog
 from gf_usd.timeline import sampled, with_held
+from gf_usd.writing import alone, shared
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -100,18 +101,25 @@ def run(
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
-    Raises InputError where it would take longer than max_hours, SolverError where the simulation
+    Raises InputError where it would take longer than max_hours, UsageError where another bake
+    is writing the same (see `writing.alone`), SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
-    from gf_usd.usd.review import review
-
     keeper = Keeper(plan, slice)
     require_affordable(plan, max_hours)
+    with alone(plan):
+        return _run_alone(plan, progress, keeper)
+
+
+def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeResult:
+    from gf_usd.usd.review import review
+
     earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
     if plan.converted is not None and plan.outputs.source is not None:
-        plan.converted.write(plan.outputs.source)
+        with shared(plan.outputs.source):
+            plan.converted.write(plan.outputs.source)
     results: list[LookResult] = []
     looks: list[BakedLook] = []
     notes = list(plan.notes)

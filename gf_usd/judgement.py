@@ -161,6 +161,17 @@ def _overlap(h: Health) -> Said:
     )
 
 
+def _let_go(h: Health) -> Said:
+    if not h["let_go_max"]:
+        return None
+    return (
+        f"{h['let_go_max']} contact points at once seemed deeper in another surface than they can"
+        " have come, where it was folded or turned inside out, and were let go: there the bodies"
+        " may stand in each other",
+        "lower the impact (--drop), take a stiffer material, or more --particles",
+    )
+
+
 def _resting(h: Health) -> Said:
     depth = h["resting_penetration_spacings"]
     if depth is None or depth <= RESTING:
@@ -192,6 +203,7 @@ RULES: dict[str, Callable[[Health], Said]] = {
     "injected": _injected,
     "penetration": _deep,
     "overlap": _overlap,
+    "let-go": _let_go,
     "resting-depth": _resting,
     "free-flight": _drift,
 }

@@ -28,6 +28,7 @@ from gf_usd.planning import Request
 from gf_usd.resuming import going_on
 from gf_usd.runtime import init_taichi
 from gf_usd.stage_reading import StageWords, read_words
+from gf_usd.writing import stamps
 
 if TYPE_CHECKING:
     from gf_usd.inspection import Inspection
@@ -92,6 +93,7 @@ def prepare(
     asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
     names = [look.name for look in looks]
     files = outputs(source, names, target_name, request.flatten)
+    there = stamps(files)
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
@@ -118,7 +120,9 @@ def prepare(
     command += "".join(f" --material-label {shlex.quote(one)}" for one in request.material_labels)
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
-    plan = replace(plan, converted=converted, command=command, notes=notes, sequences=frames)
+    plan = replace(
+        plan, converted=converted, command=command, notes=notes, sequences=frames, seen=there
+    )
     return going_on(plan, overwrite=anew) if resume else plan
 
 

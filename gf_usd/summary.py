@@ -87,6 +87,7 @@ class HealthLog:
             **self._resting(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            "let_go_max": max(f.let_go for f in h),
             "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),

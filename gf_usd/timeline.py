@@ -130,7 +130,10 @@ def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
 
 
 SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected")
-MOSTS = ("penetration", "overlap", "max_J", "max_stretch", "inverted", "clamped", "stress_capped")
+MOSTS = (
+    *("penetration", "overlap", "let_go", "max_J", "max_stretch", "inverted", "clamped"),
+    "stress_capped",
+)
 LEASTS = ("min_J", "min_stretch")
 
 

@@ -114,11 +114,48 @@ def read_batch(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `tools/kill_acceptance.py --json` found.  Raises SystemExit where that is nothing."""
+    if not done.stdout:
+        raise SystemExit(f"tools/kill_acceptance.py printed nothing, status {done.returncode}")
+    tree = json.loads(done.stdout.splitlines()[-1])
+    rows = []
+    for when, late in (("anywhere in the bake", False), ("while it publishes", True)):
+        kills = [k for k in tree["kills"] if k["publishing"] == late]
+        clips = [k["clips"] for k in kills]
+        partly = sum(not k["ended"] and len(k["final"]) > 0 for k in kills)
+        bad = [k["fault"] for k in kills if k["fault"]]
+        rows.append(
+            (
+                when,
+                str(len(kills)),
+                f"{min(clips, default=0)} to {max(clips, default=0)}",
+                str(partly),
+                str(sum(k["ended"] for k in kills)),
+                f"**FAIL** {'; '.join(bad)}" if bad else "pass",
+            )
+        )
+    bad = [k for k in tree["kills"] if k["fault"]]
+    head = ("kill -9", "kills", "clips then", "with a final name", "too late", "verdict")
+    return Outcome(
+        passed=done.returncode == 0 and not bad,
+        summary=f"after {len(tree['kills']) - len(bad)} of {len(tree['kills'])} kills every file"
+        " was whole and --resume ended with the same bits",
+        table=(head, *rows),
+        data=tree,
+    )
+
+
 SECTIONS: dict[str, Section] = {
     "batch": Section(
         title="A batch through a bad night",
         command=("python", "tools/batch_acceptance.py", "--json"),
         read=read_batch,
+    ),
+    "kills": Section(
+        title="kill -9 of a bake",
+        command=("python", "tools/kill_acceptance.py", "--json"),
+        read=read_kills,
     ),
     "verify": Section(
         title="Accuracy",

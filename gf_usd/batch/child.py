@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from gf_usd.locks import INHERITED
+
 TAIL = 6000  # characters of stderr that are kept
 GRACE = 10.0  # [s] between the request to end and the end
 PARENT = "GF_USD_PARENT"  # the process whose end is also the child's, see cli.orphan
@@ -40,7 +42,9 @@ class Child:
             text=True, errors="replace",
             start_new_session=True,
             pass_fds=tuple(inherit),
-            env={**os.environ, PARENT: str(os.getpid())},
+            env={
+                **os.environ, PARENT: str(os.getpid()), INHERITED: ",".join(map(str, inherit)),
+            },
         )  # fmt: skip
         self._lock = threading.Lock()
         self._reaped = self._stopped = self._timed_out = False

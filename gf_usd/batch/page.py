@@ -9,12 +9,12 @@ from typing import Any
 
 import gf_usd
 from gf_usd.batch.job import GOOD, STATES, Job, Outcome
-from gf_usd.batch.locks import locked
 from gf_usd.batch.pictures import data_uri, draw, picture_of
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.resources import cores
 from gf_usd.batch.summary import ordered
 from gf_usd.estimate import duration
+from gf_usd.locks import locked
 from gf_usd.publish import publish_text
 from gf_usd.view.report_html import Html, join, policy, script, tag
 

@@ -16,6 +16,7 @@ from gf_usd.batch.manifest import Group, Manifest
 from gf_usd.batch.options import material_files
 from gf_usd.errors import UsageError
 from gf_usd.output_files import outputs
+from gf_usd.splat_sequence import sequences
 
 UNFIT = re.compile(r"[^A-Za-z0-9._+]+")
 
@@ -122,7 +123,12 @@ def _require_apart(jobs: Sequence[Job]) -> None:
     for job in jobs:
         looks = [Path(m).stem for m in job.materials]
         files = outputs(job.asset, looks, str(job.root))
-        own = ((path, job.name) for path in (*files.own, job.beside(RECORD)))
+        frames = sequences(
+            job.asset.stem, looks,
+            ply=job.options.get("export_ply"), spz=job.options.get("export_spz"),
+        )  # fmt: skip
+        splats = [one.path(0).absolute() for each in frames for one in each]
+        own = ((path, job.name) for path in (*files.own, job.beside(RECORD), *splats))
         reading = (str(job.asset), *(job.options.get(k) for k in ("meters_per_unit", "up_axis")))
         shared = ((path, reading) for path in ([files.source] if files.source else []))
         for path, owner in (*own, *shared):
@@ -131,7 +137,7 @@ def _require_apart(jobs: Sequence[Job]) -> None:
                 raise UsageError(
                     f"{_said(other)} and {_said(job)} would both write {path}",
                     "give jobs names that differ: --name '{folder}/{asset}.{material}', with a"
-                    " field for each option of the matrix",
+                    " field for each option of the matrix; frames of splats want a folder each",
                 )
 
 

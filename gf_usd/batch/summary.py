@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import GOOD, STATES, Job, Outcome
-from gf_usd.batch.locks import locked
 from gf_usd.batch.record import read_record
+from gf_usd.locks import locked
 from gf_usd.program import program
 from gf_usd.publish import publish_text
 

@@ -15,10 +15,10 @@ from gf_usd.batch.child import Children, Ended
 from gf_usd.batch.identity import describe, identity, read_by
 from gf_usd.batch.inputs import InputTable, stamps
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.locks import Held, acquire
 from gf_usd.batch.record import finished, write_record
 from gf_usd.batch.verdict import Bake, judge
 from gf_usd.errors import GfUsdError
+from gf_usd.locks import Held, acquire
 from gf_usd.output_files import interrupted, outputs
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats
+from gf_usd.physics import host
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 def constants(solver: TotalLagrangian) -> tuple[Floats, Floats]:
     """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
     c, rate = (
-        solver.arrays[name].to_numpy().astype(float).reshape(-1, 3)
+        host.values(solver.arrays[name]).astype(float).reshape(-1, 3)
         for name in ("anchor", "anchor_rate")
     )
     count = solver.stencil.node_count - solver.stencil.free_count
@@ -43,6 +44,6 @@ def anchor(solver: TotalLagrangian, index: int) -> None:
         )
         for frame in (index - 1, index)
     )
-    solver.arrays["anchor"].from_numpy(start.astype(solver.real).ravel())
+    host.put(solver.arrays["anchor"], start.astype(solver.real).ravel())
     rate = (end - start) / solver.frame_time
-    solver.arrays["anchor_rate"].from_numpy(rate.astype(solver.real).ravel())
+    host.put(solver.arrays["anchor_rate"], rate.astype(solver.real).ravel())

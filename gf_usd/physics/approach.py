@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Ints
+from gf_usd.physics import host
 from gf_usd.physics.anchoring import constants
 from gf_usd.physics.setup import floor_height
 
@@ -30,7 +31,7 @@ def watch(solver: TotalLagrangian, lift: float) -> Ints:
     if solver.contact.constants is not None:
         c, rate = constants(solver)
         height = height + solver.contact.constants @ ((c + 0.5 * span * rate) @ normal)
-        solver.arrays["sample_height"].from_numpy(height.astype(solver.real))
+        host.put(solver.arrays["sample_height"], height.astype(solver.real))
     height = height + lift + rows.W @ (u @ normal)
     for name in ("sample_force", "sample_depth", "sample_capped"):
         solver.arrays[name].fill(0)
@@ -43,6 +44,6 @@ def attend(solver: TotalLagrangian, samples: Ints) -> int:
         return 0
     active = np.zeros(len(solver.contact.mass), np.int32)
     active[: len(samples)] = samples
-    solver.arrays["sample_active"].from_numpy(active)
+    host.put(solver.arrays["sample_active"], active)
     solver.arrays["sample_force"].fill(0)
     return len(samples)

@@ -25,6 +25,7 @@ class Passage:
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
     overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
+    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
     injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`

@@ -2,7 +2,8 @@
 
 A look costs about as much as ten substeps, so it is done only when it has to be: a pair whose boxes
 are apart is left alone until they could have come together.  What the planes of a new look store
-in their springs more than the old ones is energy that nobody's motion paid for; it is counted.
+in their springs more than the old ones is energy that nobody's motion paid for: a new plane is
+moved back until that is little, and the rest is counted.  The overlap reported is the true one.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from gf_usd.physics.contact import FloorContact, damping_coefficient
 from gf_usd.physics.embedding import deform_normals
 from gf_usd.physics.neighbours import (
     ARRAYS,
+    CLOSER,
+    EASE,
     FACING,
     LOOK,
     STIFFER,
     Faced,
     Looking,
+    eased,
     facing_itself,
     nothing,
 )
@@ -68,6 +72,10 @@ class Meeting:
         self._looked = 0.0  # [s] of the solver's time at the last look
         self._k = contact.stiffness
         self.injected = 0.0  # [J] since `begin`
+        self.let_go = 0  # most samples at once, since `begin`
+        self._overlap = 0.0  # [m] deepest at a look since `begin`
+        # [m] of the last look; what overlaps at the first one may be as deep as it is.
+        self._gap = np.full(len(samples.X), -np.inf)
 
     def arrays(self) -> dict[str, Floats]:
         """The part of the kernels' pack."""
@@ -78,6 +86,7 @@ class Meeting:
         return {
             **{f"facing_{name}": getattr(self.faced, name) for name in ARRAYS},
             "facing_since": self._looked,
+            "facing_gap": self._gap,
             "facing_stiffness": self._k,
         }
 
@@ -85,11 +94,12 @@ class Meeting:
         """Go back to what `save` returned."""
         self.faced = Faced(**{name: np.asarray(saved[f"facing_{name}"]) for name in ARRAYS})
         self._looked = float(saved["facing_since"])
+        self._gap = np.asarray(saved["facing_gap"])
         self._k = np.asarray(saved["facing_stiffness"])
 
     def begin(self, solver: TotalLagrangian) -> None:
         """Count from zero."""
-        self.injected = 0.0
+        self.injected, self.let_go, self._overlap = 0.0, 0, 0.0
         pair = solver.arrays["pair"].to_numpy().reshape(-1, layout.ROW)
         pair[:, layout.DEPTH] = pair[:, layout.WORK] = 0.0
         solver.arrays["pair"].from_numpy(pair.ravel())
@@ -107,7 +117,8 @@ class Meeting:
     def passage(self, solver: TotalLagrangian) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by looks [J] and deepest overlap [m]."""
         pair = solver.arrays["pair"].to_numpy().astype(float).reshape(-1, layout.ROW)
-        return float(pair[:, layout.WORK].sum()), self.injected, float(pair[:, layout.DEPTH].max())
+        deepest = max(self._overlap, float(pair[:, layout.DEPTH].max()))
+        return float(pair[:, layout.WORK].sum()), self.injected, deepest
 
     def motion(self, solver: TotalLagrangian) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the samples, (n, 3)."""
@@ -130,7 +141,7 @@ class Meeting:
         meet, hold = self._schedule(solver, x, v, frame, left * dt)
         before = self.energy(x, time)
         nodes = node_motion(solver)[0]
-        seen = Looking(x, (FACING + LOOK) * self._spacing)
+        seen = Looking(x, (FACING + LOOK) * self._spacing, self._gap - CLOSER * self._spacing)
         for mine, other in meet:
             if other < 0:
                 self._face_obstacle(seen, mine, -1 - other, frame, min(hold, left * dt))
@@ -138,7 +149,12 @@ class Meeting:
                 self._face_itself(seen, mine, nodes)
             else:
                 self._face_body(seen, mine, other, nodes, solver.offset)
-        self.faced, self._looked = seen.faced, time
+        deeper = seen.faced.depth(x, 0.0) - self.faced.depth(x, time - self._looked)
+        deeper[np.isinf(self._gap)] = 0.0
+        self.faced = eased(seen.faced, np.maximum(0.0, deeper - EASE * self._spacing))
+        self._gap, self._looked = seen.gap, time
+        self._overlap = max(self._overlap, -float(seen.gap.min()))
+        self.let_go = max(self.let_go, seen.let_go)
         hold = min(hold, LOOK * self._spacing / max(self._sliding(v), 1e-30))
         values = values_of(
             self.faced, self.contact.stiffness, self.contact.mass, self.contact.friction,

@@ -8,7 +8,7 @@ or nearest to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,6 +18,10 @@ from gf_usd.physics.pair_layout import NOBODY, OBSTACLE
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
 LOOK = 0.5  # [spacings] that samples may move between two looks
+# [spacings] that a gap may shrink between two looks, of which LOOK is the way at the speeds of the
+# first; the rest is for speeds that grow and for what the surface does between its samples.
+CLOSER = 1.5 * LOOK
+EASE = 0.1  # [spacings] that a look may make a sample deeper than it was under its old plane
 APART = 4.0  # [spacings] at rest, from where on a body meets itself
 # Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
 # 0.41 spacings at most; with 1 by 0.52 (measured).
@@ -71,13 +75,32 @@ def nothing(n: int) -> Faced:
     )
 
 
-class Looking:
-    """Collects, of all that a sample might face, what it is deepest in or nearest to."""
+def eased(faced: Faced, deeper: Floats) -> Faced:
+    """The planes moved back along their normals by deeper (n,) [m] >= 0."""
+    return replace(faced, point=faced.point - deeper[:, None] * faced.normal)
 
-    def __init__(self, x: Floats, reach: float) -> None:
-        self.x, self.reach = x, reach
-        self._gap = np.full(len(x), np.inf)
+
+class Looking:
+    """Collects, of all that a sample might face, what it is deepest in or nearest to.
+
+    x : (n, 3) [m]; reach : [m] from where something is faced; least : (n,) [m] the gap that each
+    may have come to since the last look.
+
+    A surface that a crash folded or turned inside out shows a wrong side to what is near it.  A
+    sample that seems deeper than it can have come is let go there, and counted: a spring that
+    begins deep would throw it out with energy that nobody's motion paid for.
+    """
+
+    def __init__(self, x: Floats, reach: float, least: Floats) -> None:
+        self.x, self.reach, self._least = x, reach, least
+        self.gap = np.full(len(x), reach)
         self.faced = nothing(len(x))
+        self._gone = np.zeros(len(x), bool)
+
+    @property
+    def let_go(self) -> int:
+        """How many samples were let go."""
+        return int(self._gone.sum())
 
     def plane(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats, carried: Ints | None,
@@ -87,9 +110,11 @@ class Looking:
 
         gap : (k,) [m]; point : (k, 3) [m] on it.
         """
-        nearer = gap < np.minimum(self._gap[rows], self.reach)
+        likely = gap >= self._least[rows]
+        self._gone[rows[~likely]] = True
+        nearer = likely & (gap < self.gap[rows])
         rows, f = rows[nearer], self.faced
-        self._gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
+        self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
         f.obstacle[rows] = obstacle
         if carried is None:
             f.partner[rows], f.point[rows] = OBSTACLE, point[nearer]

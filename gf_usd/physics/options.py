@@ -17,6 +17,7 @@ import numpy as np
 
 from gf_usd.model import Floats, Settings
 from gf_usd.physics import body as layout
+from gf_usd.physics import host
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -72,7 +73,7 @@ def touched(solver: TotalLagrangian) -> dict[str, Floats]:
         out[name] = np.zeros(len(solver.particles), bool)
         if on:
             # A filler repeats a neighbour, so that what it says is that particle's own.
-            lanes = solver.arrays[name].to_numpy() > 0
+            lanes = host.values(solver.arrays[name]) > 0
             out[name][solver.batches.source.ravel()[lanes]] = True
             out[name] &= solver.m > 0.0  # what a pin holds has no stress
     return out

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats
+from gf_usd.physics import host
 from gf_usd.physics.anchoring import constants
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def elastic_energy(solver: TotalLagrangian) -> float:
         1.0 / solver.h,
         solver.converged,
     )
-    return float(solver.cell_energy.to_numpy().astype(float).sum())
+    return float(host.values(solver.cell_energy).astype(float).sum())
 
 
 def von_mises(solver: TotalLagrangian) -> Floats:
@@ -30,7 +31,7 @@ def von_mises(solver: TotalLagrangian) -> Floats:
     groups = solver.batches.groups
     solver.kernels.stress(solver.pack, groups, solver.lane_stress, 1.0 / solver.h, solver.converged)
     out = np.empty(len(solver.particles))
-    lanes = solver.lane_stress.to_numpy().astype(float)
+    lanes = host.values(solver.lane_stress).astype(float)
     filled = solver.batches.filled.ravel() > 0.0
     out[solver.batches.source.ravel()[filled]] = lanes[filled]
     return out

@@ -30,6 +30,7 @@ from scipy.spatial import cKDTree
 from gf_usd.errors import UsageError
 from gf_usd.model import Floats, Pose
 from gf_usd.physics import body as layout
+from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ class Reanchor:
         """Set F0 (N, 3, 3), here and for the kernels."""
         self.F0 = np.asarray(F0, solver.real)
         flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
-        solver.arrays["F0"].from_numpy(flat.astype(solver.real))
+        host.put(solver.arrays["F0"], flat.astype(solver.real))
 
     def start(self, solver: TotalLagrangian) -> dict[str, Any]:
         """The kernels' array of F0, at rest."""
@@ -143,11 +144,11 @@ class Reanchor:
         return clipped, stored_energy(solver) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
-        u = solver.arrays["u"].to_numpy().astype(float).reshape(-1, 3)
+        u = host.values(solver.arrays["u"]).astype(float).reshape(-1, 3)
         m = solver.stencil.mass
         mean = m @ u[: len(m)] / m.sum()
         u += self.alpha * (mean - u)
-        solver.arrays["u"].from_numpy(u.astype(solver.real).ravel())
+        host.put(solver.arrays["u"], u.astype(solver.real).ravel())
 
     def _recompute(self, solver: TotalLagrangian, index: int) -> Floats:
         assert self.gradient is not None

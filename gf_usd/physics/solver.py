@@ -17,7 +17,7 @@ import numpy as np
 from gf_usd.encounters import Encounters
 from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
-from gf_usd.physics import options, setup
+from gf_usd.physics import host, options, setup
 from gf_usd.physics.anchoring import anchor, node_motion
 from gf_usd.physics.approach import attend, watch
 from gf_usd.physics.bodies import fastest, start_velocity
@@ -151,7 +151,7 @@ class TotalLagrangian(Marcher):
 
     def save(self) -> dict[str, Any]:
         """u and v of every node, F0, the offset, the time and the count of substeps."""
-        state = {name: self.arrays[name].to_numpy() for name in "uv"}
+        state = {name: host.values(self.arrays[name]) for name in "uv"}
         if self.options.anchored:
             state["F0"] = self.reanchor.F0.copy()
         if self.meeting:
@@ -161,7 +161,7 @@ class TotalLagrangian(Marcher):
     def restore(self, saved: dict[str, Any]) -> None:
         """Go back to what `save` returned."""
         for name in "uv":
-            self.arrays[name].from_numpy(saved[name])
+            host.put(self.arrays[name], saved[name])
         if self.options.anchored:
             self.reanchor.put(self, saved["F0"])
         if self.meeting:
@@ -205,9 +205,10 @@ class TotalLagrangian(Marcher):
         clipped, injected = self.reanchor.frame(self, index)
         work, given, overlap = self.meeting.passage(self) if self.meeting else (0.0, 0.0, 0.0)
         passage = Passage(
-            work=float(self.arrays["work"].to_numpy().astype(float).sum()) + work,
+            work=float(host.values(self.arrays["work"]).astype(float).sum()) + work,
             injected=injected + given,
             overlap=overlap,
+            let_go=self.meeting.let_go if self.meeting else 0,
             clamped=int((touched["clamped"] | clipped).sum()),
             stress_capped=int(touched["stress_capped"].sum()),
         )
@@ -215,8 +216,8 @@ class TotalLagrangian(Marcher):
             return passage
         return replace(
             passage,
-            friction_capped=int(self.arrays["sample_capped"].to_numpy().sum()),
-            penetration=float(self.arrays["sample_depth"].to_numpy().max()),
+            friction_capped=int(host.values(self.arrays["sample_capped"]).sum()),
+            penetration=float(host.values(self.arrays["sample_depth"]).max()),
         )
 
     def vector(self, values: Any) -> Any:
@@ -231,14 +232,14 @@ class TotalLagrangian(Marcher):
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
         if self.holder:
             return
-        u = self.arrays["u"].to_numpy().astype(float).reshape(-1, 3)
+        u = host.values(self.arrays["u"]).astype(float).reshape(-1, 3)
         mean = self.stencil.mass @ u[: self.stencil.free_count] / self.stencil.mass.sum()
         self.offset = self.offset + mean
-        self.arrays["u"].from_numpy((u - mean).astype(self.real).ravel())
+        host.put(self.arrays["u"], (u - mean).astype(self.real).ravel())
 
     def state(self) -> tuple[Floats, Floats]:
         """Displacement (without the offset) and velocity of the free nodes, (free, 3), float64."""
-        u, v = (self.arrays[name].to_numpy().astype(float).reshape(-1, 3) for name in "uv")
+        u, v = (host.values(self.arrays[name]).astype(float).reshape(-1, 3) for name in "uv")
         return u[: self.stencil.free_count], v[: self.stencil.free_count]
 
     def read(self, index: int) -> Frame:

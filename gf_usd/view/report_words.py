@@ -40,6 +40,7 @@ ROWS: tuple[Row, ...] = (
     Row("deepest_penetration_spacings", "The same", "spacings", "distances between particles"),
     Row("deepest_overlap_m", "Deepest overlap", "m", "with another body or an obstacle"),
     Row("deepest_overlap_spacings", "The same", "spacings", "distances between particles"),
+    Row("let_go_max", "Contacts let go", "", "points at once, where a surface is inside out"),
     Row("penetration_at_end_spacings", "Deep at the end", "spacings", "in the last frame"),
     Row("resting_penetration_m", "The same", "m", "in the last frame, where it lies still"),
     Row("resting_penetration_spacings", "Deep at rest", "spacings", "where it lies still"),
@@ -90,6 +91,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "injected": ("injected_J",),
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
     "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
+    "let-go": ("let_go_max",),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),
     "free-flight": ("momentum_drift", "angular_momentum_drift"),
 }

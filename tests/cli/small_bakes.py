@@ -24,7 +24,7 @@ BAKE = ["look", "cache", "material", "frames", "health"]
 HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
-    "deepest_overlap_m", "deepest_overlap_spacings",
+    "deepest_overlap_m", "deepest_overlap_spacings", "let_go_max",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
     "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",
     "inverted_at_end", "first_inverted_frame", "clamped_particle_frames", "clamped_share",

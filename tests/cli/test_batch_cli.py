@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from small_bakes import BLOCK, Done, names
 
-from gf_usd.batch.locks import acquire
+from gf_usd.locks import acquire
 from gf_usd.usd.check import check_file
 
 Call = Callable[..., Done]

@@ -50,7 +50,10 @@ def bake_duck(sample: Path, folder: Path) -> Baked:
 
 
 def bake_blocks(folder: Path) -> Baked:
-    """Two blocks of centimetres, Z up, under transforms that nothing may mix up."""
+    """Two blocks of centimetres, Z up, under transforms that nothing may mix up, as one body.
+
+    One material: jelly apart would be two, softer for the smaller block.
+    """
     asset = folder / "blocks.usdc"
     stage = Usd.Stage.CreateNew(str(asset))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -67,7 +70,7 @@ def bake_blocks(folder: Path) -> Baked:
         above.AddScaleOp().Set(Gf.Vec3f(*scale))
         _block(stage, f"/Blocks/{name}/Mesh")
     stage.Save()
-    return _bake(asset, material="jelly", drop="0.1r")
+    return _bake(asset, material="jelly", drop="0.1r", combine=True)
 
 
 def bake_obj(folder: Path) -> Baked:

@@ -76,6 +76,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(overlap=0.101)),
         "overlapped by 1 spacings (0.101 m)",
     ),
+    "let-go": (
+        summary(Health(let_go=0)),
+        summary(Health(let_go=3)),
+        "3 contact points at once seemed deeper",
+    ),
     "resting-depth": (
         summary(Health(penetration=0.024)),
         summary(Health(penetration=0.026)),

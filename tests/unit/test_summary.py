@@ -144,6 +144,7 @@ def test_totals_and_extremes() -> None:
         "deepest_penetration_spacings": pytest.approx(0.5),
         "deepest_overlap_m": 0.0,
         "deepest_overlap_spacings": 0.0,
+        "let_go_max": 0,
         "penetration_at_end_spacings": pytest.approx(0.2),
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),

@@ -13,10 +13,10 @@ from batch_jobs import job
 
 from gf_usd.batch import resources, task
 from gf_usd.batch.child import Children, Ended
-from gf_usd.batch.locks import acquire
 from gf_usd.batch.record import read_record
 from gf_usd.batch.run import collect, run_here
 from gf_usd.batch.task import Limits
+from gf_usd.locks import acquire
 
 RESULT = {"warnings": [], "check": [], "bakes": [{"frames": 2, "health": {}}]}
 KILLED = (-9, "", "")

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from gf_usd.batch.locks import acquire, lock_path
 from gf_usd.errors import BakeError
+from gf_usd.locks import acquire, inherited, lock_path
 
 HOLD = (
-    "import sys, time; from pathlib import Path; from gf_usd.batch.locks import acquire;"
+    "import sys, time; from pathlib import Path; from gf_usd.locks import acquire;"
     "held = acquire(Path(sys.argv[1])); print(held is not None, flush=True); time.sleep(60)"
 )
 
@@ -95,3 +95,27 @@ def test_a_folder_that_cannot_be_is_an_error_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BakeError, match=r"\.a\.usda\.lock cannot be made"):
         acquire(tmp_path / "file" / "a.usda")
+
+
+def test_a_lock_whose_file_was_removed_is_still_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.usda"
+    first = acquire(path)
+    assert first is not None
+    first.release(remove=True)
+    assert not lock_path(path).exists()
+    second = acquire(path)
+    assert second is not None
+    assert acquire(path) is None
+    second.release()
+
+
+def test_a_child_knows_the_locks_it_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = acquire(tmp_path / "a.usda")
+    assert held is not None
+    monkeypatch.setenv("GF_USD_LOCKS", str(held.descriptor))
+    assert inherited(tmp_path / "a.usda")
+    assert not inherited(tmp_path / "b.usda")
+    held.release()
+    assert not inherited(tmp_path / "a.usda")  # a number that is no descriptor any more

@@ -1,0 +1,66 @@
+"""Two bakes of one output at once: the second is refused, and nothing of the first is touched."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from resumed import require_whole, start, wait_for
+from small_bakes import names
+
+from gf_usd.baking import prepare, run
+from gf_usd.errors import UsageError
+from gf_usd.locks import acquire, lock_path
+from tests.captures import ball, write_ply
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="no file locks")
+STEM = "block.rubber"
+LONG = ("--particles", "200", "--frames", "100000", "--drop", "150", "--max-hours", "1000",
+        "--clip-frames", "1", "-q")  # fmt: skip
+
+
+def test_a_second_bake_is_refused_until_the_first_is_gone(gf_usd, here: Path, block: Path) -> None:
+    first = start("bake", block, *LONG)
+    words = ("bake", block, "--particles", "200", "--frames", "2", "-q", "--overwrite")
+    try:
+        wait_for(first, here / f"{STEM}.checkpoint.npz")
+        second = gf_usd(*words)
+        assert second.status == 2
+        assert f"another bake is writing {STEM}.usda" in second.err
+        assert "hint: wait until it is done, or choose another -o" in second.err
+        assert first.poll() is None
+        assert (here / f"{STEM}.checkpoint.npz").exists()
+    finally:
+        first.kill()
+        first.communicate(timeout=60)
+    require_whole(here)
+    # the file of a lock whose process was killed is in nobody's way, and goes with the next one
+    assert lock_path(here / f"{STEM}.usda").exists()
+    assert gf_usd(*words).status == 0
+    assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
+
+
+def test_a_result_that_came_after_the_look_is_not_replaced(here: Path, block: Path) -> None:
+    asked = {"particles": 200, "frames": 2}
+    plan, other = prepare(block, **asked), prepare(block, **asked)
+    run(other)
+    before = (here / f"{STEM}.usda").read_bytes()
+    with pytest.raises(UsageError, match=r"another bake wrote .* while this one was prepared"):
+        run(plan)
+    assert (here / f"{STEM}.usda").read_bytes() == before
+    assert not lock_path(here / f"{STEM}.usda").exists()
+
+
+def test_frames_of_one_name_have_one_writer(gf_usd, here: Path, tmp_path: Path) -> None:
+    path = write_ply(tmp_path / "ball.ply", ball(300, degree=0))
+    held = acquire(here / "all" / "ball.rubber.ply")
+    assert held is not None
+    words = ("bake", path, "--particles", "200", "--frames", "2", "-q", "--export-ply", "all")
+    refused = gf_usd(*words)
+    assert refused.status == 2
+    assert "another bake is writing all/ball.rubber.ply" in refused.err
+    assert "name another folder for the frames" in refused.err
+    held.release(remove=True)
+    assert gf_usd(*words).status == 0
+    assert names(here / "all") == ["ball.rubber.0001.ply", "ball.rubber.0002.ply"]
