@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from gf_usd.cli import remains
-from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import (
+    Combine,
+    Fps,
+    Frames,
+    LimitsOf,
+    Particles,
+    Prims,
+    Seed,
+    Spacing,
+    Start,
+)
 from gf_usd.cli.output_options import (
     ClipFrames,
     Flatten,
@@ -222,6 +232,7 @@ def bake(
     max_hours: Annotated[
         float, typer.Option(min=0.0, help="Refuse a bake that is estimated to take longer [h].")
     ] = 1.0,
+    limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
@@ -234,8 +245,13 @@ def bake(
     """
     from gf_usd.baking import prepare, run
     from gf_usd.cli.talk import announce, progress, show_plan, summarise
+    from gf_usd.isolation import parse_limits, try_asset
     from gf_usd.judgement import require_healthy
 
+    try_asset(
+        asset, parse_limits(limits), prims=prim or (), meters_per_unit=meters_per_unit,
+        up_axis=up_axis, time_code=start,
+    )  # fmt: skip
     plan = prepare(
         asset, material=material, output=output, law=law, prims=prim or (),
         overwrite=overwrite or dry_run,  # a dry run replaces nothing

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli.options import Combine, Fps, Frames, Particles, Prims, Seed, Spacing, Start
+from gf_usd.cli.options import (
+    Combine,
+    Fps,
+    Frames,
+    LimitsOf,
+    Particles,
+    Prims,
+    Seed,
+    Spacing,
+    Start,
+)
 from gf_usd.errors import InputError
 
 
@@ -47,15 +57,22 @@ def inspect(
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
     ] = False,
+    limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:  # fmt: skip
     """Look before you bake: meshes, holes, units, thin parts, particles, time, memory, disk.
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """
+    from gf_usd.isolation import parse_limits, try_asset
     from gf_usd.preflight import inspect as look
 
+    bounds = parse_limits(limits)
     try:
+        try_asset(
+            asset, bounds, prims=prim or (), meters_per_unit=meters_per_unit, up_axis=up_axis,
+            time_code=start,
+        )  # fmt: skip
         seen = look(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
