@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from gf_usd.errors import GfUsdError, InputError, UsageError
 
@@ -64,35 +64,35 @@ def parse_limits(text: str | None) -> Limits | None:
     return limits
 
 
-def try_asset(
+def try_asset(path: Path, limits: Limits | None, **options: Any) -> None:
+    """Read an asset in a child, as a bake will; options are those of `read_asset`.
+
+    Raises InputError as `attempt` does.  What the reader refuses is left for the parent to say.
+    """
+    attempt(path, lambda: read_untrusted(path, **options), limits)
+
+
+def read_untrusted(
     path: Path,
-    limits: Limits | None,
     *,
     prims: Sequence[str] = (),
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     time_code: float | None = None,
 ) -> None:
-    """Read an asset in a child, as a bake will; arguments are those of `read_asset`.
+    """All that a bake reads of a file before it fills it.  Raises InputError as `read_asset`."""
+    from gf_usd.assets import convert, read_asset
+    from gf_usd.stage_reading import read_words
 
-    Raises InputError as `attempt` does.  What the reader refuses is left for the parent to say.
-    """
-
-    def read() -> None:
-        from gf_usd.assets import convert, read_asset
-        from gf_usd.stage_reading import read_words
-
-        converted = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
-        if converted is not None:
-            converted.asset(prims=tuple(prims), time_code=time_code)
-            return
-        asset = read_asset(
-            path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis,
-            time_code=time_code,
-        )  # fmt: skip
+    converted = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+    if converted is not None:
+        converted.asset(prims=tuple(prims), time_code=time_code)
+        return
+    asset = read_asset(
+        path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis, time_code=time_code
+    )
+    if asset.surfaces:
         read_words(asset, path, prims, rest=time_code, elastic=True)
-
-    attempt(path, read, limits)
 
 
 def attempt(path: Path, work: Callable[[], object], limits: Limits | None) -> None:
