@@ -38,8 +38,12 @@ def reading(path: Path) -> Iterator[None]:
 
 def _first_words(error: Tf.ErrorException) -> str:
     """The first sentence of a USD error, without the place in USD's own source."""
-    quoted = re.search(r": '(.*?)'(?:\n|$)", str(error), re.DOTALL)
-    text = quoted.group(1) if quoted else str(error)
+    try:
+        said = str(error)
+    except UnicodeDecodeError:
+        return "it holds bytes that are not UTF-8"  # which the error quotes
+    quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
+    text = quoted.group(1) if quoted else said
     return text.strip().splitlines()[0].strip()
 
 
