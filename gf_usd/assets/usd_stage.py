@@ -149,10 +149,10 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
     if not stage.HasAuthoredMetadata(key):
         return None
     value = _metadata(stage, key)
-    if not isinstance(value, float | int) or not (math.isfinite(value) and value > 0.0):
+    if not isinstance(value, float | int) or not (1e-30 < value < 1e30):
         option = " or give --meters-per-unit" if key == "metersPerUnit" else ""
         raise InputError(
-            f"{path}: {key} = {value!r}; it must be a number above 0",
+            f"{path}: {key} = {value!r}; it must be a number above 1e-30 and below 1e30",
             f"author {key} in the file{option}",
         )
     # A unit that went through single precision (0.00999999977...) is the short decimal it was.
