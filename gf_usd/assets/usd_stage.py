@@ -38,13 +38,21 @@ def reading(path: Path) -> Iterator[None]:
 
 def _first_words(error: Tf.ErrorException) -> str:
     """The first sentence of a USD error, without the place in USD's own source."""
-    try:
-        said = str(error)
-    except UnicodeDecodeError:
-        return "it holds bytes that are not UTF-8"  # which the error quotes
+    said = _text(error)
     quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
-    text = quoted.group(1) if quoted else said
-    return text.strip().splitlines()[0].strip()
+    return _first_line(quoted.group(1) if quoted else said)
+
+
+def _text(error: object) -> str:
+    """What an error of USD says, which may quote bytes of the file that are no text."""
+    try:
+        return str(error)
+    except UnicodeDecodeError:
+        return "it holds bytes that are not UTF-8"
+
+
+def _first_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it does not say why"])[0].strip()
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -79,10 +87,12 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
     for key in RATES:
         if layer.pseudoRoot.HasInfo(key):
             rate = layer.pseudoRoot.GetInfo(key)
-            if not (math.isfinite(rate) and rate > 0.0):
+            known = isinstance(rate, float | int)  # a text layer holds any type here
+            if not (known and math.isfinite(rate) and rate > 0.0):
                 inside = "" if Path(layer.realPath) == path.resolve() else f" in {layer.identifier}"
+                shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is no number"
                 raise InputError(
-                    f"{path}: {key} = {rate:g}{inside}; it must be above 0",
+                    f"{path}: {key} = {shown}{inside}; it must be above 0",
                     f"set {key} to the frames per second that the asset was made for, e.g. 24",
                 )
 
@@ -102,7 +112,7 @@ def stage_facts(
     root = stage.GetRootLayer()
     rate = next((_metadata(stage, key) for key in RATES if stage.HasAuthoredMetadata(key)), None)
     for error in stage.GetCompositionErrors():
-        notes.add(f"does not compose: {str(error).strip().splitlines()[0]}")
+        notes.add(f"does not compose: {_first_line(_text(error))}")
     default = stage.GetDefaultPrim()
     if root.HasDefaultPrim() and not default:
         notes.add(f"defaultPrim names '{root.defaultPrim}', which does not exist: every root prim")
@@ -151,8 +161,10 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
     value = _metadata(stage, key)
     if not isinstance(value, float | int) or not (1e-30 < value < 1e30):
         option = " or give --meters-per-unit" if key == "metersPerUnit" else ""
+        odd = isinstance(value, float | int) and value > 0.0
         raise InputError(
-            f"{path}: {key} = {value!r}; it must be a number above 1e-30 and below 1e30",
+            f"{path}: {key} = {value!r}; it must be a number "
+            + ("from 1e-30 to 1e30" if odd else "above 0"),
             f"author {key} in the file{option}",
         )
     # A unit that went through single precision (0.00999999977...) is the short decimal it was.
