@@ -8,6 +8,7 @@ read the file itself.  Without fork (Windows) nothing is tried and nothing is li
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import math
 import os
 import re
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -65,11 +67,25 @@ def parse_limits(text: str | None) -> Limits | None:
 
 
 def try_asset(path: Path, limits: Limits | None, **options: Any) -> None:
-    """Read an asset in a child, as a bake will; options are those of `read_asset`.
+    """Read an asset in a child, as a bake will; options are those of `read_untrusted`.
 
     Raises InputError as `attempt` does.  What the reader refuses is left for the parent to say.
     """
+    if _isolates(path, limits):
+        _import_readers(path)
     attempt(path, lambda: read_untrusted(path, **options), limits)
+
+
+def _import_readers(path: Path) -> None:
+    """What a child would import, and the parent again after it, at the price of the whole trial."""
+    from gf_usd.assets import READERS, USD
+
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        import_module(READERS[suffix].split(":")[0])
+    if suffix in USD:
+        for name in ("usd_bake", "usd_painted", "usd_physics"):
+            import_module(f"gf_usd.assets.{name}")
 
 
 def read_untrusted(
@@ -79,8 +95,12 @@ def read_untrusted(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     time_code: float | None = None,
+    elastic: bool = True,
 ) -> None:
-    """All that a bake reads of a file before it fills it.  Raises InputError as `read_asset`."""
+    """All that a bake reads of a file before it fills it.
+
+    The options are those of `read_asset` and `read_words`.  Raises InputError as these do.
+    """
     from gf_usd.assets import convert, read_asset
     from gf_usd.stage_reading import read_words
 
@@ -92,7 +112,12 @@ def read_untrusted(
         path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis, time_code=time_code
     )
     if asset.surfaces:
-        read_words(asset, path, prims, rest=time_code, elastic=True)
+        read_words(asset, path, prims, rest=time_code, elastic=elastic)
+
+
+def _isolates(path: Path, limits: Limits | None) -> bool:
+    """Whether a file is tried in a child at all: what is no file is refused without one."""
+    return limits is not None and hasattr(os, "fork") and path.is_file()
 
 
 def attempt(path: Path, work: Callable[[], object], limits: Limits | None) -> None:
@@ -104,7 +129,7 @@ def attempt(path: Path, work: Callable[[], object], limits: Limits | None) -> No
     Raises InputError where the child crashed, failed with an error that is not ours, took longer
     than `limits.time` or asked for more than `limits.memory`.
     """
-    if limits is None or not hasattr(os, "fork") or not path.is_file():
+    if limits is None or not _isolates(path, limits):
         return
     with tempfile.TemporaryDirectory(prefix="gf-usd-") as scratch:
         read_end, write_end = os.pipe()
@@ -164,10 +189,17 @@ def _end(child: int) -> int:
 
 
 def _in_child(work: Callable[[], object], limits: Limits, pipe: int, scratch: str) -> NoReturn:
-    """Do the work and say how it ended; whatever happens, no line of the parent's runs here."""
+    """Do the work and say how it ended; whatever happens, no line of the parent's runs here.
+
+    This is the one place that takes any error: it is the end of a process, there is nobody above
+    to pass it to, and what a parser written by others may raise cannot be listed.  Nothing is
+    hidden by it: an error of ours is raised again, as it is, by the parent's own reading, and any
+    other becomes an InputError with its type and words.
+    """
     said = FINE
     try:
         os.setpgid(0, 0)
+        faulthandler.disable()  # the parent says how it crashed
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
         quiet = os.open(os.devnull, os.O_RDWR)
@@ -175,22 +207,25 @@ def _in_child(work: Callable[[], object], limits: Limits, pipe: int, scratch: st
             os.dup2(quiet, standard)
         tempfile.tempdir = os.environ["TMPDIR"] = scratch
         _limit(limits)
-        work()
-    except GfUsdError:
-        pass  # the parent reads the file next, and says it in its own place
-    except MemoryError:
-        said = NO_MEMORY
+        with contextlib.suppress(GfUsdError):  # the parent meets it in the order of its checks
+            work()
     finally:
         error = sys.exc_info()[1]
         if error is not None:
-            said = NO_MEMORY if "bad_alloc" in str(error) else _words(error)
+            said = _words(error)
         os.write(pipe, said)
-        os._exit(0)
+        os._exit(0)  # no teardown: freeing a stage takes time, and its end is nobody's concern
 
 
 def _words(error: BaseException) -> bytes:
-    first = (str(error).strip().splitlines() or [""])[0][:300]
-    return FAILED + f"{type(error).__name__}: {first}".encode()
+    """NO_MEMORY, or type and first line of an error, whatever its words are."""
+    try:
+        first = (str(error).strip().splitlines() or [""])[0][:300]
+    except UnicodeDecodeError:
+        first = "its words are not UTF-8"
+    if isinstance(error, MemoryError) or "bad_alloc" in first:
+        return NO_MEMORY
+    return FAILED + f"{type(error).__name__}: {first}".encode(errors="replace")
 
 
 def _limit(limits: Limits) -> None:

@@ -245,13 +245,9 @@ def bake(
     """
     from gf_usd.baking import prepare, run
     from gf_usd.cli.talk import announce, progress, show_plan, summarise
-    from gf_usd.isolation import parse_limits, try_asset
+    from gf_usd.isolation import parse_limits
     from gf_usd.judgement import require_healthy
 
-    try_asset(
-        asset, parse_limits(limits), prims=prim or (), meters_per_unit=meters_per_unit,
-        up_axis=up_axis, time_code=start,
-    )  # fmt: skip
     plan = prepare(
         asset, material=material, output=output, law=law, prims=prim or (),
         overwrite=overwrite or dry_run,  # a dry run replaces nothing
@@ -266,6 +262,7 @@ def bake(
         meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
         range=range, handles=handles, clip_frames=clip_frames, resume=resume,
+        limits=parse_limits(limits),
     )  # fmt: skip
     remains.watch(plan.outputs.checkpoints)
     if dry_run:

@@ -22,15 +22,9 @@ def check(
     Exit status 1 if there is an error, 0 otherwise: warnings do not count.
     """
     from gf_usd.isolation import attempt, parse_limits
-
-    def look() -> object:
-        from gf_usd.usd.check import check_file
-
-        return check_file(file)
-
-    attempt(file, look, parse_limits(limits))
     from gf_usd.usd.check import check_file
 
+    attempt(file, lambda: check_file(file), parse_limits(limits))
     result = check_file(file)
     if as_json:
         out = {

@@ -64,20 +64,16 @@ def inspect(
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """
-    from gf_usd.isolation import parse_limits, try_asset
+    from gf_usd.isolation import parse_limits
     from gf_usd.preflight import inspect as look
 
     bounds = parse_limits(limits)
     try:
-        try_asset(
-            asset, bounds, prims=prim or (), meters_per_unit=meters_per_unit, up_axis=up_axis,
-            time_code=start,
-        )  # fmt: skip
         seen = look(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
             spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,
-            seed=seed, combine=combine,
+            seed=seed, combine=combine, limits=bounds,
         )  # fmt: skip
     except InputError as error:
         if as_json:
