@@ -22,6 +22,7 @@ from hostile_files import broken, sound
 
 from gf_usd.errors import GfUsdError, InputError
 from gf_usd.isolation import Limits, attempt, read_untrusted
+from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
 
 TOGETHER = 25  # cases of one child
 EACH = Limits(time=10.0, memory=8e9, output=1e8)

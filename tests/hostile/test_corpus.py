@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -80,13 +83,28 @@ def test_bomb_in_a_package(tmp_path: Path) -> None:
     attempt(file, lambda: read_untrusted(file), EACH)
 
 
-@pytest.mark.parametrize("seed", range(12))
+SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12)]
+
+
+@pytest.mark.parametrize("seed", [0, 1, *SLOW])
 def test_mutated_files(tmp_path: Path, seed: int) -> None:
     dice = random.Random(f"corpus:{seed}")
     for file in sound(tmp_path / "sound"):
         case = tmp_path / f"case{file.suffix}"
         case.write_bytes(broken(file.read_bytes(), file.suffix, dice))
         attempt(case, lambda case=case: read_untrusted(case), EACH)
+
+
+@pytest.mark.slow
+def test_fuzzer_finds_nothing_in_a_short_run() -> None:
+    """Other cases than the recorded runs: as many as 20 s hold."""
+    fuzz = Path(__file__).parents[2] / "tools" / "fuzz.py"
+    words = [sys.executable, str(fuzz), "--seed", "1000", "--count", "100000", "--seconds", "20"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=150, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    cases = re.search(r"seed 1000: (\d+) cases", done.stdout)
+    assert cases is not None
+    assert int(cases[1]) > 0
 
 
 @pytest.mark.parametrize("value", ["nan", "0"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -12,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from gf_usd.errors import InputError, UsageError
-from gf_usd.isolation import Limits, attempt, parse_limits
+from gf_usd.isolation import Limits, attempt, parse_limits, read_untrusted, try_asset
+from gf_usd.preflight import inspect, prepare
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing is isolated here")
 
@@ -93,3 +95,64 @@ def test_limits_are_parsed() -> None:
 def test_wrong_limits_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is no limit"):
         parse_limits(text)
+
+
+def words_that_fail() -> None:
+    b"\xff".decode()
+
+
+def quoting() -> None:
+    class Quoting(RuntimeError):
+        def __str__(self) -> str:
+            return b"\xff".decode()
+
+    raise Quoting
+
+
+@pytest.mark.parametrize(
+    ("work", "words"),
+    [(words_that_fail, "UnicodeDecodeError: "), (quoting, "Quoting: its words are not UTF-8")],
+)
+def test_errors_of_others_are_named(tmp_path: Path, work: Callable[[], None], words: str) -> None:
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    with pytest.raises(InputError, match=words) as caught:
+        attempt(file, work, Limits())
+    assert "worth a report" in caught.value.hint
+
+
+def crash_in_child(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gf_usd.isolation.read_untrusted", lambda path, **options: crash())
+
+
+@pytest.mark.parametrize("look", [prepare, inspect])
+def test_options_are_judged_before_a_file_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: Callable[..., object]
+) -> None:
+    crash_in_child(monkeypatch)
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    with pytest.raises(UsageError, match="--fps is 0"):
+        look(file, fps=0.0, limits=Limits())
+    with pytest.raises(UsageError, match="there is no material"):
+        look(file, material="ruber", limits=Limits())
+    with pytest.raises(InputError, match="made its reader crash"):
+        look(file, limits=Limits())
+
+
+def test_what_a_child_reads_with_is_imported_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else child and parent import it one after the other."""
+    seen = tmp_path / "seen"
+
+    def note(path: Path, **options: object) -> None:
+        before = set(sys.modules)
+        read_untrusted(path)
+        seen.write_text("\n".join(m for m in set(sys.modules) - before if m.startswith("gf_usd")))
+
+    file = tmp_path / "a.usda"
+    file.write_text('#usda 1.0\ndef Sphere "Ball" {}\n')
+    monkeypatch.setattr("gf_usd.isolation.read_untrusted", note)
+    try_asset(file, Limits())
+    assert seen.read_text() == ""
