@@ -59,8 +59,9 @@ def primvar_at_corners(
         notes.add(f"primvar {what} holds no numbers: ignored", where)
         return None
     values = np.asarray(flat, dtype=np.float64)
-    values = values.reshape((len(values) if primvar.GetTypeName().isArray else 1, -1))
-    if values.shape[-1] < width or len(values) == 0:
+    if values.size:
+        values = values.reshape((len(values) if primvar.GetTypeName().isArray else 1, -1))
+    if values.size == 0 or values.shape[-1] < width:
         notes.add(f"primvar {what} has no values {width} wide: ignored", where)
         return None
     if not np.isfinite(values).all():

@@ -18,6 +18,7 @@ from gf_usd.model import StageFacts
 from gf_usd.units import StageUnits
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
+NO_TEXT = "it holds bytes that are not UTF-8"
 RATES = ("timeCodesPerSecond", "framesPerSecond")
 
 
@@ -27,9 +28,10 @@ def reading(path: Path) -> Iterator[None]:
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
-    except Tf.ErrorException as error:
+    except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: a name that is no text
+        words = _first_words(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
         raise InputError(
-            f"{path} is damaged: {_first_words(error)}",
+            f"{path} is damaged: {words}",
             "export the asset again; a USD viewer should open it before it is baked",
         ) from error
     finally:
@@ -48,7 +50,7 @@ def _text(error: object) -> str:
     try:
         return str(error)
     except UnicodeDecodeError:
-        return "it holds bytes that are not UTF-8"
+        return NO_TEXT
 
 
 def _first_line(text: str) -> str:
