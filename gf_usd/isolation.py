@@ -207,8 +207,13 @@ def _in_child(work: Callable[[], object], limits: Limits, pipe: int, scratch: st
             os.dup2(quiet, standard)
         tempfile.tempdir = os.environ["TMPDIR"] = scratch
         _limit(limits)
-        with contextlib.suppress(GfUsdError):  # the parent meets it in the order of its checks
+        try:
             work()
+        except GfUsdError as error:
+            # The parent meets it in the order of its own checks.  But a reader that ran into the
+            # limit and says so in words would meet no limit there.
+            if "bad_alloc" in str(error):
+                said = NO_MEMORY
     finally:
         error = sys.exc_info()[1]
         if error is not None:

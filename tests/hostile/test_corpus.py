@@ -66,6 +66,27 @@ def test_hostile_file_is_read_or_refused(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
+DECLARED = re.compile(r"^( +)([a-z0-9]+(?:\[\])?) ([A-Za-z:]+) = (?:\[.*?\]|\S+)", re.MULTILINE)
+OTHER = {"odd": "1", "odd[]": "[(1, 2)]", "string": '"x"', "string[]": '["x", "y"]', "int": "3",
+         "int[]": "[]", "float2[]": "[(1, 2), (3, 4), (5, 6)]", "double": "nan"}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", OTHER)
+def test_values_of_another_type_than_the_schema_has(tmp_path: Path, kind: str) -> None:
+    """USD reads what is authored, also under type names that nobody knows."""
+    whole = STAGE.replace("float physics:density", "vector3f[] velocities = [(0, 0, 1)]\n{0}{0}")
+    whole = whole.replace("{0}{0}", "        float physics:density")
+    found = list(DECLARED.finditer(whole))
+    assert {"points", "velocities", "radius", "physics:density"} <= {one[3] for one in found}
+    cases = []
+    for one in found:
+        cases.append(tmp_path / f"{one[3].replace(':', '-')}.usda")
+        line = f"{one[1]}{kind} {one[3]} = {OTHER[kind]}"
+        cases[-1].write_text(whole[: one.start()] + line + whole[one.end() :])
+    for case in cases:
+        attempt(case, lambda case=case: read_untrusted(case), EACH)
+
+
 @pytest.mark.parametrize("name", ["../a.usda", "/tmp/a.usda", "a/../../a.usda"])
 def test_package_that_names_places_outside_writes_nothing(tmp_path: Path, name: str) -> None:
     file = tmp_path / "in" / "trick.usdz"

@@ -74,6 +74,17 @@ def test_a_refusal_is_left_to_the_parent_and_temporary_files_go(tmp_path: Path) 
     assert not Path(seen.read_text()).exists()
 
 
+def test_a_refusal_for_want_of_memory_is_not_tried_again_without_a_limit(tmp_path: Path) -> None:
+    file = tmp_path / "a.usdc"
+    file.write_bytes(b"PXR-USDC")
+
+    def refuse() -> None:
+        raise InputError("a.usdc is damaged: Encountered: std::bad_alloc", "none")
+
+    with pytest.raises(InputError, match="asked for more than 16 GB"):
+        attempt(file, refuse, Limits())
+
+
 def test_output_is_limited(tmp_path: Path) -> None:
     file, large = tmp_path / "a.usda", tmp_path / "large"
     file.write_text("#usda 1.0\n")
