@@ -104,6 +104,15 @@ def test_bomb_in_a_package(tmp_path: Path) -> None:
     attempt(file, lambda: read_untrusted(file), EACH)
 
 
+def refusal(case: Path) -> str:
+    """What the child was stopped for; "" where it came to an end in words or with success."""
+    try:
+        attempt(case, lambda: read_untrusted(case), EACH)
+    except InputError as error:
+        return error.message
+    return ""
+
+
 SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12)]
 
 
@@ -113,7 +122,10 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
     for file in sound(tmp_path / "sound"):
         case = tmp_path / f"case{file.suffix}"
         case.write_bytes(broken(file.read_bytes(), file.suffix, dice))
-        attempt(case, lambda case=case: read_untrusted(case), EACH)
+        stopped = refusal(case)
+        # a count in a crate that USD believes: nothing but the limit stops it
+        believed = case.suffix in (".usdc", ".usdz") and "asked for more than 8 GB" in stopped
+        assert stopped == "" or believed
 
 
 @pytest.mark.slow
