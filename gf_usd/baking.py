@@ -14,6 +14,7 @@ from gf_usd.delivery import deliver, sweep
 from gf_usd.errors import SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
+from gf_usd.isolation import Limits
 from gf_usd.judgement import judge, require_healthy
 from gf_usd.model import BakeInfo, Material
 from gf_usd.moving import Moving
@@ -47,6 +48,7 @@ def bake(
     max_hours: float = MAX_HOURS,
     resume: bool = False,
     slice: int | None = None,
+    limits: Limits | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -68,6 +70,7 @@ def bake(
     max_hours : refuse a bake whose estimate is longer.
     resume : go on from the checkpoints of this bake, if it ended early; see the guide.
     slice : full value clips after which it ends, to be resumed.
+    limits : `isolation.Limits` of a child process that reads the asset first; None: no such trial.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
@@ -84,7 +87,8 @@ def bake(
     """
     plan = prepare(
         path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
-        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume, **options,
+        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume,
+        limits=limits, **options,
     )  # fmt: skip
     result = run(plan, progress, max_hours=max_hours, slice=slice)
     if strict:

@@ -15,6 +15,7 @@ from gf_usd.advising import advise, parse_auto
 from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
 from gf_usd.filling import fill
+from gf_usd.isolation import Limits, try_asset
 from gf_usd.model import Asset
 from gf_usd.output_files import (
     USD,
@@ -48,6 +49,7 @@ def prepare(
     up_axis: str | None = None,
     repair: bool = False,
     resume: bool = False,
+    limits: Limits | None = None,
     **options: Any,
 ) -> Plan:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
@@ -73,6 +75,8 @@ def prepare(
         overwritten = overwrite or (resume and interrupted(files))
         require_free(files, overwritten)
         frames_of(looks, overwritten)
+    # It forks, which must be done before Taichi starts its threads.
+    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
@@ -135,6 +139,7 @@ def inspect(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     repair: bool = False,
+    limits: Limits | None = None,
     **options: Any,
 ) -> Inspection:
     """What `bake` would make of an asset with the same parameters, and what is wrong with it.
@@ -155,6 +160,7 @@ def inspect(
 
     request, looks = _asked(material, law, options)
     source = Path(path)
+    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
     asset = read_asset(
         source,
         prims=tuple(prims),
@@ -199,8 +205,7 @@ def _stage(
     """
     words = StageWords()
     if usd:
-        elastic = not looks or isinstance(looks[0], Auto)
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=elastic)
+        asset, words = read_words(asset, file, prims, rest=request.start, elastic=_elastic(looks))
     if looks and isinstance(looks[0], Auto):
         words = advise(asset, file, words, looks[0], usd=usd, rest=request.start)
         return asset, words, [Authored(looks[0].name)]
@@ -209,6 +214,27 @@ def _stage(
     if words.says_material:
         return asset, words, [Authored(look_name(words, asset.surfaces))]
     return asset, words, [Authored("rubber")]
+
+
+def _elastic(looks: Sequence[Any]) -> bool:
+    """Whether the stage is asked what its bodies are made of."""
+    return not looks or isinstance(looks[0], Auto)
+
+
+def _try(
+    source: Path,
+    limits: Limits | None,
+    request: Request,
+    looks: Sequence[Any],
+    prims: Sequence[str],
+    meters_per_unit: float | None,
+    up_axis: str | None,
+) -> None:
+    """Read it in a child process first, where limits are given."""
+    try_asset(
+        source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
+        time_code=request.start, elastic=_elastic(looks),
+    )  # fmt: skip
 
 
 def _would_fill(asset: Asset) -> bool:

@@ -120,13 +120,14 @@ def _broken(prim: Usd.Prim, reading: Reading, what: str) -> InputError:
 def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
     if str(prim.GetTypeName()) in IMPLICIT:
         points, counts, indices = tessellate(prim, reading.time)
+        none = np.zeros(0, dtype=np.int64)
         return Polygons(
-            points=points, counts=counts, indices=indices, holes=_ints(None), left_handed=False
+            points=points, counts=counts, indices=indices, holes=none, left_handed=False
         )
     mesh, time = UsdGeom.Mesh(prim), reading.time
-    counts = _ints(mesh.GetFaceVertexCountsAttr().Get(time))
-    indices = _ints(mesh.GetFaceVertexIndicesAttr().Get(time))
-    points = np.asarray(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
+    counts = _ints(mesh.GetFaceVertexCountsAttr(), prim, reading)
+    indices = _ints(mesh.GetFaceVertexIndicesAttr(), prim, reading)
+    points = _points(mesh.GetPointsAttr(), prim, reading)
     if len(points) == 0 or len(counts) == 0:
         raise LeftAlone(f"has {len(points)} points and {len(counts)} faces")
     _require_sound(prim, reading, points, counts, indices)
@@ -141,13 +142,35 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
         points=points,
         counts=counts,
         indices=indices,
-        holes=_ints(mesh.GetHoleIndicesAttr().Get(time)),
+        holes=_ints(mesh.GetHoleIndicesAttr(), prim, reading),
         left_handed=mesh.GetOrientationAttr().Get(time) == UsdGeom.Tokens.leftHanded,
     )
 
 
-def _ints(values: object) -> Ints:
-    return np.asarray([] if values is None else values, dtype=np.int64).reshape(-1)
+def _ints(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Ints:
+    values = _values(attribute, reading)
+    if len(values) and (values.dtype.kind not in "iu" or values.ndim != 1):
+        raise _mistyped(attribute, prim, reading, "int[]")
+    return values.astype(np.int64).reshape(-1)
+
+
+def _points(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Floats:
+    values = _values(attribute, reading)
+    if len(values) and (values.dtype.kind not in "fiu" or values.shape[1:] != (3,)):
+        raise _mistyped(attribute, prim, reading, "point3f[]")
+    return values.astype(np.float64).reshape(-1, 3)
+
+
+def _values(attribute: Usd.Attribute, reading: Reading) -> np.ndarray:
+    """Values as they are; a file may author another type than the schema's, known or not."""
+    values = attribute.Get(reading.time)
+    return np.atleast_1d(np.asarray([] if values is None else values))
+
+
+def _mistyped(
+    attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading, wanted: str
+) -> InputError:
+    return _broken(prim, reading, f"the values of {attribute.GetName()} are not of type {wanted}")
 
 
 def _require_sound(

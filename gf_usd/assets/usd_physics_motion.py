@@ -143,9 +143,13 @@ def _authored_velocities(prim: Usd.Prim, reading: Reading, notes: Notes) -> Floa
     value = attribute.Get(reading.time) if attribute and attribute.HasAuthoredValue() else None
     if value is None or attribute.GetTypeName() != Sdf.ValueTypeNames.Vector3fArray:
         return None
-    local = np.array(value, dtype=np.float64).reshape(-1, 3)
+    where, local = str(prim.GetPath()), np.asarray(value)
+    # the schema names the type, the file may author another
+    if local.dtype.kind not in "fiu" or local.shape[1:] != (3,):
+        notes.add("its velocities are not of type vector3f[]: ignored", where)
+        return None
+    local = local.astype(np.float64)
     count = len(UsdGeom.PointBased(prim).GetPointsAttr().Get(reading.time) or [])
-    where = str(prim.GetPath())
     if len(local) != count or not np.isfinite(local).all():
         notes.add(
             f"its {len(local)} velocities are not one finite one for each point: ignored", where

@@ -59,8 +59,10 @@ def primvar_at_corners(
         notes.add(f"primvar {what} holds no numbers: ignored", where)
         return None
     values = np.asarray(flat, dtype=np.float64)
-    values = values.reshape((len(values) if primvar.GetTypeName().isArray else 1, -1))
-    if values.shape[-1] < width or len(values) == 0:
+    if values.size:  # the type that is authored may be no array, whatever the one that is declared
+        many = values.ndim > 0 and primvar.GetTypeName().isArray
+        values = values.reshape((len(values) if many else 1, -1))
+    if values.size == 0 or values.shape[-1] < width:
         notes.add(f"primvar {what} has no values {width} wide: ignored", where)
         return None
     if not np.isfinite(values).all():

@@ -18,6 +18,7 @@ from gf_usd.model import StageFacts
 from gf_usd.units import StageUnits
 
 MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
+NO_TEXT = "it holds bytes that are not UTF-8"
 RATES = ("timeCodesPerSecond", "framesPerSecond")
 
 
@@ -27,9 +28,10 @@ def reading(path: Path) -> Iterator[None]:
     delegate = UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield
-    except Tf.ErrorException as error:
+    except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: a name that is no text
+        words = _first_words(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
         raise InputError(
-            f"{path} is damaged: {_first_words(error)}",
+            f"{path} is damaged: {words}",
             "export the asset again; a USD viewer should open it before it is baked",
         ) from error
     finally:
@@ -38,9 +40,21 @@ def reading(path: Path) -> Iterator[None]:
 
 def _first_words(error: Tf.ErrorException) -> str:
     """The first sentence of a USD error, without the place in USD's own source."""
-    quoted = re.search(r": '(.*?)'(?:\n|$)", str(error), re.DOTALL)
-    text = quoted.group(1) if quoted else str(error)
-    return text.strip().splitlines()[0].strip()
+    said = _text(error)
+    quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
+    return _first_line(quoted.group(1) if quoted else said)
+
+
+def _text(error: object) -> str:
+    """What an error of USD says, which may quote bytes of the file that are no text."""
+    try:
+        return str(error)
+    except UnicodeDecodeError:
+        return NO_TEXT
+
+
+def _first_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it does not say why"])[0].strip()
 
 
 def open_stage(path: Path) -> Usd.Stage:
@@ -75,10 +89,12 @@ def _require_rates(path: Path, layer: Sdf.Layer) -> None:
     for key in RATES:
         if layer.pseudoRoot.HasInfo(key):
             rate = layer.pseudoRoot.GetInfo(key)
-            if not (math.isfinite(rate) and rate > 0.0):
+            known = isinstance(rate, float | int)  # a text layer holds any type here
+            if not (known and math.isfinite(rate) and rate > 0.0):
                 inside = "" if Path(layer.realPath) == path.resolve() else f" in {layer.identifier}"
+                shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is no number"
                 raise InputError(
-                    f"{path}: {key} = {rate:g}{inside}; it must be above 0",
+                    f"{path}: {key} = {shown}{inside}; it must be above 0",
                     f"set {key} to the frames per second that the asset was made for, e.g. 24",
                 )
 
@@ -98,7 +114,7 @@ def stage_facts(
     root = stage.GetRootLayer()
     rate = next((_metadata(stage, key) for key in RATES if stage.HasAuthoredMetadata(key)), None)
     for error in stage.GetCompositionErrors():
-        notes.add(f"does not compose: {str(error).strip().splitlines()[0]}")
+        notes.add(f"does not compose: {_first_line(_text(error))}")
     default = stage.GetDefaultPrim()
     if root.HasDefaultPrim() and not default:
         notes.add(f"defaultPrim names '{root.defaultPrim}', which does not exist: every root prim")
@@ -145,10 +161,12 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
     if not stage.HasAuthoredMetadata(key):
         return None
     value = _metadata(stage, key)
-    if not isinstance(value, float | int) or not (math.isfinite(value) and value > 0.0):
+    if not isinstance(value, float | int) or not (1e-30 < value < 1e30):
         option = " or give --meters-per-unit" if key == "metersPerUnit" else ""
+        odd = isinstance(value, float | int) and value > 0.0
         raise InputError(
-            f"{path}: {key} = {value!r}; it must be a number above 0",
+            f"{path}: {key} = {value!r}; it must be a number "
+            + ("from 1e-30 to 1e30" if odd else "above 0"),
             f"author {key} in the file{option}",
         )
     # A unit that went through single precision (0.00999999977...) is the short decimal it was.

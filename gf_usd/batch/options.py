@@ -12,6 +12,7 @@ from gf_usd import materials as presets
 from gf_usd.advice import AUTO
 from gf_usd.advising import parse_auto
 from gf_usd.errors import UsageError
+from gf_usd.isolation import parse_limits
 from gf_usd.output_files import USD
 from gf_usd.planning import Request
 
@@ -25,9 +26,10 @@ OWN = {
     "repair": "bool",
     "strict": "bool",
     "max_hours": "float",
+    "limits": "str",
 }
 # they decide how long a bake takes and how it is judged, not what it writes
-INDIFFERENT = ("strict", "max_hours", "threads")
+INDIFFERENT = ("strict", "max_hours", "threads", "limits")
 TYPES = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str, int, float)}
 
 
@@ -70,6 +72,7 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
         Request(**asked).check()
         if "law" in out:
             presets.check_law(out["law"])
+        parse_limits(out.get("limits"))
         if "material" in out:
             out["material"] = _materials(out["material"], folder)
     except UsageError as error:

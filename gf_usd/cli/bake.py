@@ -13,6 +13,7 @@ from gf_usd.cli.options import (
     Combine,
     Fps,
     Frames,
+    LimitsOf,
     MaterialBoxes,
     MaterialLabels,
     Particles,
@@ -235,6 +236,7 @@ def bake(
     max_hours: Annotated[
         float, typer.Option(min=0.0, help="Refuse a bake that is estimated to take longer [h].")
     ] = 1.0,
+    limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
@@ -247,6 +249,7 @@ def bake(
     """
     from gf_usd.baking import prepare, run
     from gf_usd.cli.talk import announce, progress, show_plan, summarise
+    from gf_usd.isolation import parse_limits
     from gf_usd.judgement import require_healthy
 
     plan = prepare(
@@ -264,6 +267,7 @@ def bake(
         meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
         range=range, handles=handles, clip_frames=clip_frames, resume=resume,
+        limits=parse_limits(limits),
     )  # fmt: skip
     remains.watch(plan.outputs.checkpoints)
     if dry_run:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.options import LimitsOf
+
 
 def batch(
     sources: Annotated[
@@ -31,6 +33,7 @@ def batch(
     ] = None,
     particles: Annotated[int | None, typer.Option(help="As for bake.")] = None,
     frames: Annotated[int | None, typer.Option(help="As for bake.")] = None,
+    limits: LimitsOf = None,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE, any option of bake; repeatable."),
@@ -110,7 +113,9 @@ def batch(
 
     asked = Asked(
         materials=material, seeds=seed, name=name, out=out, timeout=timeout, retries=retries,
-        settings=parse_settings(setting or (), {"particles": particles, "frames": frames}),
+        settings=parse_settings(
+            setting or (), {"particles": particles, "frames": frames, "limits": limits}
+        ),
         path_mapping=path_mapping,
     )  # fmt: skip
     plan = plan_of(sources, asked)

@@ -9,17 +9,22 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.options import LimitsOf
+
 
 def check(
     file: Annotated[Path, typer.Argument(help="Any USD file, a bake or not.")],
+    limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
     """Run UsdValidation and our own rules over a file; each finding says what to do.
 
     Exit status 1 if there is an error, 0 otherwise: warnings do not count.
     """
+    from gf_usd.isolation import attempt, parse_limits
     from gf_usd.usd.check import check_file
 
+    attempt(file, lambda: check_file(file), parse_limits(limits))
     result = check_file(file)
     if as_json:
         out = {

@@ -12,6 +12,7 @@ from gf_usd.cli.options import (
     Combine,
     Fps,
     Frames,
+    LimitsOf,
     MaterialBoxes,
     MaterialLabels,
     Particles,
@@ -60,21 +61,24 @@ def inspect(
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
     ] = False,
+    limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:  # fmt: skip
     """Look before you bake: meshes, holes, units, thin parts, particles, time, memory, disk.
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """
+    from gf_usd.isolation import parse_limits
     from gf_usd.preflight import inspect as look
 
+    bounds = parse_limits(limits)
     try:
         seen = look(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
             spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,
             seed=seed, combine=combine, material_boxes=tuple(material_box or ()),
-            material_labels=tuple(material_label or ()),
+            material_labels=tuple(material_label or ()), limits=bounds,
         )  # fmt: skip
     except InputError as error:
         if as_json:

@@ -48,3 +48,12 @@ MaterialLabels = Annotated[
         show_default="nothing",
     ),
 ]
+LimitsOf = Annotated[
+    str | None,
+    typer.Option(
+        "--limits",
+        help="Of the process that tries an untrusted file first: time [s], memory [B], output [B]"
+        " as time=600,memory=32G; none reads it at once.",
+        show_default="time=300,memory=16G,output=1G",
+    ),
+]

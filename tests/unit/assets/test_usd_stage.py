@@ -130,6 +130,11 @@ def test_a_zip_that_is_no_usdz(write):
         ("timeCodesPerSecond = -24", "timeCodesPerSecond = -24; it must be above 0"),
         ("metersPerUnit = 0", "metersPerUnit = 0.0; it must be a number above 0"),
         ("metersPerUnit = -1", "metersPerUnit = -1.0; it must be a number above 0"),
+        (
+            "metersPerUnit = 1e-300",
+            "metersPerUnit = 1e-300; it must be a number from 1e-30 to 1e30",
+        ),
+        ("metersPerUnit = inf", "metersPerUnit = inf; it must be a number from 1e-30 to 1e30"),
         ("kilogramsPerUnit = 0", "kilogramsPerUnit = 0.0; it must be a number above 0"),
         ('upAxis = "X"', "upAxis = 'X'; USD knows Y and Z"),
     ],
@@ -158,3 +163,29 @@ def test_options_that_make_no_sense(write):
         read_asset(path, meters_per_unit=-1.0)
     with pytest.raises(InputError, match="up axis 'X'"):
         read_asset(path, up_axis="X")
+
+
+@pytest.mark.parametrize("value", ["</A>", "{ int a = 1 }"])
+def test_a_rate_that_is_no_number_is_refused(write, value):
+    file = write(f"#usda 1.0\n(\n    timeCodesPerSecond = {value}\n)\n{BALL}\n")
+    with pytest.raises(InputError, match="which is no number; it must be above 0") as caught:
+        read_asset(file)
+    assert "set timeCodesPerSecond" in caught.value.hint
+
+
+def test_a_usd_error_may_quote_bytes_that_are_no_text(tmp_path):
+    file = tmp_path / "a.usda"
+    file.write_bytes(b'#usda 1.0\n(\n    defaultPrim = "\xff"\n)\n' + BALL.encode())
+    with pytest.raises(InputError, match="is damaged: it holds bytes that are not UTF-8"):
+        read_asset(file)
+
+
+def test_a_composition_error_may_quote_bytes_that_are_no_text(write, monkeypatch):
+    class Quoting:
+        def __str__(self) -> str:
+            return b"\xff".decode()  # as USD's own do; no file is known that makes one
+
+    file = write(f"#usda 1.0\n{BALL}\n")
+    monkeypatch.setattr(Usd.Stage, "GetCompositionErrors", lambda stage: [Quoting()])
+    notes = read_asset(file).facts.notes
+    assert "does not compose: it holds bytes that are not UTF-8" in notes

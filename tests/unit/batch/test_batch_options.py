@@ -53,3 +53,12 @@ def test_a_word_that_is_no_number_is_refused() -> None:
         parse("frames", "many", "--set")
     with pytest.raises(UsageError, match="repair is 'yes'"):
         clean({"repair": parse("repair", "yes", "--set")}, "here", Path())
+
+
+def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
+    options = clean({"limits": "time=60,memory=4G"}, "here", Path())
+    job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)
+    assert job.words()[-2:] == ["--limits", "time=60,memory=4G"]
+    assert decisive(options) == {"material": "rubber"}
+    with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is no limit"):
+        clean({"limits": "time=0"}, "here", Path())
