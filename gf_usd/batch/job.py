@@ -63,7 +63,7 @@ class Job:
             option = f"--{name.replace('_', '-')}"
             if isinstance(value, list | tuple):
                 for each in value:
-                    words += [option.removesuffix("s"), str(each)]
+                    words += [singular(option), str(each)]
             elif value is True:
                 words.append(option)
             elif value is False:
@@ -137,3 +137,8 @@ class Outcome:
             key: tuple(known[key]) for key in ("warnings", "findings", "notes") if key in known
         }
         return cls(**{**known, **lists})
+
+
+def singular(option: str) -> str:
+    """An option that is given once for each item of a list: prims -> prim, boxes -> box."""
+    return option.removesuffix("es") if option.endswith("xes") else option.removesuffix("s")
