@@ -134,9 +134,10 @@ def _injected(h: Health) -> Said:
     joules = abs(h["injected_J"])
     done = f"put {joules:.3g} J into" if h["injected_J"] > 0.0 else f"took {joules:.3g} J out of"
     return (
-        f"corrections of the shape {done} the body,"
+        f"corrections of the shape and new contact planes {done} the body,"
         f" {100.0 * share:.2g} % of what it has to move and strain with",
-        "lower --procrustes, or use --no-wls",
+        "where bodies crash, lower the impact (--drop) or take more --particles; else lower"
+        " --procrustes, or use --no-wls",
     )
 
 
