@@ -57,7 +57,7 @@ def _leave_lines_whole() -> None:
     """Quote source lines unbroken in Taichi's messages.
 
     Taichi words a position for every expression that it meets, whether or not it has to complain,
-    and breaking these lines at 80 columns took 40 % of the time from a kernel's source to its key
+    and breaking these lines at 80 columns took much of the time from a kernel's source to its key
     in the cache on disk.
     """
     words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Encounters
 from gf_usd.model import Floats, Ints
+from gf_usd.physics import host
 from gf_usd.physics import pair_layout as layout
 from gf_usd.physics.anchoring import constants, node_motion
 from gf_usd.physics.body_skin import BodySkin
@@ -100,13 +101,16 @@ class Meeting:
     def begin(self, solver: TotalLagrangian) -> None:
         """Count from zero."""
         self.injected, self.let_go, self._overlap = 0.0, 0, 0.0
-        pair = solver.arrays["pair"].to_numpy().reshape(-1, layout.ROW)
+        pair = host.values(solver.arrays["pair"]).reshape(-1, layout.ROW)
         pair[:, layout.DEPTH] = pair[:, layout.WORK] = 0.0
-        solver.arrays["pair"].from_numpy(pair.ravel())
+        host.put(solver.arrays["pair"], pair.ravel())
 
     def energy(self, x: Floats, time: float) -> float:
         """[J] in the springs of the last look's planes; x (n, 3) [m]."""
-        return float(0.5 * self._k @ self.faced.depth(x, time - self._looked) ** 2)
+        return self._stored(self.faced.depth(x, time - self._looked))
+
+    def _stored(self, depth: Floats) -> float:
+        return float(0.5 * self._k @ depth**2)
 
     def imminent(self, solver: TotalLagrangian) -> bool:
         """Whether anything may touch before the next frame."""
@@ -116,7 +120,7 @@ class Meeting:
 
     def passage(self, solver: TotalLagrangian) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by looks [J] and deepest overlap [m]."""
-        pair = solver.arrays["pair"].to_numpy().astype(float).reshape(-1, layout.ROW)
+        pair = host.values(solver.arrays["pair"]).astype(float).reshape(-1, layout.ROW)
         deepest = max(self._overlap, float(pair[:, layout.DEPTH].max()))
         return float(pair[:, layout.WORK].sum()), self.injected, deepest
 
@@ -139,7 +143,8 @@ class Meeting:
         time = solver.time + elapsed
         x, v = self.motion(solver)
         meet, hold = self._schedule(solver, x, v, frame, left * dt)
-        before = self.energy(x, time)
+        old = self.faced.depth(x, time - self._looked)
+        before = self._stored(old)
         nodes = node_motion(solver)[0]
         seen = Looking(x, (FACING + LOOK) * self._spacing, self._gap - CLOSER * self._spacing)
         for mine, other in meet:
@@ -149,7 +154,7 @@ class Meeting:
                 self._face_itself(seen, mine, nodes)
             else:
                 self._face_body(seen, mine, other, nodes, solver.offset)
-        deeper = seen.faced.depth(x, 0.0) - self.faced.depth(x, time - self._looked)
+        deeper = seen.faced.depth(x, 0.0) - old
         deeper[np.isinf(self._gap)] = 0.0
         self.faced = eased(seen.faced, np.maximum(0.0, deeper - EASE * self._spacing))
         self._gap, self._looked = seen.gap, time
@@ -258,7 +263,7 @@ class Meeting:
 
     def _upload(self, solver: TotalLagrangian, values: dict[str, Floats], dt: float) -> None:
         f, contact = self.faced, self.contact
-        pair = solver.arrays["pair"].to_numpy().astype(float).reshape(-1, layout.ROW)
+        pair = host.values(solver.arrays["pair"]).astype(float).reshape(-1, layout.ROW)
         pair[:, layout.REST : layout.RATE] = 0.0
         pair[:, layout.REST : layout.DRIFT] = self._X
         if contact.constants is not None:
@@ -278,8 +283,8 @@ class Meeting:
         links = np.full((len(start), layout.LINKS), layout.NOBODY)
         links[:-1, layout.PARTNER], links[:, layout.START] = f.partner, start
         links[: len(order), layout.FACING] = order
-        solver.arrays["pair"].from_numpy(pair.astype(solver.real).ravel())
-        solver.arrays["links"].from_numpy(links.astype(np.int32).ravel())
+        host.put(solver.arrays["pair"], pair.astype(solver.real).ravel())
+        host.put(solver.arrays["links"], links.astype(np.int32).ravel())
 
 
 def pack_arrays(n: int) -> dict[str, Floats]:
