@@ -123,9 +123,11 @@ def test_mutated_files(tmp_path: Path, seed: int) -> None:
         case = tmp_path / f"case{file.suffix}"
         case.write_bytes(broken(file.read_bytes(), file.suffix, dice))
         stopped = refusal(case)
-        # a count in a crate that USD believes: nothing but the limit stops it
-        believed = case.suffix in (".usdc", ".usdz") and "asked for more than 8 GB" in stopped
-        assert stopped == "" or believed
+        # A count in a crate that USD believes: nothing but a limit stops it.  Which one comes first
+        # depends on how fast the machine hands out memory.
+        crate = case.suffix in (".usdc", ".usdz")
+        limited = "asked for more than 8 GB" in stopped or "took longer than 30 s" in stopped
+        assert stopped == "" or (crate and limited), stopped
 
 
 @pytest.mark.slow
