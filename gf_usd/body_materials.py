@@ -211,19 +211,6 @@ def _alike(one: Material, other: Material) -> bool:
     return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
 
 
-def one_law(materials: Sequence[Material], law: str | None) -> tuple[tuple[Material, ...], str]:
-    """Materials of one law, which a bake has, and a note where that is not all they asked for."""
-    laws = {m.law for m in materials}
-    if len(laws) == 1 or law is not None:
-        return tuple(materials), ""
-    changed = sorted({m.name for m in materials if m.law != "neoHookean"})
-    return (
-        tuple(replace(m, law="neoHookean") for m in materials),
-        f"materials of {len(laws)} laws meet in one bake: {', '.join(changed)} is neoHookean here"
-        " too",
-    )
-
-
 def stated_spacing(words: StageWords, volumes: dict[str, float]) -> tuple[float | None, str]:
     """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
 

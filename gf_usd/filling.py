@@ -113,14 +113,12 @@ def fill(
     def finish(look: Any, radius: float) -> Material:
         return _made(look, radius, law, request)
 
-    tables, index, mixed = [], particles.material, []
+    tables, index = [], particles.material
     for look in looks:
         table, index = body_materials.table(
             look, parts, slot, particles, solid, bodies, words, finish
         )
-        table, note = body_materials.one_law(table, law)
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
-        mixed += [note] if note else []
     particles, own = with_own_values(
         replace(particles, material=index), tables[0], slot, parts, solid, bodies, words,
         (request.blend_width or 0.0) * unit,
@@ -155,7 +153,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
-            *regional, *mixed, *own, *physics.notes, *ridden, *left, *skin,
+            *regional, *own, *physics.notes, *ridden, *left, *skin,
             *_options(made, each), *split,
         ),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Skin
 from gf_usd.model import Floats, Ints
-from gf_usd.physics.distance import Closest, closest
+from gf_usd.physics.distance import Closest, closest, outside_where_unwound
 from gf_usd.physics.stencil import Rows
 
 SLACK = 2.0  # a triangle may have grown by as much since it was at rest
@@ -31,12 +31,13 @@ class BodySkin:
         self._reach = SLACK * (gap + reach)
 
     def near(
-        self, X: Floats, x: Floats, u: Floats, offset: Floats, reach: float
+        self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
     ) -> tuple[Closest, Ints]:
         """The surface as points X (m, 3) [m] see it, and the sample nearest to each place seen.
 
-        x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m] as `Rows` stack them,
-        without offset (3,) [m].
+        known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
+        asked of the whole surface.  x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m]
+        as `Rows` stack them, without offset (3,) [m].
         """
         bound = reach + float(self._reach.max())
         gap = cKDTree(X).query(x, distance_upper_bound=bound)[0]
@@ -47,6 +48,10 @@ class BodySkin:
         if len(local) == 0:
             local = np.zeros((0, 3), np.int64)
         seen = closest(X, points, local, reach)
+        doubtful = np.flatnonzero(seen.gap < known[seen.rows])
+        if len(doubtful):
+            whole = self.skin.points + offset + self._W @ u
+            seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
         rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
         _, nearest = self._tree.query(rest) if len(rest) else (None, np.zeros(0, np.int64))
         return seen, self.samples[nearest]

@@ -1,12 +1,13 @@
 """Signed distance of points to triangles: exact, near the triangles only.
 
 The sign is that of the angle-weighted pseudo-normal at the closest point (Baerentzen and Aanaes
-2005, by libigl), so that a surface may be as fine or as deformed as it likes.
+2005, by libigl), so that a surface may be as fine or as deformed as it likes.  Where it is folded
+onto itself or inside out, that sign is wrong, and how often it winds around a point counts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from gf_usd.model import Floats, Ints
 
 ON_SURFACE = 1e-6  # of the reach: nearer, the direction to the surface is rounding
+WOUND = 0.5  # winding numbers are whole but for the error of the fast sum: 0 outside, 1 within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,18 +39,22 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
         return _none()
     used, local = np.unique(triangles[close], return_inverse=True)
     centre = X.mean(0)
+    first, last = corner[close].min((0, 1)) - reach, corner[close].max((0, 1)) + reach
+    asked = np.flatnonzero(((first <= X) & (last >= X)).all(1))
+    if len(asked) == 0:
+        return _none()
     S, at, C, N = igl.signed_distance(
-        np.ascontiguousarray(X - centre, dtype=float),
+        np.ascontiguousarray(X[asked] - centre, dtype=float),
         np.ascontiguousarray(points[used] - centre, dtype=float),
         np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
     )
     gap, at = np.asarray(S).reshape(-1), close[np.asarray(at).reshape(-1)]
-    rows = np.flatnonzero(np.abs(gap) < reach)
-    gap, at, point = gap[rows], at[rows], np.asarray(C)[rows] + centre
+    near = np.flatnonzero(np.abs(gap) < reach)
+    gap, at, point, rows = gap[near], at[near], np.asarray(C)[near] + centre, asked[near]
     away = X[rows] - point
     on = np.linalg.norm(away, axis=1) <= ON_SURFACE * reach
-    away[on] = np.asarray(N)[rows][on]
+    away[on] = np.asarray(N)[near][on]
     # The direction to the closest point is that of the distance's gradient, up to its sign.
     away *= np.where(on | (gap > 0.0), 1.0, -1.0)[:, None]
     length = np.linalg.norm(away, axis=1, keepdims=True)
@@ -60,6 +66,25 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
         point=point,
         normal=away / np.where(length > 0.0, length, 1.0),
     )
+
+
+def outside_where_unwound(
+    seen: Closest, inside: Ints, X: Floats, points: Floats, triangles: Ints
+) -> Closest:
+    """`seen` with those of its rows `inside` outside around which the surface does not wind.
+
+    X : (n, 3) [m] that `seen.rows` are of; points (V, 3) [m], triangles (T, 3) : all of a closed
+    surface.  Its winding number (Jacobson et al. 2013; summed fast as Barill et al. 2018, by
+    libigl) is 1 inside, 2 where it overlaps itself, 0 outside, -1 in a lobe that is inside out.
+    """
+    turns = igl.fast_winding_number(
+        np.ascontiguousarray(points, dtype=float),
+        np.ascontiguousarray(triangles, dtype=np.int64),
+        np.ascontiguousarray(X[seen.rows[inside]], dtype=float),
+    )
+    side = np.ones(len(seen.gap))
+    side[inside[np.asarray(turns).reshape(-1) < WOUND]] = -1.0
+    return replace(seen, gap=side * seen.gap, normal=side[:, None] * seen.normal)
 
 
 def above_plane(X: Floats, corners: Floats, reach: float) -> Closest:

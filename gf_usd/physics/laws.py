@@ -4,15 +4,16 @@ A law is an energy density psi(F) [J/m^3 of rest volume] and its gradient, the f
 stress P = d psi / d F [Pa].  Both are defined for every F, inverted ones included, and are written
 on lanes (see `lanes`): F and P are lists of nine lane vectors, mu and lam lane vectors [Pa].
 The tests run over the registry, so that a new row is held to gradient, objectivity and rest state
-the moment it stands here.
+the moment it stands here.  A body of several laws is simulated with `MIXED`, which is none of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import taichi as ti
 
+from gf_usd.model import Floats, Ints, Material
 from gf_usd.physics.lanes import cofactor, determinant, double_dot, log, rotation
 
 J_EXTENSION = 0.1  # below this J the logarithm is continued by its second-order Taylor polynomial
@@ -25,7 +26,7 @@ class Law:
     token: str  # the value of gaussianFlesh:law
     psi: Callable  # (F, mu, lam, converged) -> energy density
     pk1: Callable  # (F, mu, lam, converged) -> P
-    shear: float  # [mu] d^2 psi / dF^2 along the planes that keep J
+    shear: Callable  # (mu) -> d^2 psi / dF^2 along the planes that keep J [Pa], in numpy
     bulk: Callable  # (J, mu, lam) -> d^2 psi / dJ^2 [Pa], in numpy
     source: str
 
@@ -115,6 +116,25 @@ def neo_hookean_bulk(J, mu, lam):
     return lam * slope**2 + (lam * g - mu) * curvature
 
 
+@ti.func
+def mixed_psi(F, mu, lam, converged):
+    """Corotated where mu > 0, Neo-Hookean of -mu where mu < 0."""
+    shear = ti.max(mu, 0.0 - mu)
+    one = corotated_psi(F, shear, lam, converged)
+    return ti.select(mu > 0.0, one, neo_hookean_psi(F, shear, lam, converged))
+
+
+@ti.func
+def mixed_pk1(F, mu, lam, converged):
+    """P of `mixed_psi`."""
+    shear = ti.max(mu, 0.0 - mu)
+    P = corotated_pk1(F, shear, lam, converged)
+    other = neo_hookean_pk1(F, shear, lam, converged)
+    for a in ti.static(range(9)):
+        P[a] = ti.select(mu > 0.0, P[a], other[a])
+    return P
+
+
 LAWS: dict[str, Law] = {
     law.token: law
     for law in (
@@ -122,7 +142,7 @@ LAWS: dict[str, Law] = {
             token="corotated",
             psi=corotated_psi,
             pk1=corotated_pk1,
-            shear=2.0,
+            shear=lambda mu: 2.0 * mu,
             bulk=corotated_bulk,
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
@@ -130,9 +150,39 @@ LAWS: dict[str, Law] = {
             token="neoHookean",
             psi=neo_hookean_psi,
             pk1=neo_hookean_pk1,
-            shear=1.0,
+            shear=lambda mu: mu,
             bulk=neo_hookean_bulk,
             source="Bonet and Wood 2008, eq. 6.28",
         ),
     )
 }
+
+# Which law a particle has stands in the sign of its mu, so that the kernels need no more arrays.
+MIXED = Law(
+    token="mixed",
+    psi=mixed_psi,
+    pk1=mixed_pk1,
+    shear=lambda mu: np.where(mu > 0.0, 2.0 * mu, -mu),
+    bulk=lambda J, mu, lam: np.where(
+        mu > 0.0, corotated_bulk(J, mu, lam), neo_hookean_bulk(J, np.abs(mu), lam)
+    ),
+    source="each particle's own",
+)
+
+
+def law_of(materials: Sequence[Material]) -> Law:
+    """The law that simulates all of these materials; ValueError where none does."""
+    tokens = {material.law for material in materials}
+    if len(tokens) == 1:
+        return LAWS[tokens.pop()]
+    if tokens != {"corotated", "neoHookean"}:
+        raise ValueError(f"no law simulates {', '.join(sorted(tokens))} together")
+    return MIXED
+
+
+def moduli(law: Law, materials: Sequence[Material], material: Ints, mu: Floats) -> Floats:
+    """mu (N,) [Pa] as the kernels of `law` want it; material : (N,) into materials."""
+    if law is not MIXED:
+        return mu
+    neo = np.array([one.law == "neoHookean" for one in materials])
+    return np.where(neo[material], -mu, mu)

@@ -8,6 +8,7 @@ moved back until that is little, and the rest is counted.  The overlap reported 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +36,8 @@ from gf_usd.physics.neighbours import (
     nothing,
 )
 from gf_usd.physics.neighbours import pair_values as values_of
-from gf_usd.physics.obstacles import box_gap, obstacles
+from gf_usd.physics.obstacles import obstacles
+from gf_usd.physics.schedule import Box, schedule
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -147,13 +149,16 @@ class Meeting:
         before = self._stored(old)
         nodes = node_motion(solver)[0]
         seen = Looking(x, (FACING + LOOK) * self._spacing, self._gap - CLOSER * self._spacing)
-        for mine, other in meet:
+        for other in sorted({other for _, other in meet}):
+            near = [mine for mine, faced in meet if faced == other]
             if other < 0:
-                self._face_obstacle(seen, mine, -1 - other, frame, min(hold, left * dt))
-            elif mine == other:
-                self._face_itself(seen, mine, nodes)
-            else:
-                self._face_body(seen, mine, other, nodes, solver.offset)
+                self._face_obstacle(seen, near, -1 - other, frame, min(hold, left * dt))
+                continue
+            if other in near:
+                self._face_itself(seen, other, nodes)
+                near.remove(other)
+            if near:
+                self._face_body(seen, near, other, nodes, solver.offset)
         deeper = seen.faced.depth(x, 0.0) - old
         deeper[np.isinf(self._gap)] = 0.0
         self.faced = eased(seen.faced, np.maximum(0.0, deeper - EASE * self._spacing))
@@ -181,49 +186,23 @@ class Meeting:
     def _schedule(
         self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float
     ) -> tuple[list[tuple[int, int]], float]:
-        """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds."""
-        s, e = self._spacing, self.encounters
         fall = float(np.linalg.norm(solver.settings.gravity)) * span
-        low = [x[m].min(0) for m in self._members]
-        high = [x[m].max(0) for m in self._members]
-        mean = [v[m].mean(0) for m in self._members]
-        spread = [
-            float(np.linalg.norm(v[m] - u, axis=1).max()) for m, u in zip(self._members, mean)
-        ]
-        near: list[tuple[int, int]] = []
-        hold = np.inf
+        return schedule(
+            [Box.around(x[m], v[m]) for m in self._members],
+            self._obstacles,
+            self.encounters,
+            frame=frame,
+            fall=fall,
+            reach=(FACING + LOOK) * self._spacing,
+            spacing=self._spacing,
+        )
 
-        def judge(pair: tuple[int, int], gap: float, speed: float) -> float:
-            # What no sample faces yet is farther than that off, or comes from beyond the box.
-            reach = (FACING + LOOK) * s
-            if gap < reach:
-                near.append(pair)
-            return max(reach, gap - s) / max(speed, 1e-30)
-
-        for a in range(len(low)):
-            if e.self_contact:
-                hold = min(hold, judge((a, a), 0.0, 2.0 * spread[a] + fall))
-            for b in range(a):
-                if (a, b) in e.through or (b, a) in e.through:
-                    continue
-                speed = float(np.linalg.norm(mean[a] - mean[b])) + spread[a] + spread[b] + fall
-                gap = box_gap(low[a], high[a], low[b], high[b])
-                hold = min(hold, judge((a, b), gap, speed))
-                if near and near[-1] == (a, b):
-                    near.append((b, a))
-            for k, obstacle in enumerate(self._obstacles):
-                if (a, k) in e.through_colliders:
-                    continue
-                speed = float(np.linalg.norm(mean[a])) + spread[a] + fall + obstacle.speed(frame)
-                gap = obstacle.gap(low[a], high[a])
-                hold = min(hold, judge((a, -1 - k), gap, speed))
-        return near, hold
-
-    def _candidates(self, seen: Looking, mine: int, other: int) -> Ints:
-        """Samples of one body so near to samples of the other that they may reach its surface."""
-        x, theirs = seen.x[self._members[mine]], seen.x[self._members[other]]
+    def _candidates(self, seen: Looking, near: Sequence[int], theirs: Floats) -> Ints:
+        """Samples of bodies `near` so close to `theirs` that they may reach that body's surface."""
         low, high = theirs.min(0) - seen.reach, theirs.max(0) + seen.reach
-        boxed = self._members[mine][((x >= low) & (x <= high)).all(1)]
+        members = np.concatenate([self._members[k] for k in near])
+        x = seen.x[members]
+        boxed = members[((x >= low) & (x <= high)).all(1)]
         if len(boxed) == 0:
             return boxed
         far = seen.reach + COVER * self._spacing
@@ -231,13 +210,19 @@ class Meeting:
         return boxed[np.isfinite(gap)]
 
     def _face_body(
-        self, seen: Looking, mine: int, other: int, nodes: Floats, offset: Floats
+        self, seen: Looking, near: Sequence[int], other: int, nodes: Floats, offset: Floats
     ) -> None:
-        rows = self._candidates(seen, mine, other)
+        """All bodies `near` another at once: its surface is made ready only once a look."""
+        theirs = seen.x[self._members[other]]
+        rows = self._candidates(seen, near, theirs)
         if len(rows) == 0:
             return
-        theirs = seen.x[self._members[other]]
-        found, carrier = self._skins[other].near(seen.x[rows], theirs, nodes, offset, seen.reach)
+        # What was inside at the last look is there still; what begins to be may be at a fold.
+        gap = self._gap[rows]
+        known = np.where(gap < 0.0, gap - EASE * self._spacing, 0.0)
+        found, carrier = self._skins[other].near(
+            seen.x[rows], known, theirs, nodes, offset, seen.reach
+        )
         seen.plane(rows[found.rows], found.gap, found.normal, found.point, carrier)
 
     def _face_itself(self, seen: Looking, body: int, nodes: Floats) -> None:
@@ -252,9 +237,9 @@ class Meeting:
         seen.plane(a, gap, normal[b], seen.x[b], b)
 
     def _face_obstacle(
-        self, seen: Looking, body: int, which: int, frame: float, span: float
+        self, seen: Looking, near: Sequence[int], which: int, frame: float, span: float
     ) -> None:
-        rows = self._members[body]
+        rows = np.concatenate([self._members[k] for k in near])
         plane = self._obstacles[which].planes(seen.x[rows], seen.reach, frame, span)
         found = plane.seen
         seen.plane(

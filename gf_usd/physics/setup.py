@@ -27,11 +27,15 @@ def per_particle(
 ) -> dict[str, Floats]:
     """Material values spread over particles, (N,) each, and the rest volume that is simulated.
 
+    signed_mu is `laws.moduli`.
     held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
     """
+    from gf_usd.physics.laws import law_of, moduli
+
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
-    return {**per, "V0": particles.V0 * free}
+    signed = moduli(law_of(materials), materials, particles.material, per["mu"])
+    return {**per, "V0": particles.V0 * free, "signed_mu": signed}
 
 
 def surface_contact(
@@ -148,7 +152,7 @@ def arrays(
         "fx": layout.lanes(batches, fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
-        "mu": layout.lanes(batches, per["mu"], fill=True),
+        "mu": layout.lanes(batches, per["signed_mu"], fill=True),
         "lam": layout.lanes(batches, per["lam"], fill=True),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
         "block": np.zeros((81 * batches.groups, layout.LANES)),

@@ -132,18 +132,18 @@ class TotalLagrangian(Marcher):
             self.acceleration,
         ) | (self.meeting.arrays() if self.meeting else pack_arrays(0))  # fmt: skip
         self.arrays = setup.to_device(values | self.reanchor.start(self), real)
-        self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
+        self._start_kernels(materials, bool((per["damping_time"] > 0).any()))
 
-    def _start_kernels(self, law: str, damped: bool) -> None:
+    def _start_kernels(self, materials: Sequence[Material], damped: bool) -> None:
         import taichi as ti
 
         from gf_usd.physics.kernels import build, pack_type
-        from gf_usd.physics.laws import LAWS
+        from gf_usd.physics.laws import law_of
         from gf_usd.runtime import epoch
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
         self.pack = pack_type(kind, epoch())(**self.arrays)
-        self.law = LAWS[law]
+        self.law = law_of(materials)
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
@@ -268,7 +268,7 @@ class TotalLagrangian(Marcher):
         step = self.step
         if self.meeting and self.meeting.imminent(self):
             step = step.crowded(CROWD)
-        k = stiffness(self.law, stretch, J, self.per["mu"], self.per["lam"])
+        k = stiffness(self.law, stretch, J, self.per["signed_mu"], self.per["lam"])
         nodes = self.stencil
         speed = wave_speed(k, self.per["density"], nodes.order, nodes.cell_start)
         dt = strained_step(step, speed, self.h, setup.per_cell(self.particles, self.h))

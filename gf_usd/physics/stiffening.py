@@ -3,7 +3,7 @@
 A wave in direction N that moves matter along n changes F by n (x) N, along which J is linear.  So
 of a law psi = (shear part) + U(J) it feels at most (`Law.shear`, `Law.bulk`)
 
-    k = shear mu + U''(J) (J / s_min)^2,        s_min the smallest singular value of F
+    k = shear(mu) + U''(J) (J / s_min)^2,        s_min the smallest singular value of F
 
 which at rest is lam + 2 mu.  A node's frequency is that of all the particles in its cells, so that
 the mean of k over a cell is what counts, not a single particle.
@@ -26,9 +26,9 @@ SMALLEST = 1e-3  # a stretch below this counts as this: the guard sees to what i
 
 
 def stiffness(law: Law, stretch: Floats, J: Floats, mu: Floats, lam: Floats) -> Floats:
-    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,)."""
+    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,); mu as `laws.moduli`."""
     area = J / np.maximum(stretch[:, 0], SMALLEST)
-    return law.shear * mu + np.maximum(law.bulk(J, mu, lam), 0.0) * area**2
+    return law.shear(mu) + np.maximum(law.bulk(J, mu, lam), 0.0) * area**2
 
 
 def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:

@@ -89,7 +89,7 @@ def arrays(
         "F": np.tile(np.eye(3).ravel(), n),
         "m": per["density"] * per["V0"],
         "V0": per["V0"],
-        "mu": per["mu"],
+        "mu": per["signed_mu"],
         "lam": per["lam"],
         "viscosity": 2.0 * per["mu"] * per["damping_time"],
         "push": np.zeros(12 * n),

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 
 def world_stiffness(law: Law, stretch: Floats, J: Floats, mu: Floats, lam: Floats) -> Floats:
-    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,)."""
+    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,); mu as `laws.moduli`."""
     bulk = np.maximum(law.bulk(J, mu, lam), 0.0)
-    return law.shear * mu * stretch[:, 2] ** 2 + bulk * J**2
+    return law.shear(mu) * stretch[:, 2] ** 2 + bulk * J**2
 
 
 def cells_now(cells: Floats) -> tuple[Ints, Ints]:

@@ -83,22 +83,22 @@ class UpdatedLagrangian(Marcher):
         self.arrays = setup.to_device(
             ul_setup.arrays(particles.X - centre, motion, per, self.contact, self.ride), real
         )
-        self._start_kernels(materials[0].law, bool((per["damping_time"] > 0).any()))
+        self._start_kernels(materials, bool((per["damping_time"] > 0).any()))
         self.most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
         self.node_room = self.cell_room = 0
         self._make_room()
 
-    def _start_kernels(self, law: str, damped: bool) -> None:
+    def _start_kernels(self, materials: Sequence[Material], damped: bool) -> None:
         import taichi as ti
 
-        from gf_usd.physics.laws import LAWS
+        from gf_usd.physics.laws import law_of
         from gf_usd.physics.ul_kernel import build, pack_type
         from gf_usd.runtime import epoch
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
         self.pack_of = pack_type(kind, epoch())
         clamp, cap = self.settings.clamp is not None, self.settings.stress_cap is not None
-        self.law = LAWS[law]
+        self.law = law_of(materials)
         self.kernels = build(self.law, damped, clamp, cap, kind, epoch())
         self._vec = ti.types.vector(3, kind)
         self.value = ti.ndarray(kind, len(self.particles))
@@ -246,7 +246,7 @@ class UpdatedLagrangian(Marcher):
         """Substeps a frame that the body as strained now asks for; none where they are given."""
         if self.settings.substeps:
             return 1
-        k = world_stiffness(self.law, stretch, J, self.per["mu"], self.per["lam"])
+        k = world_stiffness(self.law, stretch, J, self.per["signed_mu"], self.per["lam"])
         speed = strained_speed(k, self.per["density"], cells)
         dt = strained_step(self.step, speed, self.h, setup.per_cell(self.particles, self.h))
         return int(np.ceil(self.frame_time / dt))
