@@ -1,14 +1,15 @@
 """Make the pictures of the documents with the program itself.
 
-    python tools/pictures.py [--out FOLDER]
+    python tools/pictures.py [--out FOLDER] [--only NAME ...]
 
-Bakes the sample duck into a temporary folder, draws frames with ``gf-usd preview`` and joins them:
+Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and joins them:
 
     duck.png     the start of the fall, the hardest squash, the top of the rebound
     looks.png    rubber, metal and jelly, each at its hardest squash in the first bounce
     displays.png one frame as mesh, Gaussians, ellipsoids and points
     strain.png   the squash, coloured by strain
     drop.gif     the drop as a film, five times slower than real
+    ten-ducks.png  the pile of ducks in the rocking bowl, near its end
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
 DUCK = ROOT / "samples" / "duck.usda"
+TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
+PILE = 75  # time code
 LOOKS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
@@ -50,6 +53,13 @@ def film(path: Path, folder: Path) -> None:
     gf_usd("bake", DUCK, "--material", "rubber", *DROP, "-o", stage)
     gf_usd("preview", stage, "-o", path, "--size", FILM)
     require(path, LARGEST_FILM)
+
+
+def pile(path: Path, folder: Path) -> None:
+    """The ten ducks in their bowl, cut out of a frame that fits the whole motion."""
+    gf_usd("bake", TEN_DUCKS, "-o", f"{folder}/", "--quiet")
+    picture = draw(folder / "ten_ducks.authored.usda", PILE, (1400, 1000))
+    strip([picture.crop((430, 440, 1030, 840))], path)
 
 
 def require(path: Path, largest: int) -> None:
@@ -114,9 +124,18 @@ def strip(pictures: Sequence[Image.Image], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="folder")
-    out: Path = parser.parse_args().out
+    parser.add_argument("--only", choices=("duck", "film", "pile"), nargs="*", help="which of them")
+    said = parser.parse_args()
+    out: Path = said.out
     out.mkdir(parents=True, exist_ok=True)
+    made = said.only or ("duck", "film", "pile")
     with tempfile.TemporaryDirectory() as temporary:
+        if "pile" in made:
+            pile(out / "ten-ducks.png", Path(temporary))
+        if "film" in made:
+            film(out / "drop.gif", Path(temporary))
+        if "duck" not in made:
+            return
         baked = {look: bake(look, Path(temporary)) for look in LOOKS}
         stage, (start, squash, rebound) = baked["rubber"]
         shot = [draw(stage, frame, (480, 480)) for frame in (start, squash, rebound)]
@@ -128,7 +147,6 @@ def main() -> None:
         strain = draw(stage, squash, (800, 600), "mesh", "--colour", "strain")
         # the part that holds the legend and the duck
         strip([strain.crop((0, 160, 800, 600))], out / "strain.png")
-        film(out / "drop.gif", Path(temporary))
 
 
 if __name__ == "__main__":
