@@ -31,15 +31,10 @@ class Bakes(Children):
         self.before: Callable[[str], None] = lambda name: None
 
     def run(
-        self,
-        command: Sequence[str],
-        on_line: Callable[[str], None],
-        *,
-        timeout: float | None = None,
-        inherit: Sequence[int] = (),
+        self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
     ) -> Ended | None:
         if "inputs" in command:
-            return super().run(command, on_line, timeout=timeout, inherit=inherit)
+            return super().run(command, on_line, **how)
         assert list(command[:4]) == [sys.executable, "-m", "gf_usd", "bake"]
         root = Path(command[command.index("--output") + 1])
         name = root.stem
