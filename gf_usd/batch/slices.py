@@ -39,7 +39,10 @@ class Part:
 
 
 def parse_part(text: str, clips: int | None) -> Part:
-    """The part of "2/5".  Raises UsageError for what is none, or where there are no slices."""
+    """The part of "2/5".
+
+    clips : of a slice.  Raises UsageError for what is none, or where there are no slices.
+    """
     if not clips:
         raise UsageError(f"--part {text} is given without --slice", "give the clips of a slice")
     match = PART.fullmatch(text.strip())
