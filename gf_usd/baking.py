@@ -25,7 +25,7 @@ from gf_usd.publish import partial_path, publish_text
 from gf_usd.resuming import Keeper, finished
 from gf_usd.summary import HealthLog
 from gf_usd.timeline import sampled, with_held
-from gf_usd.writing import alone, shared
+from gf_usd.writing import alone, write_source
 
 if TYPE_CHECKING:
     from gf_usd.usd.variants import BakedLook
@@ -121,9 +121,7 @@ def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeRes
     earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
-    if plan.converted is not None and plan.outputs.source is not None:
-        with shared(plan.outputs.source):
-            plan.converted.write(plan.outputs.source)
+    write_source(plan)
     results: list[LookResult] = []
     looks: list[BakedLook] = []
     notes = list(plan.notes)

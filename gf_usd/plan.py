@@ -29,7 +29,7 @@ from gf_usd.timeline import sampled, written
 if TYPE_CHECKING:
     from gf_usd.assets.usd_source import MeshSource
     from gf_usd.physics.marching import Marcher
-    from gf_usd.writing import Stamps
+    from gf_usd.writing import Stamp, Stamps
 
 TWO_WAY = ("wls",)  # flags whose "no" overrides a preset
 KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
@@ -58,6 +58,7 @@ class Plan:
     sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each material
     standing: tuple[Checkpoint | None, ...] = ()  # of each look, where it goes on; none: anew
     seen: Stamps = ()  # of the results and checkpoints that were there
+    seen_source: Stamp = None  # of the layer of a mesh file
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface

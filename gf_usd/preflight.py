@@ -29,7 +29,7 @@ from gf_usd.planning import Request
 from gf_usd.resuming import going_on
 from gf_usd.runtime import init_taichi
 from gf_usd.stage_reading import StageWords, read_words
-from gf_usd.writing import stamps
+from gf_usd.writing import stamp, stamps
 
 if TYPE_CHECKING:
     from gf_usd.inspection import Inspection
@@ -102,10 +102,12 @@ def prepare(
     overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
     frames = frames_of(looks, overwrite)
+    seen_source = None
     if converted is not None:
         target = files.source
         if target is not None:
             files = replace(files, textures=converted.textures(target))
+            seen_source = stamp(target)
             require_source_free(files, converted.is_at(target), overwrite)
         elif files.root.suffix != ".usdz":
             files = replace(files, textures=converted.textures(files.root))
@@ -125,8 +127,9 @@ def prepare(
     odd = implausible_size(asset)
     notes = (*plan.notes, odd) if odd else plan.notes
     plan = replace(
-        plan, converted=converted, command=command, notes=notes, sequences=frames, seen=there
-    )
+        plan, converted=converted, command=command, notes=notes, sequences=frames, seen=there,
+        seen_source=seen_source,
+    )  # fmt: skip
     return going_on(plan, overwrite=anew) if resume else plan
 
 

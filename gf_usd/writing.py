@@ -15,17 +15,19 @@ if TYPE_CHECKING:
     from gf_usd.plan import Plan
     from gf_usd.splat_sequence import SplatSequence
 
-Stamps = tuple[tuple[int, int] | None, ...]
+Stamp = tuple[int, int] | None  # (time of change [ns], inode); None: no such file
+Stamps = tuple[Stamp, ...]
 
 
 def stamps(files: Outputs) -> Stamps:
-    """(time of change [ns], inode) of each result and checkpoint; None where there is none."""
+    """Of each result and checkpoint."""
     return tuple(
-        _stamp(path) for path in (files.root, *files.caches, files.report, *files.checkpoints)
+        stamp(path) for path in (files.root, *files.caches, files.report, *files.checkpoints)
     )
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def stamp(path: Path) -> Stamp:
+    """Which file lies there now."""
     try:
         found = path.stat()
     except FileNotFoundError:
@@ -66,8 +68,27 @@ def alone(plan: Plan) -> Iterator[None]:
         yield
 
 
+def write_source(plan: Plan) -> None:
+    """Write the layer of a mesh file, which the bakes of that file share.
+
+    Raises UsageError where another bake made it of another file, or in another way, since the plan
+    was made: its results lie over it.
+    """
+    converted, target = plan.converted, plan.outputs.source
+    if converted is None or target is None:
+        return
+    with _shared(target):
+        if stamp(target) != plan.seen_source and not converted.is_at(target):
+            raise UsageError(
+                f"another bake made {target} of another file, or in another way, while this one was"
+                " prepared",
+                "bake them into another folder each with -o",
+            )
+        converted.write(target)
+
+
 @contextmanager
-def shared(path: Path) -> Iterator[None]:
+def _shared(path: Path) -> Iterator[None]:
     """Hold the lock of a layer that several bakes share, waiting for it as long as it takes."""
     if not locks.AVAILABLE or locks.inherited(path):
         yield

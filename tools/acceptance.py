@@ -119,28 +119,37 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
     if not done.stdout:
         raise SystemExit(f"tools/kill_acceptance.py printed nothing, status {done.returncode}")
     tree = json.loads(done.stdout.splitlines()[-1])
-    rows = []
-    for when, late in (("anywhere in the bake", False), ("while it publishes", True)):
-        kills = [k for k in tree["kills"] if k["publishing"] == late]
-        clips = [k["clips"] for k in kills]
-        partly = sum(not k["ended"] and len(k["final"]) > 0 for k in kills)
-        bad = [k["fault"] for k in kills if k["fault"]]
+    kills, rows = tree["kills"], []
+    for phase, words in (
+        ("start", "before the first clip"),
+        ("clips", "after a clip, before the last one"),
+        ("results", "after the last clip, while the results get their names"),
+    ):
+        of = [k for k in kills if k["target"]["phase"] == phase]
+        clips = [k["clips"] for k in of]
+        faults = [k["fault"] for k in of if k["fault"]]
         rows.append(
             (
-                when,
-                str(len(kills)),
+                words,
+                str(len(of)),
                 f"{min(clips, default=0)} to {max(clips, default=0)}",
-                str(partly),
-                str(sum(k["ended"] for k in kills)),
-                f"**FAIL** {'; '.join(bad)}" if bad else "pass",
+                str(sum(any("checkpoint" in name for name in k["final"]) for k in of)),
+                str(sum(any("checkpoint" not in name for name in k["final"]) for k in of)),
+                str(sum(k["ended"] for k in of)),
+                f"**FAIL** {'; '.join(faults)}" if faults else "pass",
             )
         )
-    bad = [k for k in tree["kills"] if k["fault"]]
-    head = ("kill -9", "kills", "clips then", "with a final name", "too late", "verdict")
+    sound = sum(not k["fault"] for k in kills)
+    met = sum(not k["ended"] and k["clips"] > 0 for k in kills)
+    head = (
+        "moment", "kills", "clips there", "checkpoint there", "results there",
+        "bake already over", "verdict",
+    )  # fmt: skip
     return Outcome(
-        passed=done.returncode == 0 and not bad,
-        summary=f"after {len(tree['kills']) - len(bad)} of {len(tree['kills'])} kills every file"
-        " was whole and --resume ended with the same bits",
+        passed=done.returncode == 0 and sound == len(kills),
+        summary=f"{len(kills)} kills, {met} of them in a bake that had clips and was not over;"
+        f" after {sound} of {len(kills)} every file under a final name was whole and checked, and"
+        " --resume ended with the bits of a bake that nobody killed",
         table=(head, *rows),
         data=tree,
     )

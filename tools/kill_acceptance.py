@@ -2,11 +2,15 @@
 
     python tools/kill_acceptance.py [--json] [--kills N] [--seed S]
 
-A bake of 200 particles and 25 frames in value clips of one frame.  Every second kill meets a bake
-anywhere between its start and its end.  The others begin where all clips but the last are full,
-and are killed after the last one is there, while the results get their final names.  After each,
-what stands under a final name is opened, a root layer is checked, and --resume is compared with a
-bake that nobody interrupted.  Exit status 1 if a kill left what it should not.
+A bake of 200 particles and 25 frames in value clips of one frame.  Its life has three phases:
+
+    start     until the first clip is there, and with it soon the first checkpoint: 1 kill in 10
+    clips     from the first clip to the last but one, each waited for in its turn: 6 in 10
+    results   from the last clip to the end, while the results get their final names: 3 in 10
+
+Within a phase, and after the clip that is waited for, the moment is random.  After each kill what
+stands under a final name is opened, a root layer is checked, and --resume is compared with a bake
+that nobody interrupted.  Exit status 1 if a kill left what it should not.
 """
 
 from __future__ import annotations
@@ -37,20 +41,43 @@ FRAMES = 25
 WORDS = ("bake", ROOT / "samples" / "duck.usda", "--particles", "200", "--drop", "0.05r",
          "--frames", FRAMES, "--clip-frames", "1", "--threads", "1", "-q")  # fmt: skip
 CLIPS = FRAMES - 1  # a clip of one frame holds the samples at both its ends
-LAST = f"{STEM}.clips/{CLIPS:04d}.usdc"
 PATIENCE = 120.0  # [s] for one bake
+START, MIDDLE, RESULTS = "start", "clips", "results"
+PHASES = (START, *[MIDDLE] * 6, *[RESULTS] * 3)  # of ten kills
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """When a bake is to be killed."""
+
+    phase: str
+    after: int  # the clip that is waited for first; 0: none
+    moment: float  # [s] from there, or from the start
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kill:
     """One kill and what came of it."""
 
-    publishing: bool
-    moment: float  # [s] after the start, or after the last clip was there
+    target: Target
     ended: bool  # the bake was over before
     clips: int  # that stood then
     final: tuple[str, ...]  # results that stood then under their final names
     fault: str  # "" if nothing was wrong
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How long the phases of a bake take that nobody kills [s]."""
+
+    start: float  # until the first clip
+    clip: float  # from one to the next, mean
+    results: float  # from the last clip to the end
+
+
+def clip(number: int) -> str:
+    """Where a clip is, under the folder of the results."""
+    return f"{STEM}.clips/{number:04d}.usdc"
 
 
 def bake(folder: Path, *more: object) -> int:
@@ -94,14 +121,14 @@ def resume(folder: Path, whole: Path) -> str:
     return ""
 
 
-def kill(folder: Path, whole: Path, nearly: Path | None, moment: float) -> Kill:
-    """One bake, its end, and its rest."""
-    if nearly is not None:
+def kill(folder: Path, whole: Path, nearly: Path, target: Target) -> Kill:
+    """One bake, its end, and its rest; `nearly` holds one that lacks its last clip."""
+    if target.phase == RESULTS:
         shutil.copytree(nearly, folder)
     process = start(*WORDS, "-o", f"{folder}/", "--resume")
-    if nearly is not None:
-        wait_for(folder / LAST, process)
-    time.sleep(moment)
+    if target.after:
+        wait_for(folder / clip(target.after), process)
+    time.sleep(target.moment)
     ended = process.poll() is not None
     process.kill()
     process.communicate(timeout=PATIENCE)
@@ -111,19 +138,32 @@ def kill(folder: Path, whole: Path, nearly: Path | None, moment: float) -> Kill:
     )
     clips = len([p for p in folder.glob("*.clips/*.usdc") if "partial" not in p.name])
     fault = look(folder) or resume(folder, whole) or look(folder)
-    return Kill(
-        publishing=nearly is not None, moment=moment, ended=ended, clips=clips, final=final,
-        fault=fault,
-    )  # fmt: skip
+    return Kill(target=target, ended=ended, clips=clips, final=final, fault=fault)
 
 
-def measure(folder: Path, nearly: Path) -> float:
-    """Seconds from the last clip to the end of a bake that goes on."""
-    shutil.copytree(nearly, folder)
-    process = start(*WORDS, "-o", f"{folder}/", "--resume")
-    there = wait_for(folder / LAST, process)
+def measure(folder: Path) -> Pace:
+    """The pace of a bake from its start to its end."""
+    began = time.monotonic()
+    process = start(*WORDS, "-o", f"{folder}/")
+    first = wait_for(folder / clip(1), process)
+    last = wait_for(folder / clip(CLIPS), process)
     process.communicate(timeout=PATIENCE)
-    return time.monotonic() - there
+    return Pace(
+        start=first - began, clip=(last - first) / (CLIPS - 1), results=time.monotonic() - last
+    )
+
+
+def targets(kills: int, seed: int, pace: Pace) -> list[Target]:
+    """When to kill: the phases in turn, and the clips of the middle one spread evenly."""
+    random = np.random.default_rng(seed)
+    phases = [PHASES[number % len(PHASES)] for number in range(kills)]
+    middle = iter(np.linspace(1, CLIPS - 1, phases.count(MIDDLE)).round().astype(int))
+    lengths = {START: pace.start, MIDDLE: pace.clip, RESULTS: pace.results}
+    after = {START: lambda: 0, MIDDLE: lambda: int(next(middle)), RESULTS: lambda: CLIPS}
+    return [
+        Target(phase=phase, after=after[phase](), moment=float(random.uniform(0, lengths[phase])))
+        for phase in phases
+    ]
 
 
 def run(folder: Path, kills: int, seed: int) -> list[Kill]:
@@ -131,24 +171,19 @@ def run(folder: Path, kills: int, seed: int) -> list[Kill]:
     whole, nearly = folder / "whole", folder / "nearly"
     if bake(whole) or bake(nearly, "--slice", CLIPS - 1) != 5:
         raise SystemExit("the bake fails without being killed")
-    began = time.monotonic()
-    bake(folder / "timed")
-    length = time.monotonic() - began
-    publishing = measure(folder / "ending", nearly)
-    random = np.random.default_rng(seed)
-    lengths = np.where(np.arange(kills) % 2 == 1, publishing, length)
-    moments = random.uniform(0.0, lengths)
+    pace = measure(folder / "timed")
+    print(f"  {pace}", file=sys.stderr)
 
-    def one(number: int) -> Kill:
-        place = folder / f"kill{number}"
-        case = kill(place, whole, nearly if number % 2 == 1 else None, float(moments[number]))
+    def one(numbered: tuple[int, Target]) -> Kill:
+        place = folder / f"kill{numbered[0]}"
+        case = kill(place, whole, nearly, numbered[1])
         print(f"  {case}", file=sys.stderr, flush=True)
         if not case.fault:
             shutil.rmtree(place)
         return case
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(one, range(kills)))
+        return list(pool.map(one, enumerate(targets(kills, seed, pace))))
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gf_usd.batch.job import GOOD
+from gf_usd.batch.job import CALM
 
 
 @dataclass
@@ -73,7 +73,7 @@ class Board:
     @property
     def bad(self) -> list[Row]:
         """The rows that ended, and not well."""
-        return [row for row in self.ended if row.state not in GOOD]
+        return [row for row in self.ended if row.state not in CALM]
 
     @property
     def seconds(self) -> float:

@@ -11,11 +11,13 @@ from typing import Any
 NO = ("wls",)  # flags whose "no" says something
 REPORT, RECORD = ".report.json", ".job.json"
 
-# how a job can end; the first three need no second look
+# how a job can end; those of GOOD need no second look, those of CALM no alarm
 GOOD = ("done", "kept")
+CALM = (*GOOD, "sliced")
 STATES = {
     "done": "baked and sound",
     "kept": "was there already",
+    "sliced": "a slice of it is done, and frames are left",
     "busy": "another run is baking it",
     "stopped": "interrupted before its end",
     "failed": "the bake failed",
@@ -55,6 +57,11 @@ class Job:
         return tuple(
             part.strip() for part in str(self.options.get("material", "rubber")).split(",")
         )
+
+    @property
+    def looks(self) -> tuple[str, ...]:
+        """The names of its variants."""
+        return tuple(Path(material).stem for material in self.materials)
 
     def words(self) -> list[str]:
         """The arguments of ``gf-usd`` that bake it."""
@@ -105,7 +112,7 @@ class Outcome:
     hint: str = ""
     status: int | None = None  # exit status of the last attempt; negative: the signal
     attempts: int = 0  # 0 where nothing was run
-    seconds: float = 0.0  # wall time of all attempts
+    seconds: float = 0.0  # wall time of all attempts, and of the slices before
     cpu_seconds: float = 0.0
     peak_memory: int = 0  # [bytes] of the last attempt
     frames: int = 0

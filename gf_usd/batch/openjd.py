@@ -7,7 +7,8 @@
     jobs.json               the jobs, which the tasks count
 
 A task is a chunk of jobs: one process, which bakes them one after another or side by side, tells
-its progress on stdout, and on SIGTERM ends its bakes and itself.
+its progress on stdout, and on SIGTERM ends its bakes and itself.  In slices, a step is one slice of
+every job and waits for the step before: tasks of one step know nothing of each other.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gf_usd.batch.identity import read_by
 from gf_usd.batch.inputs import InputTable
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.resources import memory_of
+from gf_usd.batch.slices import Part, slices
 from gf_usd.errors import UsageError
 from gf_usd.publish import publish_text
 
@@ -36,16 +38,19 @@ LONGEST_NAME = 128  # characters of a job's name
 
 
 def write_bundle(
-    plan: BatchPlan, folder: Path, *, chunk: int, program: str, table: InputTable
-) -> list[Path]:
+    plan: BatchPlan, folder: Path, *, chunk: int, program: str, table: InputTable,
+    slice: int | None = None,
+) -> list[Path]:  # fmt: skip
     """Write the bundle; returns its files.
 
     Parameters
     ----------
     chunk : jobs in a task.
     program : the Python that has gf-usd on a worker.
+    slice : full value clips of a job in a task; None: the whole job.
 
-    Raises UsageError for a chunk that makes no sense, BakeError where the disk refuses.
+    Raises UsageError for a chunk that makes no sense or a job that cannot be sliced, BakeError
+    where the disk refuses.
     """
     if chunk < 1:
         raise UsageError(f"--chunk is {chunk}", "give 1 or more jobs")
@@ -63,7 +68,7 @@ def write_bundle(
     rows = [{"name": name, "value": value} for name, value in given.items()]
     texts = {
         JOBS: jobs_text(plan),
-        TEMPLATE: json.dumps(template(plan, chunk), indent=1),
+        TEMPLATE: json.dumps(template(plan, chunk, slice), indent=1),
         VALUES: json.dumps({"parameterValues": rows}, indent=1),
         FLAT: json.dumps(given, indent=1),
         REFERENCES: json.dumps(references(plan, table), indent=1),
@@ -71,53 +76,61 @@ def write_bundle(
     return [publish_text(folder / name, text + "\n") for name, text in texts.items()]
 
 
-def template(plan: BatchPlan, chunk: int) -> dict[str, Any]:
-    """The job template: a step that bakes, in chunks, and one that makes the page."""
-    memory = max(memory_of(job.options) for job in plan.jobs)
-    limit = None if plan.timeout is None else math.ceil(plan.timeout * (1 + plan.retries))
-    bake = _action(
-        ["--tasks", "{{Task.Param.Job}}", "--no-report"],
-        # jobs of a chunk may run one after another; their own limit comes first
-        timeout=None if limit is None else chunk * limit + 60,
-    )
+def template(plan: BatchPlan, chunk: int, slice: int | None = None) -> dict[str, Any]:
+    """The job template: a step that bakes, or one for each slice, and one that makes the page."""
+    many = max(slices(job, slice) for job in plan.jobs) if slice else 1
+    parts = [Part(number=number, of=many) for number in range(1, many + 1)]
+    names = [f"Bake {part.number} of {many}" if many > 1 else "Bake" for part in parts]
+    steps: list[dict[str, Any]] = []
+    for part, name, before in zip(parts, names, [None, *names]):
+        words = ["--slice", str(slice), "--part", str(part)] if slice else []
+        adapting = slice is None and plan.timeout is None  # a limit is for so many jobs
+        steps.append({"name": name, **_after(before), **_bake(plan, chunk, words, adapting)})
+    report = _action(["--report-only"], timeout=REPORT_TIMEOUT)
+    steps.append({"name": "Report", **_after(names[-1]), "script": {"actions": {"onRun": report}}})
     return {
         "specificationVersion": SPECIFICATION,
         "extensions": ["TASK_CHUNKING"],
         "name": f"gf-usd {plan.title}"[:LONGEST_NAME],
         "parameterDefinitions": _parameters(plan),
-        "steps": [
-            {
-                "name": "Bake",
-                "parameterSpace": {
-                    "taskParameterDefinitions": [
-                        {
-                            "name": "Job",
-                            "type": "CHUNK[INT]",
-                            "range": "{{Param.Jobs}}",
-                            "chunks": {
-                                "defaultTaskCount": "{{Param.JobsPerTask}}",
-                                "targetRuntimeSeconds": TARGET,
-                                "rangeConstraint": "NONCONTIGUOUS",
-                            },
-                        }
-                    ]
-                },
-                "hostRequirements": {
-                    "amounts": [
-                        {"name": "amount.worker.vcpu", "min": 1},
-                        {"name": "amount.worker.memory", "min": math.ceil(memory / 2**20)},
-                    ]
-                },
-                "script": {"actions": {"onRun": bake}},
-            },
-            {
-                "name": "Report",
-                "dependencies": [{"dependsOn": "Bake"}],
-                "script": {
-                    "actions": {"onRun": _action(["--report-only"], timeout=REPORT_TIMEOUT)}
-                },
-            },
-        ],
+        "steps": steps,
+    }
+
+
+def _after(step: str | None) -> dict[str, Any]:
+    return {"dependencies": [{"dependsOn": step}]} if step else {}
+
+
+def _bake(plan: BatchPlan, chunk: int, words: list[str], adapting: bool) -> dict[str, Any]:
+    """A step but for its name: the jobs in chunks, each a call of ``batch`` with these words.
+
+    adapting : the scheduler may choose another size of the chunks.
+    """
+    memory = max(memory_of(job.options) for job in plan.jobs)
+    limit = None if plan.timeout is None else math.ceil(plan.timeout * (1 + plan.retries))
+    bake = _action(
+        ["--tasks", "{{Task.Param.Job}}", "--no-report", *words],
+        # jobs of a chunk may run one after another; their own limit comes first
+        timeout=None if limit is None else chunk * limit + 60,
+    )
+    job = {
+        "name": "Job",
+        "type": "CHUNK[INT]",
+        "range": "{{Param.Jobs}}",
+        "chunks": {
+            "defaultTaskCount": "{{Param.JobsPerTask}}",
+            "targetRuntimeSeconds": TARGET if adapting else 0,
+            "rangeConstraint": "NONCONTIGUOUS",
+        },
+    }
+    amounts = [
+        {"name": "amount.worker.vcpu", "min": 1},
+        {"name": "amount.worker.memory", "min": math.ceil(memory / 2**20)},
+    ]
+    return {
+        "parameterSpace": {"taskParameterDefinitions": [job]},
+        "hostRequirements": {"amounts": amounts},
+        "script": {"actions": {"onRun": bake}},
     }
 
 

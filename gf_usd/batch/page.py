@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import gf_usd
-from gf_usd.batch.job import GOOD, STATES, Job, Outcome
+from gf_usd.batch.job import CALM, STATES, Job, Outcome
 from gf_usd.batch.pictures import data_uri, draw, picture_of
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.resources import cores
@@ -61,7 +62,7 @@ def build_page(
     jobs = {job.name: job for job in plan.jobs}
     known = {outcome.job for outcome in outcomes}
     rows = ordered(outcomes)
-    bad = [row for row in rows if not row.good]
+    bad = [row for row in rows if row.state not in CALM]
     unknown = [name for name in jobs if name not in known]
     folder = files("gf_usd.batch") / "page_parts"
     style = (folder / "page.css").read_text(encoding="utf-8")
@@ -83,7 +84,7 @@ def build_page(
     )
     body = [
         _header(plan, rows, bad, unknown, entry),
-        tag("main", _controls(rows, bad), tag("div", table, class_="card")),
+        tag("main", _controls(rows), tag("div", table, class_="card")),
         tag(
             "footer",
             f"gf-usd {gf_usd.__version__}, {entry.get('finished', '')}. Results in {plan.out}.",
@@ -101,13 +102,16 @@ def _header(
     entry: Mapping[str, Any],
 ) -> Html:
     cpu = sum(row.cpu_seconds for row in rows)
-    line = f"{len(rows)} jobs, {len(rows) - len(bad)} good, {duration(cpu)} of CPU time"
+    good = [row for row in rows if row.good]
+    begun = len(rows) - len(good) - len(bad)
+    line = f"{len(rows)} jobs, {len(good)} good, {duration(cpu)} of CPU time"
     if entry.get("seconds"):
         line += f", {duration(float(entry['seconds']))} for the last run"
     parts = [tag("h1", plan.title), tag("div", line, class_="soft")]
-    if bad:
-        many = "One job needs" if len(bad) == 1 else f"{len(bad)} jobs need"
-        words = [tag("div", f"{many} a look. To repeat just these:")]
+    if bad or begun:
+        said = [_many(len(bad), "needs", "need", "a look")] if bad else []
+        said += [_many(begun, "has", "have", "frames left")] if begun else []
+        words = [tag("div", f"{'; '.join(said)}. To repeat just these:")]
         words.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
         parts.append(tag("div", *words, class_="banner"))
     if unknown:
@@ -116,14 +120,27 @@ def _header(
     return tag("header", *parts)
 
 
-def _controls(rows: Sequence[Outcome], bad: Sequence[Outcome]) -> Html:
-    warned = [row for row in rows if row.good and row.warnings]
-    kinds = (
+def _many(count: int, one: str, several: str, rest: str) -> str:
+    return f"One job {one} {rest}" if count == 1 else f"{count} jobs {several} {rest}"
+
+
+def _kind(outcome: Outcome) -> str:
+    """Which of the buttons shows it."""
+    if not outcome.good:
+        return "begun" if outcome.state in CALM else "bad"
+    return "warned" if outcome.warnings else "good"
+
+
+def _controls(rows: Sequence[Outcome]) -> Html:
+    found = Counter(map(_kind, rows))
+    kinds = [
         ("all", f"all {len(rows)}"),
-        ("bad", f"need a look {len(bad)}"),
-        ("warned", f"with warnings {len(warned)}"),
-        ("good", f"good {len(rows) - len(bad) - len(warned)}"),
-    )
+        ("bad", f"need a look {found['bad']}"),
+        ("warned", f"with warnings {found['warned']}"),
+        ("good", f"good {found['good']}"),
+    ]
+    if found["begun"]:
+        kinds.insert(2, ("begun", f"with frames left {found['begun']}"))
     buttons = (
         tag("button", words, type="button", data_filter=kind, aria_pressed="false")
         for kind, words in kinds
@@ -139,7 +156,6 @@ def _head(words: str, number: bool, meaning: str) -> Html:
 
 def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html:
     health = outcome.health
-    kind = "bad" if not outcome.good else "warned" if outcome.warnings else "good"
     asset = job.asset.name if job else ""
     picture = data_uri(picture_of(Path(outcome.root))) if outcome.root else ""
     shown = tag("img", src=picture, alt=outcome.job, loading="lazy") if picture else None
@@ -154,7 +170,7 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
             "td",
             tag(
                 "span", outcome.state, title=STATES.get(outcome.state, ""),
-                class_="state good" if outcome.state in GOOD else "state",
+                class_=f"state {_kind(outcome)}",
             ),
             # failures come first where the column is sorted
             data_value=f"{len(STATES) - list(STATES).index(outcome.state):02d}",
@@ -173,7 +189,7 @@ def _row(outcome: Outcome, job: Job | None, undrawn: Mapping[Path, str]) -> Html
         _number(outcome.attempts or None, "{:d}"),
     ]  # fmt: skip
     text = " ".join((outcome.job, asset, outcome.state, outcome.message, outcome.command)).lower()
-    return tag("tr", *cells, data_kind=kind, data_text=text)
+    return tag("tr", *cells, data_kind=_kind(outcome), data_text=text)
 
 
 def _number(value: Any, form: str) -> Html:

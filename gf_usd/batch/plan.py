@@ -121,10 +121,9 @@ def _require_apart(jobs: Sequence[Job]) -> None:
     """
     owners: dict[Path, tuple[Any, Job]] = {}
     for job in jobs:
-        looks = [Path(m).stem for m in job.materials]
-        files = outputs(job.asset, looks, str(job.root))
+        files = outputs(job.asset, job.looks, str(job.root))
         frames = sequences(
-            job.asset.stem, looks,
+            job.asset.stem, job.looks,
             ply=job.options.get("export_ply"), spz=job.options.get("export_spz"),
         )  # fmt: skip
         splats = [one.path(0).absolute() for each in frames for one in each]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from gf_usd.batch.job import Job
 from gf_usd.estimate import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES
 
+CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
 # Bodies under that many particles are computed by one thread.
 ONE_THREAD = 12_000
 # over the process and the particles, for vertices and textures: with 8000 particles the peak was
@@ -19,10 +21,15 @@ MARGIN = 1.5
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Cores that this process may use, those of its control group where that has a limit."""
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        found = len(os.sched_getaffinity(0))
+    else:
+        found = os.cpu_count() or 1
+    quota, _, period = _words(CPU_LIMIT).partition(" ")  # [us] of CPU in a period [us], or max
+    if quota.isdigit() and period.isdigit():
+        found = min(found, math.ceil(int(quota) / int(period)))
+    return found
 
 
 def free_memory() -> float:

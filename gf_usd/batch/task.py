@@ -16,10 +16,11 @@ from gf_usd.batch.identity import describe, identity, read_by
 from gf_usd.batch.inputs import InputTable, stamps
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import finished, write_record
+from gf_usd.batch.slices import resumable, settled, spent
 from gf_usd.batch.verdict import Bake, judge
 from gf_usd.errors import GfUsdError
 from gf_usd.locks import Held, acquire
-from gf_usd.output_files import interrupted, outputs
+from gf_usd.output_files import outputs
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
@@ -36,6 +37,8 @@ class Limits:
     patience: float = 0.0  # [s] to wait for a result that another run is writing
     overwrite: bool = False  # bake what is done already
     threads: int | None = 1  # CPU threads of a bake that asks for none
+    slice: int | None = None  # full clips after which a bake ends, to be gone on with
+    later: bool = False  # this is no first slice: what an earlier one settled is not begun again
 
 
 def run_job(
@@ -73,11 +76,16 @@ def _run_locked(
         if strict and kept.warnings:
             return replace(kept, state="unsound", message="it has warnings, and strict is asked")
         return kept
+    if limits.later and (told := settled(job, known)) is not None:
+        return told
     before = stamps(inputs)
+    seconds, cpu = spent(job, known)
     outcome, files = _attempts(job, limits, held, children, emit)
     outcome = replace(
         outcome,
         host=socket.gethostname(),
+        seconds=outcome.seconds + seconds,
+        cpu_seconds=outcome.cpu_seconds + cpu,
         notes=tuple(f"it will be baked again the next time: {why}" for why in unread)
         if outcome.good
         else (),
@@ -133,11 +141,12 @@ def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watc
     words = [*job.words(), "--overwrite", "--json"]
     if "threads" not in job.options and limits.threads:
         words += ["--threads", str(limits.threads)]
-    # Jobs of one mesh file share a layer, which is written before the first frame.
-    files = outputs(job.asset, [Path(m).stem for m in job.materials], str(job.root))
-    source = files.source
-    if interrupted(files):
+    if limits.slice:
+        words += ["--slice", str(limits.slice)]
+    if resumable(job):
         words.append("--resume")
+    # Jobs of one mesh file share a layer, which is written before the first frame.
+    source = outputs(job.asset, job.looks, str(job.root)).source
     shared = None
     if source is not None:
         shared = acquire(source, patience=float("inf"), stopped=lambda: children.stopping)

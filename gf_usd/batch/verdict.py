@@ -14,6 +14,7 @@ from gf_usd.batch.child import Ended
 from gf_usd.batch.job import Job, Outcome
 
 ERROR = re.compile(r"^error: (.*?)(?:\n\nhint: (.*?))?\s*\Z", re.DOTALL | re.MULTILINE)
+SLICED = re.compile(r"^(.+ frames are done), and the slice of \d+ clips ends here", re.MULTILINE)
 LOG = 4000  # characters of stderr that are kept of a bake that failed
 WORDS = 600  # characters of a message
 # of the health of a bake, what a table of many can show
@@ -22,7 +23,8 @@ HEALTH = (
     "energy_gain_max_share", "restitution", "min_J", "max_J", "substeps",
 )  # fmt: skip
 INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
-STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound"}  # exit statuses of bake
+# exit statuses of bake
+STATUS = {1: "failed", 2: "refused", 3: "refused", 4: "unsound", 5: "sliced"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,9 @@ def judge(job: Job, ended: Ended) -> Bake:
         state, message, hint = "stopped", "interrupted before its end", ""
     elif ended.timed_out:
         state, message, hint = "timeout", f"no end after {ended.seconds:.0f} s", "raise --timeout"
+    elif state == "sliced":
+        said = SLICED.search(ended.err)
+        message, hint = said[1] if said else "a slice is done", "the same command goes on with it"
     elif ended.status == 0:
         state, message, hint = "crashed", "the bake ended without a result", ""
     elif ended.status < 0 or ended.status in INTERRUPTED:

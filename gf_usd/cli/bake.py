@@ -11,16 +11,21 @@ import typer
 from gf_usd.cli import remains
 from gf_usd.cli.options import (
     Combine,
+    Drop,
     Fps,
     Frames,
     LimitsOf,
+    Material,
     MaterialBoxes,
     MaterialLabels,
+    MetersPerUnit,
     Particles,
     Prims,
     Seed,
+    Solver,
     Spacing,
     Start,
+    UpAxis,
 )
 from gf_usd.cli.output_options import (
     ClipFrames,
@@ -37,15 +42,7 @@ from gf_usd.cli.output_options import (
 
 def bake(
     asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
-    material: Annotated[
-        str | None,
-        typer.Option(
-            "--material", "-m",
-            help="A preset (see gf-usd materials) or a USD file with a material; several with"
-            " commas become variants. auto: by names and labels; auto:NAME asks an advisor.",
-            show_default="what the stage says, else rubber",
-        ),
-    ] = None,
+    material: Material = None,
     output: Annotated[
         str | None,
         typer.Option(
@@ -59,13 +56,7 @@ def bake(
     frames: Frames = None,
     fps: Fps = None,
     start: Start = None,
-    drop: Annotated[
-        str | None,
-        typer.Option(
-            help="Height of the fall [stage units], or in radii of the body: 3r.",
-            show_default="3r; 0 where the stage holds physics; as it is with --pin or no floor",
-        ),
-    ] = None,
+    drop: Drop = None,
     gravity: Annotated[
         str | None,
         typer.Option(help="[m/s^2] downward, or x,y,z.", show_default="9.81"),
@@ -106,20 +97,8 @@ def bake(
         str | None,
         typer.Option(help="The same as SPZ files.", show_default="none"),
     ] = None,
-    meters_per_unit: Annotated[
-        float | None,
-        typer.Option(
-            help="Size of the file's unit [m], e.g. 0.01.",
-            show_default="what the file says; 1 for obj, ply, stl, off and splat files",
-        ),
-    ] = None,
-    up_axis: Annotated[
-        str | None,
-        typer.Option(
-            help="Y or Z; -Y or -Z for splat files that hang.",
-            show_default="what the file says; Y for obj, ply, off and splat files, Z for stl",
-        ),
-    ] = None,
+    meters_per_unit: MetersPerUnit = None,
+    up_axis: UpAxis = None,
     repair: Annotated[
         bool,
         typer.Option(
@@ -175,13 +154,7 @@ def bake(
     self_contact: Annotated[
         bool, typer.Option("--self-contact", help="A body meets itself, too.")
     ] = False,
-    solver: Annotated[
-        str | None,
-        typer.Option(
-            help="tl (Total Lagrangian), or ul (Updated Lagrangian MLS-MPM, to compare with).",
-            show_default="tl",
-        ),
-    ] = None,
+    solver: Solver = None,
     wls: Annotated[
         bool | None,
         typer.Option(

@@ -76,7 +76,22 @@ def batch(
         Path | None,
         typer.Option(help="Run nothing: write a job bundle of Open Job Description here."),
     ] = None,
-    chunk: Annotated[int, typer.Option(min=1, help="Jobs in a task of the bundle.")] = 4,
+    chunk: Annotated[
+        int | None,
+        typer.Option(min=1, help="Jobs in a task of the bundle.", show_default="4; 1 with --slice"),
+    ] = None,
+    slice: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Value clips of each job in this run (status 5 where frames are left), or in a"
+            " task of the bundle.",
+            show_default="the whole job",
+        ),
+    ] = None,
+    part: Annotated[
+        str | None, typer.Option(help="Which slice of its jobs a task of a bundle is: 2/5.")
+    ] = None,
     program: Annotated[
         str | None,
         typer.Option(help="Python that has gf-usd on the bundle's workers.",
@@ -105,9 +120,11 @@ def batch(
 ) -> None:  # fmt: skip
     """Bake many assets with many materials and settings, each in a process of its own.
 
-    What is done already and still the same is kept. Exit status 1 if any job is not good, 143 and
-    130 if it was terminated or interrupted; the same command goes on from there.
+    What is done already and still the same is kept. Exit status 1 if any job is not good, 5 if
+    nothing but slices are left, 143 and 130 if it was terminated or interrupted; the same command
+    goes on from there.
     """
+    from gf_usd.batch.slices import parse_part
     from gf_usd.cli.batch_ask import Asked, Choice, chosen, parse_settings, plan_of
     from gf_usd.cli.batch_go import How, bundle, go, listing, page
 
@@ -123,12 +140,13 @@ def batch(
     how = How(
         at_once=at_once, memory=memory, overwrite=overwrite, scheduler=scheduler,
         resources=tuple(resource or ()), report=not no_report, as_json=as_json,
-        openjd_lines=openjd_lines, quiet=quiet,
+        openjd_lines=openjd_lines, quiet=quiet, slice=slice,
+        part=None if part is None else parse_part(part, slice),
     )  # fmt: skip
     if dry_run:
         listing(plan, jobs, as_json=as_json)
     elif openjd is not None:
-        bundle(plan, jobs, openjd, chunk=chunk, program=program)
+        bundle(plan, jobs, openjd, chunk=chunk, program=program, slice=slice)
     elif report_only:
         page(plan, jobs, how)
     else:

@@ -21,11 +21,13 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.openjd import FLAT, TEMPLATE, write_bundle
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.run import collect, run_here
+from gf_usd.batch.slices import Part, exit_status, faults, require_clips
 from gf_usd.batch.summary import PAGE, SUMMARY, again, counts, ordered, words, write_summary
 from gf_usd.batch.task import Limits
 from gf_usd.cli.batch_talk import voice
 from gf_usd.errors import BakeError
 
+CHUNK = 4  # jobs in a task of a bundle
 SELF = ("--only", "--failed", "--tasks")  # words that choose jobs, with their values
 
 
@@ -42,6 +44,8 @@ class How:
     as_json: bool = False
     openjd_lines: bool = False
     quiet: bool = False
+    slice: int | None = None  # full clips of a job in this run
+    part: Part | None = None  # which slice of its jobs it is, where all were counted
 
 
 def listing(plan: BatchPlan, jobs: Sequence[Job], *, as_json: bool) -> None:
@@ -57,16 +61,21 @@ def listing(plan: BatchPlan, jobs: Sequence[Job], *, as_json: bool) -> None:
 
 
 def bundle(
-    plan: BatchPlan, jobs: Sequence[Job], folder: Path, *, chunk: int, program: str | None
-) -> None:
+    plan: BatchPlan, jobs: Sequence[Job], folder: Path, *, chunk: int | None, program: str | None,
+    slice: int | None,
+) -> None:  # fmt: skip
     """Write a job bundle and say how to try it."""
     from dataclasses import replace
 
     table = InputTable(Children())
     chosen = replace(plan, jobs=tuple(jobs))
-    write_bundle(chosen, folder, chunk=chunk, program=program or sys.executable, table=table)
+    chunk = chunk or (1 if slice else CHUNK)
+    write_bundle(
+        chosen, folder, chunk=chunk, program=program or sys.executable, table=table, slice=slice
+    )
+    parts = f", {slice} clips of each" if slice else ""
     typer.echo(
-        f"{folder}: {len(jobs)} jobs, {chunk} in a task\n"
+        f"{folder}: {len(jobs)} jobs, {chunk} in a task{parts}\n"
         f"openjd run {folder / TEMPLATE} -p file://{(folder / FLAT).absolute()}",
         err=True,
     )
@@ -75,12 +84,15 @@ def bundle(
 def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     """Run the jobs and sum up; the exit status."""
     began = time.monotonic()
+    if how.slice:
+        require_clips(jobs)
     at_once = how.at_once or resources.processes(
         jobs, memory=None if how.memory is None else how.memory * 1e9
     )
     limits = Limits(
         timeout=plan.timeout, retries=plan.retries, overwrite=how.overwrite,
         threads=resources.threads(jobs, at_once),
+        slice=how.slice, later=how.part is not None and how.part.number > 1,
     )  # fmt: skip
     children = Children()
     board = Board([job.name for job in jobs], at_once)
@@ -104,7 +116,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
             pictures=not stopped)  # fmt: skip
     if stopped:
         return 128 + stopped[0]
-    return 0 if all(outcome.good for outcome in outcomes) else 1
+    return exit_status(outcomes, how.part)
 
 
 def page(plan: BatchPlan, jobs: Sequence[Job], how: How) -> None:
@@ -119,9 +131,9 @@ def _finish(
 ) -> None:  # fmt: skip
     """Summary on stderr, and as files."""
     bad = [outcome for outcome in ordered(outcomes) if not outcome.good]
-    if how.openjd_lines and bad:
-        first = bad[0]
-        said = f"{len(bad)} of {len(outcomes)} jobs are not good: {first.job}: {first.message}"
+    if how.openjd_lines and (wrong := faults(ordered(outcomes), how.part)):
+        first = wrong[0]
+        said = f"{len(wrong)} of {len(outcomes)} jobs are not good: {first.job}: {first.message}"
         typer.echo(f"openjd_fail: {' '.join(said.split())}")
     for outcome in bad:
         typer.echo(f"{outcome.state}: {outcome.job}: {outcome.message}", err=True)

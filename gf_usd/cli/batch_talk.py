@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import typer
 
 from gf_usd.batch.board import Board, Row
-from gf_usd.batch.job import GOOD
+from gf_usd.batch.job import CALM
 from gf_usd.estimate import duration
 
 SHOWN = 12  # rows of a kind on the table
@@ -53,7 +53,7 @@ def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator
 
         def drawn(event: dict[str, Any] | None) -> None:
             row = None if event is None else board.hear(event)
-            if event is not None and event["event"] == "finished" and event["state"] not in GOOD:
+            if event is not None and event["event"] == "finished" and event["state"] not in CALM:
                 for line in plain_lines(board, event, row):
                     live.console.print(line, markup=False, highlight=False)
             live.update(table(board))

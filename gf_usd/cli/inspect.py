@@ -10,53 +10,41 @@ import typer
 
 from gf_usd.cli.options import (
     Combine,
+    Drop,
     Fps,
     Frames,
     LimitsOf,
+    Material,
     MaterialBoxes,
     MaterialLabels,
+    MetersPerUnit,
     Particles,
     Prims,
     Seed,
+    Solver,
     Spacing,
     Start,
+    UpAxis,
 )
 from gf_usd.errors import InputError
 
 
 def inspect(
     asset: Annotated[Path, typer.Argument(help="The asset; nothing is written.")],
-    material: Annotated[
-        str | None,
-        typer.Option(
-            "--material", "-m", help="As for bake; several with commas.",
-            show_default="what the stage says, else rubber",
-        ),
-    ] = None,
+    material: Material = None,
     particles: Particles = None,
     spacing: Spacing = None,
     frames: Frames = None,
     fps: Fps = None,
     start: Start = None,
-    drop: Annotated[
-        str | None,
-        typer.Option(
-            help="Height of the fall [stage units], or in radii of the body: 3r.",
-            show_default="3r, or 0 where the stage holds physics",
-        ),
-    ] = None,
+    drop: Drop = None,
     prim: Prims = None,
     material_box: MaterialBoxes = None,
     material_label: MaterialLabels = None,
-    meters_per_unit: Annotated[
-        float | None,
-        typer.Option(help="Size of the file's unit [m], e.g. 0.01.", show_default="as for bake"),
-    ] = None,
-    up_axis: Annotated[
-        str | None, typer.Option(help="Y or Z; -Y or -Z for splats.", show_default="as for bake")
-    ] = None,
+    meters_per_unit: MetersPerUnit = None,
+    up_axis: UpAxis = None,
     combine: Combine = False,
-    solver: Annotated[str | None, typer.Option(help="tl or ul.", show_default="tl")] = None,
+    solver: Solver = None,
     seed: Seed = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")

@@ -6,6 +6,16 @@ from typing import Annotated
 
 import typer
 
+Material = Annotated[
+    str | None,
+    typer.Option(
+        "--material",
+        "-m",
+        help="A preset (see gf-usd materials) or a USD file with a material; several with commas"
+        " become variants. auto: by names and labels; auto:NAME asks an advisor.",
+        show_default="what the stage says, else rubber",
+    ),
+]
 Particles = Annotated[
     int | None, typer.Option(help="About how many particles.", show_default="8000")
 ]
@@ -20,6 +30,34 @@ Fps = Annotated[
 Start = Annotated[
     float | None,
     typer.Option(help="First time code.", show_default="the asset's start, else 1"),
+]
+Drop = Annotated[
+    str | None,
+    typer.Option(
+        help="Height of the fall [stage units], or in radii of the body: 3r.",
+        show_default="3r; 0 where the stage holds physics; as it is with --pin or no floor",
+    ),
+]
+MetersPerUnit = Annotated[
+    float | None,
+    typer.Option(
+        help="Size of the file's unit [m], e.g. 0.01.",
+        show_default="what the file says; 1 for obj, ply, stl, off and splat files",
+    ),
+]
+UpAxis = Annotated[
+    str | None,
+    typer.Option(
+        help="Y or Z; -Y or -Z for splat files that hang.",
+        show_default="what the file says; Y for obj, ply, off and splat files, Z for stl",
+    ),
+]
+Solver = Annotated[
+    str | None,
+    typer.Option(
+        help="tl (Total Lagrangian), or ul (Updated Lagrangian MLS-MPM, to compare with).",
+        show_default="tl",
+    ),
 ]
 Prims = Annotated[
     list[str] | None,

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
-from gf_usd.model import Material
+from gf_usd.model import Ints, Material
 from gf_usd.units import StageUnits
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before its APIs are applied)
 
@@ -56,6 +57,36 @@ def bind(prim: Usd.Prim, material: Sdf.Path) -> None:
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(
         target, UsdShade.Tokens.weakerThanDescendants, "physics"
     )
+
+
+def bind_points(
+    points: Usd.Prim, materials: Sequence[Sdf.Path], indices: Ints, time_code: float | None
+) -> None:
+    """Bind materials to the points of a Points prim, each through a GeomSubset of its own.
+
+    The subsets are a partition of family ``materialBind``, called after the materials; a material
+    of no point has none.
+
+    indices : (N,) into ``materials``.
+    time_code : None, and both the subsets and the points have default values, the rest positions,
+        which is where readers without a time look.  Or that of the first sample of the points: a
+        default value would hide value clips, and without it USD wants subsets to vary as well.
+    """
+    api = UsdShade.MaterialBindingAPI.Apply(points)
+    code = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
+    if time_code is None:
+        rest = points.GetAttribute("gaussianFlesh:restPositions").Get()
+        UsdGeom.Points(points).GetPointsAttr().Set(rest)
+    for number, material in enumerate(materials):
+        own = np.flatnonzero(np.asarray(indices) == number)
+        if len(own):
+            subset = api.CreateMaterialBindSubset(
+                material.name, Vt.IntArray(), UsdGeom.Tokens.point
+            )
+            subset.GetIndicesAttr().Clear()
+            subset.GetIndicesAttr().Set(Vt.IntArray.FromNumpy(own.astype(np.int32)), code)
+            bind(subset.GetPrim(), material)
+    api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
 
 
 def _write(

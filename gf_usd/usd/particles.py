@@ -17,7 +17,7 @@ from gf_usd.choices import Choices
 from gf_usd.model import Asset, BakeInfo, Floats, GaussianPose, Particles
 from gf_usd.own_values import spread
 from gf_usd.usd import schema  # noqa: F401  (registers the schema before its APIs are applied)
-from gf_usd.usd.materials import bind, write_materials
+from gf_usd.usd.materials import bind, bind_points, write_materials
 from gf_usd.usd.meshes import check
 from gf_usd.usd.points import PointsTrack
 from gf_usd.usd.space import Space
@@ -85,6 +85,10 @@ class ParticleTrack:
             prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(inside)
             if len(materials) == 1:
                 bind(prim, materials[0])
+            elif prim.IsA(UsdGeom.Points):
+                first = info.settings.time_code(info.settings.first)
+                when = first if choices.clip_frames else None
+                bind_points(prim, materials, particles.material, when)
         self.space = Space(root, clock, self._unit) if home.inside else None
         self._transforms = self._place(prims, clock.start)
 

@@ -16,6 +16,9 @@ from tests.captures import ball, write_ply
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no file locks")
 STEM = "block.rubber"
+CUBE = """v 0 0 0\nv {0} 0 0\nv {0} 1 0\nv 0 1 0\nv 0 0 1\nv {0} 0 1\nv {0} 1 1\nv 0 1 1
+f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8
+"""
 LONG = ("--particles", "200", "--frames", "100000", "--drop", "150", "--max-hours", "1000",
         "--clip-frames", "1", "-q")  # fmt: skip
 
@@ -64,3 +67,39 @@ def test_frames_of_one_name_have_one_writer(gf_usd, here: Path, tmp_path: Path) 
     held.release(remove=True)
     assert gf_usd(*words).status == 0
     assert names(here / "all") == ["ball.rubber.0001.ply", "ball.rubber.0002.ply"]
+
+
+@pytest.fixture
+def cubes(tmp_path: Path) -> tuple[Path, Path]:
+    """Two mesh files of one name."""
+    made = []
+    for folder, width in (("one", 1), ("other", 2)):
+        path = tmp_path / folder / "cube.obj"
+        path.parent.mkdir()
+        path.write_text(CUBE.format(width), encoding="utf-8")
+        made.append(path)
+    return made[0], made[1]
+
+
+def test_two_mesh_files_of_one_name_do_not_share_a_layer(
+    here: Path, cubes: tuple[Path, Path]
+) -> None:
+    asked = {"particles": 200, "frames": 2}
+    one, same, other = (
+        prepare(path, output=f"{stem}.usda", **asked)
+        for path, stem in zip((cubes[0], cubes[0], cubes[1]), ("one", "same", "other"))
+    )
+    run(one)
+    layer = here / "cube.source.usdc"
+    before = layer.read_bytes()
+    with pytest.raises(UsageError, match=r"made cube\.source\.usdc of another file") as refused:
+        run(other)
+    assert "another folder" in refused.value.hint
+    assert layer.read_bytes() == before
+    assert [name for name in names(here) if "other" in name or "lock" in name] == []
+    # of the same file it may be, and is used again
+    run(same)
+    assert layer.read_bytes() == before
+    # who comes after the first is there hears it before anything is prepared
+    with pytest.raises(UsageError, match="was not made of this file in this way"):
+        prepare(cubes[1], output="other.usda", **asked)

@@ -185,6 +185,8 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
         (("a.usda", "--set", "speed=1"), "no option 'speed'"),
         (("a.usda", "--seed", "a"), "'a' is no int"),
         (("a.usda", "--only", "b"), "no job is called b"),
+        (("a.usda", "--slice", "2"), "a.rubber: --slice counts value clips"),
+        (("a.usda", "--part", "1/2"), "--part 1/2 is given without --slice"),
         (("a.usda", "--path-mapping", "x.json"), "--path-mapping goes with"),
         (("a.usda", "--scheduler", "tcp://127.0.0.1:9"), "no scheduler answers"),
     ],

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from resumed import require_same
 
 from gf_usd.usd.check import check_file
 
@@ -68,3 +69,41 @@ def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
     assert "exited with code: 143" in out
     final = [p.name for p in (here / "out").iterdir() if ".partial." not in p.name]
     assert all(name.startswith(".") for name in final)
+
+
+def test_slices_of_a_bundle_come_to_the_bits_of_one_run(here: Path, block: Path) -> None:
+    cut = block.with_name("cut.usda")
+    cut.write_text(block.read_text("utf-8")[:500], encoding="utf-8")
+    gf_usd = (sys.executable, "-m", "gf_usd", "batch")
+    common = ("--particles", "150", "--frames", "6", "--set", "clip_frames=1")
+    sliced = ("-o", "out", "--openjd", "bundle", "--slice", "2")
+    for words in ((block, "-o", "whole", "--no-report"), (block, cut, *sliced)):
+        subprocess.run([*gf_usd, *words, *common], check=True, cwd=here, capture_output=True)
+    folder = here / "bundle"
+    checked = subprocess.run([str(OPENJD), "check", folder / "template.json"], check=False)
+    assert checked.returncode == 0
+    command = [str(OPENJD), "run", str(folder / "template.json"),
+               "-p", f"file://{folder / 'parameters.json'}"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # a job that is refused fails the last step, and keeps no other from its slices
+    assert done.returncode == 1
+    assert done.stdout.count("cut.rubber: refused") >= 3
+    assert done.stdout.count("openjd_fail: ") == 1
+    for told in ("3 of 6", "5 of 6"):
+        assert f"sliced: block.rubber: rubber: {told} frames are done" in done.stdout
+    assert "block.rubber: done" in done.stdout
+    cut.unlink()
+    for name in ("cut.rubber.job.json", *(p.name for p in (here / "out").glob(".*"))):
+        (here / "out" / name).unlink()
+    require_same(here / "whole", here / "out")
+    assert check_file(here / "out" / "block.rubber.usda").ok
+    record = json.loads((here / "out" / "block.rubber.job.json").read_text("utf-8"))
+    assert record["outcome"]["state"] == "done"
+    # what is done is kept by all steps of another run
+    again = subprocess.run(
+        [*command, "-tp", "Job=0", "--step", "Bake 1 of 3"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "block.rubber: kept" in again.stdout, again.stdout

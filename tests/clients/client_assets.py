@@ -49,10 +49,10 @@ def bake_duck(sample: Path, folder: Path) -> Baked:
     return _bake(asset, material="rubber,metal,jelly", drop="0.1r")
 
 
-def bake_blocks(folder: Path) -> Baked:
-    """Two blocks of centimetres, Z up, under transforms that nothing may mix up, as one body.
+def bake_blocks(folder: Path, combine: bool = True) -> Baked:
+    """Two blocks of centimetres, Z up, under transforms that nothing may mix up.
 
-    One material: jelly apart would be two, softer for the smaller block.
+    combine : as one body, and so of one material; jelly apart is two, softer for the smaller block.
     """
     asset = folder / "blocks.usdc"
     stage = Usd.Stage.CreateNew(str(asset))
@@ -70,7 +70,7 @@ def bake_blocks(folder: Path) -> Baked:
         above.AddScaleOp().Set(Gf.Vec3f(*scale))
         _block(stage, f"/Blocks/{name}/Mesh")
     stage.Save()
-    return _bake(asset, material="jelly", drop="0.1r", combine=True)
+    return _bake(asset, material="jelly", drop="0.1r", combine=combine)
 
 
 def bake_obj(folder: Path) -> Baked:

@@ -23,6 +23,12 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Baked:
 
 
 @pytest.fixture(scope="session")
+def apart(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """The same blocks as two bodies of two materials."""
+    return bake_blocks(tmp_path_factory.mktemp("apart"), combine=False)
+
+
+@pytest.fixture(scope="session")
 def obj(tmp_path_factory: pytest.TempPathFactory) -> Baked:
     """An OBJ file of metres, Y up."""
     return bake_obj(tmp_path_factory.mktemp("obj"))

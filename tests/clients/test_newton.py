@@ -31,7 +31,7 @@ class Reading:
 
     material: Material
     unit: float  # [m]
-    particles: int
+    moduli: list[float]  # [stage units] of each particle, by its index into our materials
     said: dict[str, Any]
 
     def lame(self) -> tuple[float, float]:
@@ -46,6 +46,7 @@ def readings(
     duck: Baked,
     blocks: Baked,
     obj: Baked,
+    apart: Baked,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, Reading]:
     """All that Newton is asked to read, in one process: it takes seconds to start."""
@@ -56,6 +57,7 @@ def readings(
         "jelly": (duck, 2),
         "blocks": (blocks, 0),
         "obj": (obj, 0),
+        "apart": (apart, 0),
         "without the proposal": (_damaged(duck, folder / "a", _forget_the_proposal), 0),
         "in pascals": (_damaged(duck, folder / "b", _say_pascals), 0),
     }
@@ -69,7 +71,7 @@ def readings(
         name: Reading(
             material=baked.materials[number],
             unit=UsdGeom.GetStageMetersPerUnit(stages[name]),
-            particles=len(_points(stages[name]).GetAttribute("points").Get()),
+            moduli=_moduli(_points(stages[name])),
             said=json.loads(files[name].with_suffix(".json").read_text()),
         )
         for name, (baked, number) in cases.items()
@@ -105,8 +107,17 @@ def test_newton_makes_an_elastic_body_of_the_points(
         ("density", r.material.density),
     ):
         # a density is a mass over the cube of a width: four roundings more
-        wanted = pytest.approx([value] * r.particles, rel=4 * SINGLE)
+        wanted = pytest.approx([value] * len(r.moduli), rel=4 * SINGLE)
         assert r.said["particles"][key] == wanted, key
+
+
+def test_newton_gives_each_particle_the_material_of_its_subset(
+    readings: dict[str, Reading],
+) -> None:
+    r = readings["apart"]
+    assert len(set(r.moduli)) == 2
+    wanted = [modulus / r.unit for modulus in r.moduli]
+    assert r.said["particles"]["young_modulus"] == pytest.approx(wanted, rel=4 * SINGLE)
 
 
 @pytest.mark.parametrize("name", ["without the proposal", "in pascals"])
@@ -138,6 +149,13 @@ def _points(stage: Usd.Stage) -> Usd.Prim:
     return next(prim for prim in stage.Traverse() if prim.GetTypeName() == "Points")
 
 
+def _moduli(points: Usd.Prim) -> list[float]:
+    targets = points.GetRelationship("gaussianFlesh:materials").GetTargets()
+    materials = [points.GetStage().GetPrimAtPath(path) for path in targets]
+    table = [material.GetAttribute("physics:youngsModulus").Get() for material in materials]
+    return [table[number] for number in points.GetAttribute("gaussianFlesh:materialIndices").Get()]
+
+
 def _proof(baked: Baked, number: int, path: Path) -> Usd.Stage:
     """A shot of one look with things for Newton to simulate out of its material."""
     stage = Usd.Stage.CreateNew(str(path))
@@ -154,16 +172,19 @@ def _proof(baked: Baked, number: int, path: Path) -> Usd.Stage:
     tet.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
     tet.CreateTetVertexIndicesAttr([Gf.Vec4i(0, 1, 2, 3)])
     points = _points(stage)
-    # Newton reads where they are at no time at all
-    rest = points.GetAttribute("gaussianFlesh:restPositions").Get()
-    UsdGeom.Points(points).GetPointsAttr().Set(rest)
+    # Newton reads where they are at no time at all; points of several materials have that already
+    if UsdGeom.Points(points).GetPointsAttr().Get() is None:
+        rest = points.GetAttribute("gaussianFlesh:restPositions").Get()
+        UsdGeom.Points(points).GetPointsAttr().Set(rest)
     for prim, api in (
         (tet.GetPrim(), "PhysicsVolumeDeformableSimAPI"),
         (points, "NewtonPointsDeformableSimAPI"),
     ):
         prim.AddAppliedSchema("PhysicsDeformableBodyAPI")
         prim.AddAppliedSchema(api)
-    material, _ = UsdShade.MaterialBindingAPI(points).ComputeBoundMaterial("physics")
+    subsets = UsdShade.MaterialBindingAPI(points).GetMaterialBindSubsets()
+    bound = subsets[0].GetPrim() if subsets else points
+    material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial("physics")
     UsdShade.MaterialBindingAPI.Apply(tet.GetPrim()).Bind(
         material, UsdShade.Tokens.weakerThanDescendants, "physics"
     )

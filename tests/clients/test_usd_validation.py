@@ -33,7 +33,7 @@ def findings(stage: Path, folder: Path) -> set[tuple[str, str, str]]:
     }
 
 
-@pytest.mark.parametrize("asset", ["duck", "blocks", "obj"])
+@pytest.mark.parametrize("asset", ["duck", "blocks", "obj", "apart"])
 def test_root_layers_have_no_error_and_no_failure_of_ours(
     asset: str,
     request: pytest.FixtureRequest,
@@ -46,7 +46,7 @@ def test_root_layers_have_no_error_and_no_failure_of_ours(
     assert found <= findings(baked.source, tmp_path)
 
 
-@pytest.mark.parametrize("asset", ["duck", "blocks", "obj"])
+@pytest.mark.parametrize("asset", ["duck", "blocks", "obj", "apart"])
 def test_caches_alone_have_no_error(
     asset: str,
     request: pytest.FixtureRequest,

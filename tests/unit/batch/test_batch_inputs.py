@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from batch_jobs import TRIANGLE
@@ -21,12 +22,7 @@ class Fragile(Children):
         self._deadly, self._slow, self.asked = deadly, slow, list[list[str]]()
 
     def run(
-        self,
-        command: Sequence[str],
-        on_line: Callable[[str], None],
-        *,
-        timeout: float | None = None,
-        inherit: Sequence[int] = (),
+        self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
     ) -> Ended | None:
         names = list(command[command.index("--json") + 1 :])
         self.asked.append(names)

@@ -77,6 +77,21 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     assert "1 were not run yet: never" in text
 
 
+def test_a_slice_is_no_fault(tmp_path: Path) -> None:
+    jobs = tuple(job(tmp_path, name) for name in ("long", "bad"))
+    plan = BatchPlan(jobs=jobs, out=tmp_path, title="t", timeout=None, retries=1)
+    sliced = outcome("long", "sliced", message="rubber: 5 of 9 frames are done")
+    entry = {"repeat": "gf-usd batch x"}
+    text = build_page(plan, [sliced], entry, {})
+    assert Table(text).rows[1][0]["data-kind"] == "begun"
+    assert "One job has frames left. To repeat just these:" in text
+    assert "with frames left 1" in text
+    assert "1 jobs, 0 good" in text
+    assert "need a look 0" in text
+    both = build_page(plan, [sliced, outcome("bad", "failed")], entry, {})
+    assert "One job needs a look; One job has frames left." in both
+
+
 def test_it_is_self_contained_and_safe(tmp_path: Path) -> None:
     text = page(tmp_path)
     assert NASTY not in text

@@ -11,6 +11,8 @@ from gf_usd.batch.manifest import Group, Manifest
 from gf_usd.batch.plan import BatchPlan, choose, make_plan
 from gf_usd.errors import UsageError
 
+PLY, SPZ = {"export_ply": "frames"}, {"export_spz": "frames"}
+
 
 def plan(folder: Path, *groups: dict[str, Any]) -> BatchPlan:
     """A plan of groups given as files, settings, matrix and name."""
@@ -77,6 +79,12 @@ def test_flags_and_lists_become_words(tmp_path: Path) -> None:
         ([{"files": ["x/a.obj", "y/a.obj"], "name": "{folder}.{asset}"}], "a.source.usdc"),
         # and one that is read in two ways as well
         ([{"files": ["a.obj"], "matrix": {"up_axis": ["Y", "Z"]}}], "a.source.usdc"),
+        # roots of their own, but one sequence of splat files
+        ([{"files": ["a.ply"], "settings": PLY, "matrix": {"seed": [0, 1]}}], "frames/a.rubber."),
+        ([{"files": ["x/a.ply", "y/a.ply"], "settings": SPZ, "name": "{folder}.{asset}"}],
+         "frames/a.rubber."),
+        ([{"files": ["x/a.ply"], "settings": PLY, "name": "one"},
+          {"files": ["y/a.ply"], "settings": PLY, "name": "two"}], "frames/a.rubber."),
         ([{"files": ["a.usda"], "name": "{asset}.{speed}"}], "{speed}"),
         ([{"files": ["a.usda"], "name": "../{asset}"}], "'../a'"),
     ],
@@ -92,6 +100,16 @@ def test_names_that_cannot_be_are_refused(
 def test_jobs_of_one_mesh_file_may_share_its_layer(tmp_path: Path) -> None:
     found = plan(tmp_path, {"files": ["a.obj"], "matrix": {"seed": [0, 1, 2]}})
     assert len(found.jobs) == 3
+
+
+def test_sequences_of_splats_in_folders_or_forms_of_their_own_do_not_meet(tmp_path: Path) -> None:
+    apart = {"export_ply": ["one", "two"], "seed": [0]}
+    assert len(plan(tmp_path, {"files": ["a.ply"], "matrix": apart}).jobs) == 2
+    ply = {"files": ["a.ply"], "settings": PLY, "name": "ply"}
+    spz = {"files": ["a.ply"], "settings": SPZ, "name": "spz"}
+    assert len(plan(tmp_path, ply, spz).jobs) == 2
+    looks = {"files": ["a.ply"], "settings": PLY, "matrix": {"material": ["rubber", "jelly"]}}
+    assert len(plan(tmp_path, looks).jobs) == 2
 
 
 def test_jobs_are_chosen_by_name_or_pattern(tmp_path: Path) -> None:

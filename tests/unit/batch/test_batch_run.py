@@ -31,15 +31,10 @@ class Bakes(Children):
         self.before: Callable[[str], None] = lambda name: None
 
     def run(
-        self,
-        command: Sequence[str],
-        on_line: Callable[[str], None],
-        *,
-        timeout: float | None = None,
-        inherit: Sequence[int] = (),
+        self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
     ) -> Ended | None:
         if "inputs" in command:
-            return super().run(command, on_line, timeout=timeout, inherit=inherit)
+            return super().run(command, on_line, **how)
         assert list(command[:4]) == [sys.executable, "-m", "gf_usd", "bake"]
         root = Path(command[command.index("--output") + 1])
         name = root.stem
@@ -157,6 +152,22 @@ def test_a_disk_that_takes_no_record_fails_the_job(
     assert ends["a"]["message"] == "no space left"
     assert ends["b"]["message"] == "full"
     assert ends["b"]["notes"] == ("no space left",)
+
+
+@pytest.mark.parametrize(
+    ("limit", "found"),
+    [("max 100000", 8), ("150000 100000", 2), ("100000 100000", 1), ("1000 100000", 1),
+     ("1600000 100000", 8), (None, 8)],
+)  # fmt: skip
+def test_the_cores_of_a_container_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str | None, found: int
+) -> None:
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
+    path = tmp_path / "cpu.max"
+    if limit:
+        path.write_text(f"{limit}\n", encoding="ascii")
+    monkeypatch.setattr(resources, "CPU_LIMIT", str(path))
+    assert resources.cores() == found
 
 
 def test_processes_fit_into_cores_and_memory(

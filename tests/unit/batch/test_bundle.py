@@ -130,11 +130,40 @@ def test_a_task_is_ended_in_time(tmp_path: Path) -> None:
     assert "timeout" not in template(endless, chunk=4)["steps"][0]["script"]["actions"]["onRun"]
 
 
+def test_chunks_grow_only_where_tasks_have_no_bound(tmp_path: Path) -> None:
+    def target(asked: BatchPlan, slice: int | None = None) -> int:
+        space = template(asked, 1, slice)["steps"][0]["parameterSpace"]
+        return space["taskParameterDefinitions"][0]["chunks"]["targetRuntimeSeconds"]
+
+    limited = plan(tmp_path, frames=9, clip_frames=2)
+    endless = replace(limited, timeout=None)
+    assert target(endless) == 900
+    assert target(limited) == target(endless, slice=1) == 0
+
+
+def test_slices_are_steps_that_wait_for_each_other(tmp_path: Path) -> None:
+    asked = plan(tmp_path, frames=25, clip_frames=4)
+    steps = template(asked, chunk=1, slice=2)["steps"]
+    names = [step["name"] for step in steps]
+    assert names == ["Bake 1 of 3", "Bake 2 of 3", "Bake 3 of 3", "Report"]
+    before = [step.get("dependencies") for step in steps]
+    assert before == [None, *([{"dependsOn": name}] for name in names[:3])]
+    for number, step in enumerate(steps[:3], 1):
+        words = step["script"]["actions"]["onRun"]["args"]
+        assert words[-4:] == ["--slice", "2", "--part", f"{number}/3"]
+    # the longest job says how many there are, and jobs that fit into one slice have one step
+    mixed = replace(asked, jobs=(*asked.jobs, job(tmp_path, "b", frames=41, clip_frames=4)))
+    assert len(template(mixed, chunk=1, slice=2)["steps"]) == 5 + 1
+    assert [s["name"] for s in template(asked, chunk=1, slice=6)["steps"]] == ["Bake", "Report"]
+
+
 @pytest.mark.skipif(not OPENJD.is_file() and not shutil.which("openjd"), reason="no openjd-cli")
-def test_the_real_openjd_accepts_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("slice", "steps"), [(None, 2), (1, 5)])
+def test_the_real_openjd_accepts_it(tmp_path: Path, slice: int | None, steps: int) -> None:
     program = str(OPENJD) if OPENJD.is_file() else "openjd"
     folder = tmp_path / "bundle"
-    write_bundle(plan(tmp_path), folder, chunk=2, program="py", table=InputTable(Children()))
+    asked = plan(tmp_path, frames=9, clip_frames=2)
+    write_bundle(asked, folder, chunk=2, program="py", table=InputTable(Children()), slice=slice)
 
     def ask(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -145,7 +174,7 @@ def test_the_real_openjd_accepts_it(tmp_path: Path) -> None:
     assert ask("check").returncode == 0
     said = ask("summary", "-p", f"file://{folder / 'parameters.json'}", "--output", "json")
     assert said.returncode == 0, said.stdout + said.stderr
-    assert json.loads(said.stdout)["total_steps"] == 2
+    assert json.loads(said.stdout)["total_steps"] == steps
     # and it would say if it were none
     tree = json.loads((folder / "template.json").read_text("utf-8"))
     tree["steps"][0]["parameterSpace"]["taskParameterDefinitions"][0]["type"] = "CHUNK[WORD]"

@@ -20,6 +20,11 @@ RESULT = {
     "bakes": [{"frames": 4, "health": {"rollbacks": 1, "min_J": 0.9}}, {"frames": 4, "health": {}}],
 }
 DAMAGED = "/x.usda is damaged: 12:3\nin two lines"
+SLICED = (
+    "frame 3/5, 150 particles\nrubber: 3 of 5 frames are done, and the slice of 2 clips ends here;"
+    " x is kept\n\nhint: the same command with --resume continues\n"
+)
+GOES_ON = "the same command goes on with it"
 ERROR = f"note: centimetres\nerror: {DAMAGED}\n\nhint: export it again\n"
 
 
@@ -51,6 +56,8 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
         (ended(143, timed_out=True), "timeout", "no end after 2 s", "raise --timeout"),
         (ended(1, err="Traceback\n  line\nMemoryError: 3\n"), "crashed", "MemoryError: 3", ""),
         (ended(1), "crashed", "no words", ""),
+        (ended(5, err=SLICED), "sliced", "rubber: 3 of 5 frames are done", GOES_ON),
+        (ended(5, stopped=True), "stopped", "interrupted before its end", ""),
     ],
 )  # fmt: skip
 def test_every_other_end_has_its_name(

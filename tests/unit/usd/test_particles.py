@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 from small_sources import MOVING, PLAIN
 from small_stages import (
     RUBBER,
     bake,
     write_cache,
 )
+
+from gf_usd.choices import Choices
 
 
 def test_the_splats_extent_is_that_of_their_three_sigma_ellipsoids(tmp_path: Path) -> None:
@@ -82,6 +84,37 @@ def test_each_body_has_its_own_material(tmp_path: Path) -> None:
     assert materials == [scope.AppendChild("rubber"), scope.AppendChild("rubber_2")]
     assert set(splats.GetAttribute("gaussianFlesh:materialIndices").Get()) == {0, 1}
     assert not splats.HasAPI(UsdShade.MaterialBindingAPI)
+
+
+@pytest.mark.parametrize("clips", [0, 2])
+def test_points_of_several_materials_are_bound_in_subsets(tmp_path: Path, clips: int) -> None:
+    asset = MOVING.asset(tmp_path)
+    write_cache(tmp_path / "c.usdc", asset, bodies=2, choices=Choices(clip_frames=clips))
+    stage = Usd.Stage.Open(str(tmp_path / "c.usdc"))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/root/GaussianFlesh/Points"))
+    prim = points.GetPrim()
+    which = np.array(prim.GetAttribute("gaussianFlesh:materialIndices").Get())
+    subsets = UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets()
+    assert [s.GetPrim().GetName() for s in subsets] == ["rubber", "rubber_2"]
+    # without clips what reads no time finds points and subsets
+    code = Usd.TimeCode(stage.GetStartTimeCode()) if clips else Usd.TimeCode.Default()
+    rest = np.array(prim.GetAttribute("gaussianFlesh:restPositions").Get())
+    assert len(points.GetPointsAttr().Get(code)) == len(rest)
+    for number, subset in enumerate(subsets):
+        found = np.array(subset.GetIndicesAttr().Get(code))
+        np.testing.assert_array_equal(found, np.flatnonzero(which == number))
+        bound, _ = UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial("physics")
+        assert bound.GetPath() == f"/root/GaussianFlesh/Materials/{subset.GetPrim().GetName()}"
+        shown, _ = UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()
+        assert not shown, "they are no look"
+    if not clips:
+        np.testing.assert_array_equal(np.array(points.GetPointsAttr().Get()), rest)
+    assert UsdGeom.Subset.ValidateFamily(points, "point", "materialBind") == (True, "")
+    # and the motion is that of the samples, at their times
+    moved = np.array(points.GetPointsAttr().Get(stage.GetEndTimeCode()))
+    assert not np.allclose(moved, rest)
+    subsets[0].GetIndicesAttr().Set([0], code)
+    assert not UsdGeom.Subset.ValidateFamily(points, "point", "materialBind")[0]
 
 
 def test_a_material_is_bound_for_physics_in_stage_units(tmp_path: Path) -> None:
