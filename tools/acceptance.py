@@ -168,8 +168,10 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
             )
         )
     bad = [ran for ran in tree["runs"] if ran["fault"]]
-    head = ("scene", "runs", "smallest J", "deepest in the floor [spacings]",
-            "deepest overlap [spacings]", "largest gain of energy in a frame", "verdict")  # fmt: skip
+    head = (
+        "scene", "runs", "smallest J", "deepest in the floor [spacings]",
+        "deepest overlap [spacings]", "largest gain of energy in a frame", "verdict",
+    )  # fmt: skip
     return Outcome(
         passed=done.returncode == 0 and not bad,
         summary=f"{len(tree['runs']) - len(bad)} of {len(tree['runs'])} jittered bakes without a"
