@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job
 from gf_usd.estimate import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES
+from gf_usd.room import free_memory
 
 # Bodies under that many particles are computed by one thread.
 ONE_THREAD = 12_000
@@ -23,25 +23,6 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def free_memory() -> float:
-    """[bytes] that are free, for this process's control group where it has a limit."""
-    system = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    for line in _words("/proc/meminfo").splitlines():
-        if line.startswith("MemAvailable:"):
-            system = float(line.split()[1]) * 1024.0
-    limit, used = _words("/sys/fs/cgroup/memory.max"), _words("/sys/fs/cgroup/memory.current")
-    if limit.isdigit() and used.isdigit():
-        return min(system, float(limit) - float(used))
-    return system
-
-
-def _words(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
 
 
 def memory_of(options: Mapping[str, Any]) -> float:
