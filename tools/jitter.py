@@ -3,8 +3,8 @@
     python tools/jitter.py [--json] [--runs N] [--seed S] [--keep FOLDER]
 
 A scene is put under an Xform that moves and turns it about the up axis, and is baked by
-`gf-usd bake`; `gf-usd check` then reads what was written.  A run is sound if neither has anything to
-say, but for warnings that the scene is known for.  Exit status 1 if one of the runs was not sound.
+`gf-usd bake`; `gf-usd check` then reads what was written.  A run is sound if neither has anything
+to say, but for warnings that the scene is known for.  Exit status 1 if one was not sound.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ SCENES = (
     Scene(file="sphere.usda", options=one_body),
     Scene(file="deformed_sphere.usda", options=one_body),
     Scene(file="duck.usda", options=one_body),
-    # its pile folds soft skin, and contact points are let go there: docs/physics.md, folded surfaces
+    # its pile folds soft skin, and contact points are let go there (docs/physics.md)
     Scene(file="ten_ducks.usda", options=many_bodies, known=("let-go",)),
 )
 FIGURES = ("restitution", "deepest_penetration_spacings", "deepest_overlap_spacings", "min_J",
