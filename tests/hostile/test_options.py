@@ -33,9 +33,11 @@ def test_options_together(here: Path, options: dict[str, Any]) -> None:
     assert [path.name for path in here.parent.iterdir()] == [here.name], "a plan writes nothing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIONS)
 def test_each_value_alone(here: Path, name: str) -> None:
     """The first value of each is one that is right."""
     found = [planned(here, {name: value}) for value in OPTIONS[name]]
-    assert found[0] or name in ("resume", "material_labels", "output", "prims")
+    # the box has no such label, and with all of it pinned nothing is left to move
+    assert found[0] or name in ("material_labels", "pins")
     assert [path.name for path in here.parent.iterdir()] == [here.name]
