@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.carrying import Carrier
 from gf_usd.delivery import deliver, sweep
-from gf_usd.errors import SolverError
+from gf_usd.errors import OutOfRoom, SolverError
 from gf_usd.estimate import MAX_HOURS, require_affordable
 from gf_usd.failure import leave
 from gf_usd.isolation import Limits
@@ -23,6 +23,7 @@ from gf_usd.plan import BakeResult, LookResult, Plan, input_hash, report_json
 from gf_usd.preflight import prepare
 from gf_usd.publish import partial_path, publish_text
 from gf_usd.resuming import Keeper, finished
+from gf_usd.room import RoomWatch, require_room
 from gf_usd.summary import HealthLog
 from gf_usd.timeline import sampled, with_held
 from gf_usd.writing import alone, write_source
@@ -105,12 +106,14 @@ def run(
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
-    Raises InputError where it would take longer than max_hours, UsageError where another bake
+    Raises InputError where it would take longer than max_hours, or more disk or memory than is
+    free (see `room`), UsageError where another bake
     is writing the same (see `writing.alone`), SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
     keeper = Keeper(plan, slice)
     require_affordable(plan, max_hours)
+    require_room(plan)
     with alone(plan):
         return _run_alone(plan, progress, keeper)
 
@@ -133,9 +136,11 @@ def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeRes
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
             results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
-            finished(plan.outputs)  # it would fail again
+            if not isinstance(error, OutOfRoom):
+                finished(plan.outputs)  # it would fail again
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
+    input_hash(plan)  # an asset that is gone is found out before a result has its final name
     notes += deliver(plan, looks, earlier)
     findings = review(plan.outputs.root, plan.source)
     seconds = time.perf_counter() - began
@@ -191,6 +196,7 @@ def _run_look(
     target = plan.outputs.caches[number]
     carrier = Carrier(plan, number, since)
     moving = Moving(plan, material, carrier, since)
+    room = RoomWatch(plan)
     failure = None
     with CacheWriter(
         target,
@@ -206,6 +212,7 @@ def _run_look(
                 if baked.index < 0 and baked.splats:
                     baked = carrier.held(baked)
                 if baked.index >= settings.first:
+                    room.require(baked.index, cache.unsaved)
                     cache.write(baked)
                     if baked.index % n == 0:
                         carrier.export(baked, (baked.index - settings.first) // n)

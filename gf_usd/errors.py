@@ -60,6 +60,10 @@ class SolverError(BakeError):
         self.frame, self.particle = frame, particle
 
 
+class OutOfRoom(SolverError):
+    """The disk or the memory is nearly full; what was had is kept, and clips can be resumed."""
+
+
 class UnhealthyError(GfUsdError):
     """The bake is complete and written, but has warnings, and --strict asks for none (status 4).
 

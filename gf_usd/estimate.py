@@ -37,8 +37,11 @@ HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
+# [s] of a substep, for each contact sample where bodies meet others: in the mean of a crash
+MEETING_SECONDS = 1e-6
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
 VERTEX_MEMORY = 4400.0  # [bytes] a vertex, likewise
+MEETING_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
 # [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
 # takes hours is mostly a modulus in the wrong unit.
 MAX_HOURS = 1.0
@@ -47,15 +50,22 @@ MAX_HOURS = 1.0
 def estimate(plan: Plan) -> dict[str, Any]:
     """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
 
-    Materials are baked one after another: disk adds up, memory does not, and seconds do but for
-    what is started once.  The frame is None where the asset touches nothing within the bake.
+    Materials are baked one after another: disk adds up, and seconds do but for what is started
+    once.  Memory adds up as far as solvers wait for their bake (`plan.KEPT`).  The frame is None
+    where the asset touches nothing within the bake.
     """
+    from gf_usd.plan import KEPT
+
     frames, n, samples = plan.settings.frames, len(plan.particles), plan.settings.samples_per_frame
     vertices = sum(len(s.points if s.splats is None else s.splats) for s in plan.asset.surfaces)
     disk = written(plan.settings) * frame_bytes(plan.asset, n, plan.settings, plan.choices)
-    memory = PROCESS_MEMORY + PARTICLE_MEMORY * n + VERTEX_MEMORY * vertices
+    waiting = min(len(plan.materials), max(1, KEPT // n))  # solvers, which are dear to build
+    memory = PROCESS_MEMORY + PARTICLE_MEMORY * n * waiting + VERTEX_MEMORY * vertices
     fixed, each = SUBSTEP_SECONDS[plan.settings.solver]
     substep = CONTACT * (fixed + each * n)
+    if plan.encounters is not None and plan.encounters.any:
+        memory += MEETING_MEMORY * len(plan.samples.X)
+        substep += MEETING_SECONDS * len(plan.samples.X)
     frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
     start = START_SECONDS + VERTEX_SECONDS * vertices
     rows = []

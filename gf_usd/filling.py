@@ -79,6 +79,7 @@ def fill(
         spacing=spacing,
         seed=request.seed or 0,
         uniform=paper,
+        up=asset.facts.up_axis,
     )
     owners = {path: body.owner for path, body in words.bodies.items()}
     bodies, particles = plan_bodies(
@@ -91,7 +92,7 @@ def fill(
     else:
         samples = sample_surface(
             solid, particles.spacing, request.seed or 0,
-            bodies.of_surface if bodies.count > 1 else None,
+            bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
         )  # fmt: skip
     floor, normal = parse_floor(request.floor, asset.facts.up, unit)
     lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)

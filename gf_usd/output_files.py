@@ -71,6 +71,8 @@ def outputs(
     Raises UsageError for names that collide, with each other or with the asset.
     """
     _require_names(looks)
+    if output is not None and "\0" in output:
+        raise UsageError("-o holds a null character, which no path has", "choose another -o")
     name = f"{source.stem}.{'-'.join(looks)}.{'usdc' if flatten else 'usda'}"
     if output is None:
         root = Path(name)

@@ -17,6 +17,7 @@ from gf_usd.body_plan import BodyPlan
 from gf_usd.checkpoint import Checkpoint
 from gf_usd.choices import Choices
 from gf_usd.encounters import Encounters
+from gf_usd.errors import BakeError
 from gf_usd.judgement import Caution, cautions_json
 from gf_usd.model import Asset, Floats, Material, Particles, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
@@ -147,10 +148,16 @@ def command_line(source: Path, **asked: Any) -> str:
 
 
 def input_hash(plan: Plan) -> str:
-    """sha256 of the source file."""
+    """sha256 of the source file; raises BakeError where it is gone since it was read."""
     path = plan.asset.facts.path
-    seen = path.stat()
-    return _sha256(path.absolute(), seen.st_mtime_ns, seen.st_size)
+    try:
+        seen = path.stat()
+        return _sha256(path.absolute(), seen.st_mtime_ns, seen.st_size)
+    except OSError as error:
+        raise BakeError(
+            f"{path} cannot be read any more: {error.strerror}",
+            "leave the asset where it is while it is baked; put it back and bake again",
+        ) from error
 
 
 @cache

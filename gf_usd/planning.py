@@ -13,11 +13,14 @@ from gf_usd.material_regions import parse_regions
 from gf_usd.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.model import Floats, Settings, StageFacts
 from gf_usd.playback import authored_rate, first_time_code
+from gf_usd.quantities import number, positive
 from gf_usd.timeline import parse_range, span
 
 DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
 DEFAULT_FPS = 24.0
 DEFAULT_DROP = "3r"
+LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
+STRONGEST = 1e9  # [m/s^2]
 SKINS = ("embed", "idw", "paper")
 SOLVERS = ("tl", "ul")  # Total and Updated Lagrangian, see physics/solvers.py
 
@@ -79,11 +82,11 @@ class Request:
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
-        _positive("--particles", self.particles)
-        _positive("--spacing", self.spacing)
-        _positive("--frames", self.frames)
-        _positive("--fps", self.fps)
-        _positive("--threads", self.threads)
+        positive("--particles", self.particles)
+        positive("--spacing", self.spacing)
+        positive("--frames", self.frames)
+        positive("--fps", self.fps)
+        positive("--threads", self.threads)
         for option, value, high in (
             ("--filter-rate", self.filter_rate, np.inf),
             ("--drag", self.drag, 1e6),
@@ -231,7 +234,7 @@ def parse_time_scale(text: str | None, T: float) -> float:
         return 1.0
     if text == "auto":
         return T / PAPER_T
-    value = _number("--time-scale", text, "a number such as 0.2 (five times slower), or auto")
+    value = number("--time-scale", text, "a number such as 0.2 (five times slower), or auto")
     if value <= 0.0:
         raise UsageError(f"--time-scale is {text}", "give a number above 0, or auto")
     return value
@@ -240,9 +243,11 @@ def parse_time_scale(text: str | None, T: float) -> float:
 def parse_length(option: str, text: str, radius: float, unit: float) -> float:
     """Metres of "2.5" (stage units) or "3r" (radii)."""
     body, scale = (text[:-1], radius) if text.endswith("r") else (text, unit)
-    value = _number(option, body, "a length such as 2.5 (stage units) or 3r (radii of the body)")
+    value = number(option, body, "a length such as 2.5 (stage units) or 3r (radii of the body)")
     if value < 0.0:
         raise UsageError(f"{option} is {text}", "give a length of 0 or more")
+    if value > LONGEST:
+        raise UsageError(f"{option} is {text}", f"give a length of up to {LONGEST:g}")
     return value * scale
 
 
@@ -259,14 +264,14 @@ def parse_floor(text: str | None, up: Floats, unit: float) -> tuple[float | None
         parts = direction.split(",")
         if len(parts) != 3:
             raise UsageError(f"--floor is {text!r}", f"give {what}")
-        normal = np.array([_number("--floor", part, what) for part in parts])
+        normal = np.array([number("--floor", part, what) for part in parts])
         length = float(np.linalg.norm(normal))
         if length == 0.0 or normal @ up <= 0.1 * length:
             raise UsageError(
                 f"--floor {text}: the normal {direction} does not point up", f"give {what}"
             )
         normal = normal / length
-    at = _number("--floor", height, what) * unit if height else 0.0
+    at = number("--floor", height, what) * unit if height else 0.0
     return at * float(normal @ up), normal
 
 
@@ -280,21 +285,8 @@ def parse_gravity(text: str | None, up: Floats) -> tuple[float, float, float]:
     what = "9.81 (m/s^2, downward) or three numbers x,y,z"
     if len(parts) not in (1, 3):
         raise UsageError(f"--gravity is {text!r}", f"give {what}")
-    values = np.array([_number("--gravity", part, what) for part in parts])
+    values = np.array([number("--gravity", part, what) for part in parts])
+    if np.abs(values).max() > STRONGEST:
+        raise UsageError(f"--gravity is {text}", f"give up to {STRONGEST:g} m/s^2")
     g = -values[0] * up if len(values) == 1 else values
     return _triple(g + 0.0)
-
-
-def _number(option: str, text: str, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise UsageError(f"{option}: {text!r} is no number", f"give {what}")
-    return value
-
-
-def _positive(option: str, value: float | None) -> None:
-    if value is not None and not (np.isfinite(value) and value > 0):
-        raise UsageError(f"{option} is {value:g}", "give a number above 0")

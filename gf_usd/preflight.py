@@ -29,6 +29,7 @@ from gf_usd.planning import Request
 from gf_usd.resuming import going_on
 from gf_usd.runtime import init_taichi
 from gf_usd.stage_reading import StageWords, read_words
+from gf_usd.units import check_unit
 from gf_usd.writing import stamp, stamps
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def prepare(
 ) -> Plan:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters."""
     anew = overwrite
+    check_unit(meters_per_unit)
     request, looks = _asked(material, law, options)
     source = Path(path)
     target_name = None if output is None else str(output)
@@ -161,6 +163,7 @@ def inspect(
     from gf_usd.geometry.splat_hull import with_hulls
     from gf_usd.inspection import implausible_size, look_at, lost_volume
 
+    check_unit(meters_per_unit)
     request, looks = _asked(material, law, options)
     source = Path(path)
     _try(source, limits, request, looks, prims, meters_per_unit, up_axis)

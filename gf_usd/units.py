@@ -8,6 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gf_usd.errors import UsageError
+
+LEAST, MOST = 1e-30, 1e30  # of a length: its cube and the ratio of two stay numbers
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageUnits:
@@ -40,3 +44,12 @@ class StageUnits:
     def pressure(self) -> float:
         """[Pa] per stage pressure: E[Pa] = E[stage] * kilogramsPerUnit / metersPerUnit."""
         return self.kilograms_per_unit / self.meters_per_unit
+
+
+def check_unit(meters_per_unit: float | None) -> None:
+    """Raise UsageError for an option that is no size of a unit."""
+    if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:
+        raise UsageError(
+            f"--meters-per-unit {meters_per_unit:g} is not a size",
+            "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+        )

@@ -155,11 +155,53 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `tools/jitter.py --json` found.  Raises SystemExit where it printed nothing."""
+    if not done.stdout:
+        raise SystemExit(f"tools/jitter.py printed nothing, exit status {done.returncode}")
+    tree = json.loads(done.stdout.splitlines()[-1])
+    rows = []
+    for scene in dict.fromkeys(ran["scene"] for ran in tree["runs"]):
+        runs = [ran for ran in tree["runs"] if ran["scene"] == scene]
+        faults = [f"{ran['number']}: {ran['fault']}" for ran in runs if ran["fault"]]
+        seen = [ran["figures"] for ran in runs if ran["figures"]]
+        rows.append(
+            (
+                scene,
+                str(len(runs)),
+                figure(min((f["min_J"] for f in seen), default=None)),
+                figure(max((f["deepest_penetration_spacings"] for f in seen), default=None)),
+                figure(max((f["deepest_overlap_spacings"] for f in seen), default=None)),
+                figure(max((f["energy_gain_max_share"] for f in seen), default=None)),
+                str(sum(bool(ran["warnings"]) for ran in runs)),
+                f"**FAIL** {'; '.join(faults)}" if faults else "pass",
+            )
+        )
+    bad = [ran for ran in tree["runs"] if ran["fault"]]
+    head = (
+        "scene", "runs", "smallest J", "deepest in the floor [spacings]",
+        "deepest overlap [spacings]", "largest gain of energy in a frame", "with a warning",
+        "verdict",
+    )  # fmt: skip
+    return Outcome(
+        passed=done.returncode == 0 and not bad,
+        summary=f"{len(tree['runs']) - len(bad)} of {len(tree['runs'])} jittered bakes were"
+        " without a finding of check, and without a warning that the scene as it is has not",
+        table=(head, *rows),
+        data=tree,
+    )
+
+
 SECTIONS: dict[str, Section] = {
     "batch": Section(
         title="A batch through a bad night",
         command=("python", "tools/batch_acceptance.py", "--json"),
         read=read_batch,
+    ),
+    "jitter": Section(
+        title="Samples, jittered",
+        command=("python", "tools/jitter.py", "--json"),
+        read=read_jitter,
     ),
     "kills": Section(
         title="kill -9 of a bake",

@@ -1,5 +1,6 @@
 """Break small files by seed and read each in a forked child: python tools/fuzz.py --count 1000.
 
+With --options no file is broken: options of a bake, right and wrong, are combined and planned.
 Everything is imported once; a case costs a fork.  Exit status 1 where a reader crashed, hung, ate
 memory or raised an error that is not ours; the files that did it are kept in --keep.
 """
@@ -10,6 +11,7 @@ import argparse
 import contextlib
 import random
 import re
+import signal
 import sys
 import tempfile
 import time
@@ -19,11 +21,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
 from hostile_files import broken, sound
+from hostile_options import asset, drawn, planned
 
 from gf_usd.errors import GfUsdError, InputError
 from gf_usd.isolation import Limits, attempt, read_untrusted
 from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
 
+PATIENCE = 60  # [s] for a plan
 TOGETHER = 25  # cases of one child
 EACH = Limits(time=10.0, memory=8e9, output=1e8)
 
@@ -34,9 +38,12 @@ def main() -> int:
     ask.add_argument("--seed", type=int, default=0)
     ask.add_argument("--count", type=int, default=1000)
     ask.add_argument("--seconds", type=float, default=240.0, help="stop after this time [s]")
+    ask.add_argument("--options", action="store_true", help="combine options instead")
     ask.add_argument("--keep", type=Path, help="folder for the files that were findings")
     asked = ask.parse_args()
     until = time.monotonic() + asked.seconds
+    if asked.options:
+        return run_options(asked.seed, asked.count, until)
     ends: Counter[str] = Counter()
     findings: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as scratch:
@@ -68,6 +75,33 @@ def main() -> int:
     for words, times in findings.most_common():
         print(f"{times:6d}  {words}")
     return 1 if findings else 0
+
+
+def run_options(seed: int, count: int, until: float) -> int:
+    """Plan combinations of options; the first error that is not ours ends it, with its options."""
+    ends: Counter[str] = Counter()
+    options = {}
+
+    def hang(number: int, frame: object) -> None:
+        raise TimeoutError(f"no plan in {PATIENCE} s")
+
+    signal.signal(signal.SIGALRM, hang)
+    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+        path = asset(Path(scratch))
+        for number in range(count):
+            if time.monotonic() > until:
+                break
+            options = drawn(random.Random(f"{seed}:options:{number}"))
+            signal.alarm(PATIENCE)
+            try:
+                ends["planned" if planned(path, options) else "refused in words"] += 1
+            finally:
+                signal.alarm(0)
+                if sys.exc_info()[0] is not None:
+                    print(f"seed {seed}, case {number} of {dict(ends)}: {options}")
+        left = [found.name for found in Path(scratch).iterdir() if found != path]
+    print(f"seed {seed}: {sum(ends.values())} combinations; {dict(ends)}; left behind: {left}")
+    return 1 if left else 0
 
 
 def run_cases(cases: Sequence[Path]) -> str | None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job
 from gf_usd.estimate import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES
+from gf_usd.room import free_memory
 
 CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
 # Bodies under that many particles are computed by one thread.
@@ -30,25 +30,6 @@ def cores() -> int:
     if quota.isdigit() and period.isdigit():
         found = min(found, math.ceil(int(quota) / int(period)))
     return found
-
-
-def free_memory() -> float:
-    """[bytes] that are free, for this process's control group where it has a limit."""
-    system = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    for line in _words("/proc/meminfo").splitlines():
-        if line.startswith("MemAvailable:"):
-            system = float(line.split()[1]) * 1024.0
-    limit, used = _words("/sys/fs/cgroup/memory.max"), _words("/sys/fs/cgroup/memory.current")
-    if limit.isdigit() and used.isdigit():
-        return min(system, float(limit) - float(used))
-    return system
-
-
-def _words(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
 
 
 def memory_of(options: Mapping[str, Any]) -> float:

@@ -8,11 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
+from gf_usd.cli.options import LimitsOf
 from gf_usd.errors import InputError
 
 
 def inputs(
     assets: Annotated[list[Path], typer.Argument(help="Assets, or USD files with a material.")],
+    limits: LimitsOf = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object on a line for each asset.")
     ] = False,
@@ -22,11 +24,14 @@ def inputs(
     Exit status 3 if one of them cannot be read.
     """
     from gf_usd.assets.inputs import read_inputs
+    from gf_usd.isolation import attempt, parse_limits
 
+    most = parse_limits(limits)
     refused: InputError | None = None
     for path in assets:
         out: dict[str, Any] = {"asset": str(path)}
         try:
+            attempt(path, lambda path=path: read_inputs(path), most)
             found = read_inputs(path)
         except InputError as error:
             refused = error

@@ -85,6 +85,9 @@ def run() -> NoReturn:
 
 
 def _stop(number: int, frame: object) -> NoReturn:
+    # a second one ends it at once, also where the first waits for a disk that does not answer
+    for again in STOPPED:
+        signal.signal(again, signal.SIG_DFL)
     # typer ends a KeyboardInterrupt without a word
     typer.echo(f"{STOPPED[number]}; {remains.words()}", err=True)
     sys.exit(128 + number)

@@ -4,6 +4,8 @@ Particles are stratified: one in each cube of a lattice, kept if it lies inside.
 cell of the solver's grid, so that every full cell holds exactly eight particles, each at a random
 place about one of the cell's eight Gauss points (docs/physics.md).  All have the same rest volume
 V0 = V / N.
+
+Draws are made in a frame whose Y is up, so that an asset has the same particles whichever axis is.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps betwee
 SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid
 MOST_PARTICLES = 50_000_000
+# World to the frame of the draws: signed permutations, which lose no digit.
+TURNS = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
 CHUNK = 2_000_000  # lattice cubes looked at together: bounds memory
 
 
@@ -39,6 +43,7 @@ def sample_solid(
     spacing: float | None,
     seed: int,
     uniform: bool = False,
+    up: str = "Y",
 ) -> Particles:
     """Particles at a spacing [m], or about `particles` of them.
 
@@ -55,7 +60,11 @@ def sample_solid(
             "raise --spacing or lower --particles",
         )
     rng = np.random.default_rng(seed)
-    corner, X = _uniform(solid, round(expected), rng) if uniform else _strata(solid, a, rng)
+    turn = TURNS[up]
+    if uniform:
+        corner, X = _uniform(solid, round(expected), rng, turn)
+    else:
+        corner, X = _strata(solid, a, rng, turn)
     if len(X) < LEAST_PARTICLES:
         raise InputError(
             f"only {len(X)} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
@@ -81,12 +90,21 @@ def sample_solid(
     )
 
 
-def _strata(solid: Solid, a: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _box(solid: Solid, turn: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corner in the frame of the draws."""
+    ends = np.stack([solid.low, solid.high]) @ turn.T
+    return ends.min(0), ends.max(0)
+
+
+def _strata(
+    solid: Solid, a: float, rng: np.random.Generator, turn: Floats
+) -> tuple[Floats, Floats]:
     """Corner of the lattice and the particles kept, cube by cube."""
-    size = solid.high - solid.low
+    low, high = _box(solid, turn)
+    size = high - low
     n = np.maximum(1, np.ceil(size / a).astype(int))
     # Centred on the asset: a symmetric asset gets a symmetric lattice.
-    corner = solid.low + 0.5 * (size - n * a)
+    corner = low + 0.5 * (size - n * a)
     slab = max(1, CHUNK // int(n[1] * n[2]))
     kept = []
     for start in range(0, int(n[0]), slab):
@@ -94,18 +112,19 @@ def _strata(solid: Solid, a: float, rng: np.random.Generator) -> tuple[Floats, F
         cube = np.stack(np.unravel_index(np.arange(np.prod(count)), tuple(count)), -1)
         cube[:, 0] += start
         place = np.array(GAUSS)[cube % 2] + JITTER * (rng.random(cube.shape) - 0.5)
-        X = corner + a * (cube + place)
+        X = (corner + a * (cube + place)) @ turn
         kept.append(X[solid.inside(X)])
-    return corner, np.concatenate(kept)
+    return corner @ turn, np.concatenate(kept)
 
 
-def _uniform(solid: Solid, n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> tuple[Floats, Floats]:
     """Corner of the bounding box and exactly n points by rejection."""
+    low, high = _box(solid, turn)
     kept: list[Floats] = []
     while (have := sum(len(k) for k in kept)) < n:
-        X = solid.low + rng.random((4 * (n - have) + 64, 3)) * (solid.high - solid.low)
+        X = (low + rng.random((4 * (n - have) + 64, 3)) * (high - low)) @ turn
         kept.append(X[solid.inside(X)])
-    return solid.low, np.concatenate(kept)[:n]
+    return low @ turn, np.concatenate(kept)[:n]
 
 
 def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
@@ -117,7 +136,7 @@ def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
 
 
 def sample_surface(
-    solid: Solid, spacing: float, seed: int, bodies: Ints | None = None
+    solid: Solid, spacing: float, seed: int, bodies: Ints | None = None, up: str = "Y"
 ) -> SurfaceSamples:
     """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
 
@@ -131,14 +150,14 @@ def sample_surface(
     kept: list[tuple[Floats, Floats, Floats]] = []
     for k in range(int(body.max()) + 1):
         members = np.flatnonzero(body == k)
-        kept.append(_sample_body([solid.outward(int(s)) for s in members], spacing, rng))
+        kept.append(_sample_body([solid.outward(int(s)) for s in members], spacing, rng, up))
     X, area, normal = (np.concatenate(part) for part in zip(*kept))
     of = np.repeat(np.arange(len(kept)), [len(part[0]) for part in kept])
     return SurfaceSamples(X=X, area=area, normal=normal, body=None if bodies is None else of)
 
 
 def _sample_body(
-    surfaces: Sequence[tuple[Floats, Ints]], spacing: float, rng: np.random.Generator
+    surfaces: Sequence[tuple[Floats, Ints]], spacing: float, rng: np.random.Generator, up: str
 ) -> tuple[Floats, Floats, Floats]:
     """Places (n, 3) [m], areas (n,) [m^2] and normals (n, 3) on (points, triangles) of a body."""
     clouds, vertices, normals, corner_normals = [], [], [], []
@@ -165,7 +184,7 @@ def _sample_body(
         corner_normals.append(around[used])
     cloud = np.concatenate(clouds)
     candidates = np.concatenate([*vertices, cloud])
-    chosen = thin(candidates, 0.7 * spacing)
+    chosen = thin(candidates @ TURNS[up].T, 0.7 * spacing)
     X = candidates[chosen]
     share = np.bincount(cKDTree(X).query(cloud)[1], minlength=len(X)) / len(cloud)
     used = share > 0.0

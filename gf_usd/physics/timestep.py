@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gf_usd.errors import InputError
+
 # Highest frequency of the quadratic stencil in units of c/h: measured with 8 random strata a cell,
 # 1.9; with 4, 2.2; with one particle in two cells (the paper's density), 3.1.
 GRID_FREQUENCY = ((4.0, 2.2), (1.0, 2.7), (0.0, 3.3))
@@ -75,4 +77,11 @@ def stable_step(
         viscous_time=viscous_time,
         contact_damping=contact_damping,
     )
-    return replace(step, dt=safety * step.limit)
+    step = replace(step, dt=safety * step.limit)
+    if not 0.0 < step.dt < np.inf:
+        raise InputError(
+            f"there is no stable step: waves run at {wave_speed:.3g} m/s over cells of {h:.3g} m,"
+            f" contact springs swing at {step.contact:.3g} rad/s",
+            "check the unit (--meters-per-unit), the material, --drop and --gravity",
+        )
+    return step

@@ -152,6 +152,11 @@ class CacheWriter:
         """Whether the last sample that was written completed a value clip."""
         return self._clips is not None and self._clips.full
 
+    @property
+    def unsaved(self) -> int:
+        """Samples that are held in memory until the next save."""
+        return self._frames % self._every
+
     def state(self) -> dict[str, Any]:
         """What another writer goes on from, where this one is `full`; plain values."""
         assert self._clips is not None

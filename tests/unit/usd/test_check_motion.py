@@ -107,3 +107,17 @@ def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
         # 8 points in 8 windows of 5 among 12 samples
         "velocities is not zero where points stands still, in 64 of 64 places"
     )
+
+
+def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
+    """Bounces too fast for the samples stretch each moment in its own way, a wrong unit not."""
+    stage = good_stage(tmp_path / "bounces.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    bounces, unit = (0.8, 1.4, 0.3, 1.3, 0.6, 0.8), (0.8, 0.7, 0.3, 0.9, 0.6, 0.8)
+    for factors, found, left in ((bounces, 0, 1), (unit, 1, 0)):
+        for at, code in enumerate(CODES):
+            v = motion(CUBE, code)[1]
+            prim.GetAttribute("velocities").Set(vec3(factors[at % len(factors)] * v), code)
+        result = check_stage(stage)
+        assert [f.rule for f in result.findings] == ["velocities"] * found
+        assert ["0.3 to 1.4 times the motion" in s.reason for s in result.skipped] == [True] * left

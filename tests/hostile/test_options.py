@@ -1,0 +1,43 @@
+"""Any combination of options ends in a plan, or in words with a hint."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hostile_options import OPTIONS, asset, planned
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+COMBINED = st.fixed_dictionaries(
+    {}, optional={name: st.sampled_from(values) for name, values in OPTIONS.items()}
+)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return asset(tmp_path)
+
+
+@pytest.mark.slow
+@given(options=COMBINED)
+@settings(
+    max_examples=400, deadline=timedelta(seconds=60), derandomize=True, database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)  # fmt: skip
+def test_options_together(here: Path, options: dict[str, Any]) -> None:
+    planned(here, options)
+    assert [path.name for path in here.parent.iterdir()] == [here.name], "a plan writes nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OPTIONS)
+def test_each_value_alone(here: Path, name: str) -> None:
+    """The first value of each is one that is right."""
+    found = [planned(here, {name: value}) for value in OPTIONS[name]]
+    # the box has no such label, and with all of it pinned nothing is left to move
+    assert found[0] or name in ("material_labels", "pins")
+    assert [path.name for path in here.parent.iterdir()] == [here.name]

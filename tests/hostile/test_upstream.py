@@ -1,0 +1,46 @@
+"""The faults of usd-core that docs/upstream.md describes end in words of ours.
+
+The files are made by the scripts of that page, which so stay true.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gf_usd.errors import InputError
+from gf_usd.isolation import Limits, attempt, read_untrusted
+
+PAGE = Path(__file__).parents[2] / "docs" / "upstream.md"
+SCRIPTS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def made(script: str, name: str, folder: Path) -> Path:
+    """The file of a script, which is stopped before it opens it."""
+    writes = script[: script.index(f'open("{name}", "wb")')]
+    code = f'{writes}open("{name}", "wb").write(data)\n'
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True)
+    return folder / name
+
+
+def test_a_wrong_number_of_children(tmp_path: Path) -> None:
+    file = made(SCRIPTS[0], "many_children.usdc", tmp_path)
+    try:
+        attempt(file, lambda: read_untrusted(file), Limits(time=60.0))
+    except InputError as error:
+        refusal = error
+    else:
+        pytest.skip("this usd-core refuses the file itself: docs/upstream.md can go")
+    assert "made its reader crash (signal 11, SIGSEGV)" in refusal.message
+
+
+@pytest.mark.slow
+def test_a_wrong_number_of_specs(tmp_path: Path) -> None:
+    file = made(SCRIPTS[1], "many_specs.usdc", tmp_path)
+    with pytest.raises(InputError) as caught:
+        attempt(file, lambda: read_untrusted(file), Limits(time=2.0))
+    assert "reading it took longer than 2 s" in caught.value.message

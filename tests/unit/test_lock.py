@@ -1,0 +1,47 @@
+"""requirements.lock has what pyproject.toml asks for, each file by its hash."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).parents[2]
+PIN = re.compile(
+    r"^([a-z0-9-]+)==(\S+)(?: ; .*?)? \\\n((?:    --hash=sha256:[0-9a-f]{64}.*\n)+)", re.M
+)
+
+
+def pins() -> dict[str, list[Version]]:
+    """Versions by name; several where they depend on the Python."""
+    found: dict[str, list[Version]] = {}
+    for name, version, _ in PIN.findall((ROOT / "requirements.lock").read_text()):
+        found.setdefault(name, []).append(Version(version))
+    return found
+
+
+def test_every_line_is_a_pin_with_hashes() -> None:
+    text = (ROOT / "requirements.lock").read_text()
+    rest = PIN.sub("", re.sub(r"^#.*\n", "", text, flags=re.M))
+    assert rest == ""
+    assert "://" not in text
+
+
+def test_what_the_project_asks_for_is_pinned() -> None:
+    """After a change of dependencies: python tools/lock.py."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)
+    asked = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
+    for extra in project["project"]["optional-dependencies"].values():
+        asked += extra
+    pinned = pins()
+    for requirement in map(Requirement, asked):
+        name = canonicalize_name(requirement.name)
+        if name == "gf-usd":
+            continue
+        assert name in pinned, f"{name} is not in requirements.lock: python tools/lock.py"
+        assert all(version in requirement.specifier for version in pinned[name]), name
