@@ -26,13 +26,16 @@ DISK_HINT = "free some space, choose another -o, or write less: --frames, --half
 def free_memory() -> float:
     """[bytes] that are free, for this process's control group where it has a limit."""
     system = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    for line in _words("/proc/meminfo").splitlines():
+    for line in system_file("/proc/meminfo").splitlines():
         if line.startswith("MemAvailable:"):
             system = float(line.split()[1]) * 1024.0
-    limit, used = _words("/sys/fs/cgroup/memory.max"), _words("/sys/fs/cgroup/memory.current")
+    limit, used = (
+        system_file("/sys/fs/cgroup/memory.max"),
+        system_file("/sys/fs/cgroup/memory.current"),
+    )
     if limit.isdigit() and used.isdigit():
         # what files left in the cache of the system is given back when it is wanted
-        rows = (line.split() for line in _words("/sys/fs/cgroup/memory.stat").splitlines())
+        rows = (line.split() for line in system_file("/sys/fs/cgroup/memory.stat").splitlines())
         kept = sum(float(n) for name, n in rows if name in ("inactive_file", "active_file"))
         return min(system, float(limit) - max(0.0, float(used) - kept))
     return system
@@ -121,15 +124,16 @@ class RoomWatch:
 
 def _swap() -> float:
     """[bytes] of free swap; none is counted under the limit of a control group."""
-    if _words("/sys/fs/cgroup/memory.max").isdigit():
+    if system_file("/sys/fs/cgroup/memory.max").isdigit():
         return 0.0
-    for line in _words("/proc/meminfo").splitlines():
+    for line in system_file("/proc/meminfo").splitlines():
         if line.startswith("SwapFree:"):
             return float(line.split()[1]) * 1024.0
     return 0.0
 
 
-def _words(path: str) -> str:
+def system_file(path: str) -> str:
+    """What a file of the kernel says; "" where there is none."""
     try:
         return Path(path).read_text(encoding="ascii").strip()
     except OSError:

@@ -10,7 +10,7 @@ from typing import Any
 from gf_usd.batch.job import Job
 from gf_usd.estimate import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES
-from gf_usd.room import free_memory
+from gf_usd.room import free_memory, system_file
 
 CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
 # Bodies under that many particles are computed by one thread.
@@ -26,7 +26,7 @@ def cores() -> int:
         found = len(os.sched_getaffinity(0))
     else:
         found = os.cpu_count() or 1
-    quota, _, period = _words(CPU_LIMIT).partition(" ")  # [us] of CPU in a period [us], or max
+    quota, _, period = system_file(CPU_LIMIT).partition(" ")  # [us] of CPU in a period [us], or max
     if quota.isdigit() and period.isdigit():
         found = min(found, math.ceil(int(quota) / int(period)))
     return found
