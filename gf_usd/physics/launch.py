@@ -23,7 +23,7 @@ def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
     free = solver.stencil.free_count
     counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
     tail = (g, up, lift, dt, keep, 1.0 / solver.h, solver.converged)
-    if len(solver.particles) < SERIAL_BELOW:
+    if s.device == "cpu" and len(solver.particles) < SERIAL_BELOW:
         phase = solver.done % every if every else 0
         solver.kernels.serial(solver.pack, *counts, substeps, every, phase, alpha, *tail)
     else:
