@@ -136,7 +136,8 @@ def table(pythons: dict[str, str], cores: list[int], seconds: float) -> list[str
     keys = [key for key in pythons if key in RUNGS]
     searches = [(key, PEERS[key].law) for key in keys]
     if "vbd" in keys and "gf-usd" in keys:
-        searches.insert(1, ("gf-usd", PEERS["vbd"].law))
+        searches.append(("gf-usd", PEERS["vbd"].law))
+    searches.sort(key=lambda pair: (pair[0] != "gf-usd", pair[0] != "vbd"))
     for done, (key, law) in enumerate(searches):
         share = (seconds - (time.perf_counter() - began)) / (len(searches) - done)
 
