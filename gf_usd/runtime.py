@@ -88,7 +88,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
         raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
     if threads is not None and threads < 1:
         raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
-    wanted = {"device": device, "threads": threads or _cores(), "f64": f64}
+    wanted = {"device": device, "threads": threads or cores(), "f64": f64}
     if _started == wanted:
         return
     ti = import_taichi()
@@ -133,7 +133,8 @@ def ensure_taichi() -> None:
         init_taichi(_started.get("device", "cpu"), _started.get("threads"))
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

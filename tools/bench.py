@@ -1,134 +1,107 @@
-"""Measure speed and memory, and write the tables of BENCHMARKS.md.
+"""Measure gf-usd and its peers side by side, and write the tables of BENCHMARKS.md.
 
-    python tools/bench.py [--runs 3] [--write]
+    python tools/bench.py [--write] [--sections peers,error] [--only gf-usd,taichi]
+                          [--runs 3] [--minutes 25] [--cores 1]
 
-Without --write the tables go to stdout.  Every figure is the median of the runs.  POSIX only: the
-peak memory of a process comes from wait4.
+Peers are installed from PyPI into environments of their own below --into, once.  Every process is
+held to the same cores, solvers take turns, and every figure is a median.  A section is written when
+it is finished, so that what is there stays if the rest is interrupted.  Each has a share of the
+minutes: after the first round a run is begun only if it would end in time.  Without --write the
+tables go to stdout only.  POSIX only.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import platform
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from bench_median import median
+import bench_equal_error
+import bench_report
+import bench_speed
+from bench_commands import command_table
+from bench_limits import limits
+from bench_peer_runs import PEERS, interpreters
 
 ROOT = Path(__file__).resolve().parent.parent
-DUCK = ROOT / "samples" / "duck.usda"
 REPORT = ROOT / "BENCHMARKS.md"
-BEGIN, END = "<!-- tools/bench.py: begin -->", "<!-- tools/bench.py: end -->"
-LOOKS = ("rubber", "metal", "jelly")
-
-
-def process(command: Sequence[str], environment: dict[str, str]) -> tuple[float, float, float]:
-    """(wall [s], CPU [s], peak memory [bytes]) of a command that has to succeed."""
-    began = time.perf_counter()
-    child = subprocess.Popen(
-        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    _, status, used = os.wait4(child.pid, 0)
-    wall = time.perf_counter() - began
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with exit status {child.returncode}")
-    unit = 1 if sys.platform == "darwin" else 1024
-    return wall, used.ru_utime + used.ru_stime, used.ru_maxrss * unit
-
-
-def process_table(runs: int) -> str:
-    """Whole commands: the duck with the three looks, a first bake, --help."""
-    lines = [
-        "| command | wall | CPU | peak memory | spread |",
-        "|---|---:|---:|---:|---:|",
-    ]
-    program = [sys.executable, "-m", "gf_usd"]
-    with tempfile.TemporaryDirectory() as folder:
-        duck = [*program, "bake", str(DUCK), "--overwrite", "-o", f"{folder}/", "--material"]
-
-        def fresh() -> dict[str, str]:
-            cache = tempfile.mkdtemp(dir=folder)
-            return {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": cache}
-
-        def warm() -> dict[str, str]:
-            return dict(os.environ)
-
-        rows = [
-            ("`gf-usd --help`", [*program, "--help"], warm),
-            ("`gf-usd bake duck.usda`, kernels not compiled yet", [*duck, "rubber"], fresh),
-            *((f"`gf-usd bake duck.usda --material {m}`", [*duck, m], warm) for m in LOOKS),
-        ]
-        for name, command, environment in rows:
-            if environment is warm:
-                process(command, environment())
-            s = median([process(command, environment()) for _ in range(runs)])
-            lines.append(
-                f"| {name} | {s.wall:.2f} s | {s.cpu:.2f} s | {s.memory / 1e6:.0f} MB"
-                f" | {100 * s.spread:.0f} % |"
-            )
-            print(lines[-1], file=sys.stderr)
-        facts = [dry_run(duck, look) for look in LOOKS]
-    return "\n".join([*lines, "", *facts])
-
-
-def dry_run(duck: Sequence[str], look: str) -> str:
-    """What a row of the table computes, in words."""
-    done = subprocess.run(
-        [*duck, look, "--dry-run", "--json"], check=True, capture_output=True, text=True
-    )
-    plan = json.loads(done.stdout)
-    return (
-        f"- {look}: {plan['frames']} frames of {plan['substeps_per_frame'][look]} substeps,"
-        f" {plan['particles']} particles"
-    )
-
-
-def machine() -> str:
-    """The machine and the versions, without names of anything."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    info = Path("/proc/cpuinfo")
-    simd = ", AVX2" if info.exists() and " avx2 " in info.read_text() else ""
-    packages = ", ".join(f"{p} {version(p)}" for p in ("taichi", "usd-core", "numpy"))
-    return (
-        f"{cores} cores, {platform.machine()}{simd}, {platform.system()}, CPU only; Python"
-        f" {platform.python_version()}, {packages}."
-    )
+# Of the minutes; what a section leaves over goes to those after it.
+SHARES = {
+    "limits": 0.02, "peers": 0.40, "threads": 0.06, "error": 0.35, "commands": 0.11, "solver": 0.06
+}  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--runs", type=int, default=3, help="runs of each; the median counts")
     parser.add_argument("--write", action="store_true", help="write into BENCHMARKS.md")
+    parser.add_argument("--sections", default=",".join(SHARES), help="default: %(default)s")
+    parser.add_argument("--only", default=",".join(PEERS), help="default: %(default)s")
+    parser.add_argument("--runs", type=int, default=3, help="at most; the median counts")
+    parser.add_argument("--minutes", type=float, default=25.0, help="default: %(default)s")
+    parser.add_argument("--cores", type=int, default=1, help="cores that a process is held to")
+    parser.add_argument("--seconds", type=float, default=1.5, help="of stepping in a speed run")
+    parser.add_argument("--into", type=Path, default=ROOT / ".clients", help="default: .clients")
     options = parser.parse_args()
-    commands = process_table(options.runs)
-    # Linux counts the memory of the process that forked into a child's peak: this one has to be
-    # small until the commands are done.
-    from bench_solver import solver_table
+    sections, names = options.sections.split(","), options.only.split(",")
+    for asked, known in ((sections, SHARES), (names, PEERS)):
+        unknown = [name for name in asked if name not in known]
+        if unknown:
+            parser.error(f"unknown: {', '.join(unknown)} (choose from {', '.join(known)})")
+    every = sorted(os.sched_getaffinity(0))
+    cores = every[: options.cores]
+    pythons = interpreters(names, options.into)
+    own = {p: version(p) for p in ("gf-usd", "taichi", "usd-core", "numpy")}
+    stamp = f"{bench_report.machine(own)} {bench_report.load()}"
 
-    tables = "\n\n".join(
-        [
-            f"{machine()} Median of {options.runs} runs.",
-            "### Commands",
-            commands,
-            "### Solver",
-            solver_table(options.runs),
+    def peers(seconds: float) -> list[str]:
+        found = bench_speed.peers(pythons, cores, options.runs, seconds, options.seconds)
+        seen = [r["versions"] for runs in found.values() for r in runs if "versions" in r]
+        versions = {name: number for one in seen for name, number in one.items()}
+        return [
+            f"Held to {len(cores)} core(s). Versions: "
+            + ", ".join(f"{name} {number}" for name, number in versions.items())
+            + f". A process has {bench_speed.LIMIT:.0f} s, with a million particles twice that.",
+            "",
+            *bench_speed.remarks(),
+            "",
+            *bench_speed.peer_tables(found),
+            bench_speed.size_ratio(found),
         ]
-    )
-    if not options.write:
-        print(tables)
-        return
-    head, _, rest = REPORT.read_text("utf-8").partition(BEGIN)
-    tail = rest.partition(END)[2]
-    REPORT.write_text(f"{head}{BEGIN}\n{tables}\n{END}{tail}", "utf-8")
-    print(f"wrote {REPORT.name}", file=sys.stderr)
+
+    def solver(seconds: float) -> list[str]:
+        # Linux counts the memory of the process that forked into a child's peak: this one has to
+        # stay small until the commands are done.
+        from bench_solver import solver_table
+
+        return solver_table(options.runs, seconds)
+
+    jobs: dict[str, Callable[[float], list[str]]] = {
+        "limits": lambda seconds: [
+            f"{len(held)} core(s): {limits(held)['text']}.  " for held in (cores, every)
+        ],
+        "peers": peers,
+        "threads": lambda seconds: bench_speed.thread_scaling(
+            sys.executable, every, options.runs, seconds
+        ),
+        "error": lambda seconds: bench_equal_error.table(pythons, cores, seconds),
+        "commands": lambda seconds: command_table(options.runs, seconds),
+        "solver": solver,
+    }
+    began, end = time.perf_counter(), time.perf_counter() + 60.0 * options.minutes
+    for at, section in enumerate(sections):
+        left = end - time.perf_counter()
+        seconds = left * SHARES[section] / sum(SHARES[name] for name in sections[at:])
+        print(f"{section}: {seconds:.0f} s", file=sys.stderr, flush=True)
+        lines = jobs[section](seconds)
+        text = "\n".join([stamp, "", *lines])
+        if options.write:
+            bench_report.write(REPORT, section, text)
+        print(f"{text}\n", flush=True)
+    print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)
 
 
 if __name__ == "__main__":

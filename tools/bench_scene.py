@@ -51,6 +51,14 @@ def ball(n: int) -> Ball:
     return Ball(X=X, volume=volume / len(X), lattice=a, corner=corner)
 
 
+def sphere_points(n: int) -> NDArray[np.float64]:
+    """n points on the ball, by the golden angle (Gonzalez 2010)."""
+    k = np.arange(n) + 0.5
+    z, turn = 1.0 - 2.0 * k / n, np.pi * (1.0 + np.sqrt(5.0)) * k
+    rho = np.sqrt(1.0 - z * z)
+    return RADIUS * np.stack([rho * np.cos(turn), z, rho * np.sin(turn)], -1)
+
+
 def cell(n: int) -> float:
     """[m] grid spacing h for n particles: eight of them in a full cell."""
     return 2.0 * ball(n).lattice

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gf_usd.model import Ints
 from gf_usd.physics import host
@@ -39,11 +40,25 @@ def watch(solver: TotalLagrangian, lift: float) -> Ints:
 
 
 def attend(solver: TotalLagrangian, samples: Ints) -> int:
-    """Have the kernels look at these samples and no others; returns how many there are."""
+    """Have the kernels look at these samples and no others; returns how many there are.
+
+    The nodes' side is W^T of these samples alone: the others would be summed as zeros, substep by
+    substep.
+    """
     if solver.contact is None:
         return 0
-    active = np.zeros(len(solver.contact.mass), np.int32)
-    active[: len(samples)] = samples
-    host.put(solver.arrays["sample_active"], active)
+    of_nodes = solver.contact.rows.W[samples].T.tocsr()  # in order: it is sorted by counting
+    _head(solver, "sample_active", samples)
+    _head(solver, "node_sample", samples[of_nodes.indices])
+    _head(solver, "node_sample_weight", of_nodes.data)
+    host.put(solver.arrays["node_sample_start"], of_nodes.indptr)
     solver.arrays["sample_force"].fill(0)
     return len(samples)
+
+
+def _head(solver: TotalLagrangian, name: str, values: NDArray[Any]) -> None:
+    """Put values at the beginning of an array; what follows them is not read."""
+    array = solver.arrays[name]
+    whole = np.zeros(array.shape, np.int32 if values.dtype.kind == "i" else solver.real)
+    whole[: len(values)] = values
+    host.put(array, whole)

@@ -31,7 +31,19 @@ class Batches:
 
     @property
     def groups(self) -> int:
+        """How many the kernels walk."""
         return len(self.cells)
+
+    def arrays(self, stencil: Stencil) -> dict[str, Any]:
+        """What the kernels find cells and nodes by, and the room for forces."""
+        slot_start, slot = node_slots(stencil, self)
+        return {
+            "block": np.zeros((81 * self.groups, LANES)),
+            "group_batch": self.batch,
+            "group_nodes": group_nodes(stencil, self),
+            "node_slot_start": slot_start,
+            "node_slot": slot,
+        }
 
 
 def batch_particles(stencil: Stencil) -> Batches:

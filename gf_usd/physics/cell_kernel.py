@@ -5,6 +5,7 @@ A group writes to a block of its own, 27 nodes x 3 for each cell, so groups neve
 
 import taichi as ti
 
+from gf_usd.physics.lanes import LANES, von_mises
 from gf_usd.physics.option_kernel import clip, cut
 from gf_usd.physics.stencil_kernel import (
     differences,
@@ -122,3 +123,43 @@ def filter_group(body: ti.template(), group):
                         out[n] = out[n] + w[2][k] * (p + (float(k) - f2) * r)
     for n in ti.static(range(81)):
         body.block[81 * group + n] = out[n]
+
+
+@ti.func
+def group_energy(
+    body: ti.template(), group, out: ti.template(), law: ti.template(), ih, converged,
+    options: ti.template(),
+):  # fmt: skip
+    """out[8 group + lane] = sum_p V0 psi(F_p) of a cell."""
+    q = gather(body, body.u, group)
+    differences(q)
+    total = q[0] * 0.0
+    for b in range(body.group_batch[group], body.group_batch[group + 1]):
+        s, h = middle(body, b)
+        F = strain(body, b, q, s, h, ih, options)
+        if ti.static(options.clamped):
+            clip(body, b, F, False)
+        total += body.V0[b] * law.psi(F, body.mu[b], body.lam[b], converged)
+    for lane in ti.static(range(LANES)):
+        out[group * LANES + lane] = total[lane]
+
+
+@ti.func
+def group_von_mises(
+    body: ti.template(), group, out: ti.template(), law: ti.template(), ih, converged,
+    options: ti.template(),
+):  # fmt: skip
+    """out[8 b + lane] = von Mises of each particle of eight cells."""
+    q = gather(body, body.u, group)
+    differences(q)
+    for b in range(body.group_batch[group], body.group_batch[group + 1]):
+        s, h = middle(body, b)
+        F = strain(body, b, q, s, h, ih, options)
+        if ti.static(options.clamped):
+            clip(body, b, F, False)
+        P = law.pk1(F, body.mu[b], body.lam[b], converged)
+        if ti.static(options.capped):
+            cut(body, b, P, False)
+        value = von_mises(P, F)
+        for lane in ti.static(range(LANES)):
+            out[b * LANES + lane] = value[lane]

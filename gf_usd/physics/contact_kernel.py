@@ -15,14 +15,19 @@ import taichi as ti
 @ti.func
 def sample_contact(body: ti.template(), s, up, lift, dt):
     """Force of the floor on sample s; lift is the height of the moving frame of u [m]."""
-    x = up * 0.0
-    v = up * 0.0
+    rise = lift * 0.0
     for e in range(body.sample_start[s], body.sample_start[s + 1]):
         n = body.sample_node[e] * 3
-        w = body.sample_weight[e]
-        x += w * ti.Vector([body.u[n], body.u[n + 1], body.u[n + 2]])
-        v += w * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
-    floor_force(body, s, 0.0 - (body.sample_height[s] + lift + x.dot(up)), v, up, dt)
+        x = up[0] * body.u[n] + up[1] * body.u[n + 1] + up[2] * body.u[n + 2]
+        rise += body.sample_weight[e] * x
+    d = 0.0 - (body.sample_height[s] + lift + rise)
+    v = up * 0.0
+    # Most that are watched are above the floor: their velocity is not asked for.
+    if d > 0.0:
+        for e in range(body.sample_start[s], body.sample_start[s + 1]):
+            n = body.sample_node[e] * 3
+            v += body.sample_weight[e] * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
+    floor_force(body, s, d, v, up, dt)
 
 
 @ti.func
@@ -48,7 +53,7 @@ def floor_force(body: ti.template(), s, d, v, up, dt):
 
 @ti.func
 def contact_force(body: ti.template(), node):
-    """sum_s W_si f_s on a node."""
+    """sum_s W_si f_s on a node, over the samples that are watched."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     for e in range(body.node_sample_start[node], body.node_sample_start[node + 1]):
         s = body.node_sample[e] * 3

@@ -9,6 +9,8 @@ Per substep of length dt, with everything but u and v constant (docs/physics.md)
     v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
 
+`groups` counts groups of eight cells or, where the options say plain, particles.
+
 The half steps make a frame position Verlet: second order, and exact under gravity alone.
 """
 
@@ -17,9 +19,14 @@ from types import SimpleNamespace
 
 import taichi as ti
 
-from gf_usd.physics.cell_kernel import filter_group, strain, stress_group
+from gf_usd.physics.cell_kernel import (
+    filter_group,
+    group_energy,
+    group_von_mises,
+    stress_group,
+)
 from gf_usd.physics.contact_kernel import sample_contact
-from gf_usd.physics.lanes import LANES, von_mises
+from gf_usd.physics.lanes import LANES
 from gf_usd.physics.node_kernel import (
     drift_node,
     filter_node,
@@ -28,12 +35,20 @@ from gf_usd.physics.node_kernel import (
     follower_share,
     move_node,
 )  # fmt: skip
-from gf_usd.physics.option_kernel import clip, cut
 from gf_usd.physics.options import PLAIN, Options
 from gf_usd.physics.pair_kernel import pair_contact, pair_total, sample_motion
-from gf_usd.physics.stencil_kernel import differences, gather, middle
+from gf_usd.physics.plain_kernel import (
+    node_force,
+    node_momentum,
+    particle_energy,
+    particle_stress,
+    particle_velocity,
+    particle_von_mises,
+)
 
-STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
+# Taichi gives a CPU thread at least 512 iterations, and calls a function for each: groups, which
+# are few, act on every 32nd, and nodes go 32 in a row, so that addresses are fetched once for all.
+STRIDE = 32
 
 
 @cache
@@ -70,6 +85,7 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
     """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
+    row = 1 if options.plain else STRIDE  # of nodes or contact samples that one thread takes
 
     @ti.kernel
     def serial(
@@ -89,16 +105,28 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
             if s == substeps - 1:
                 drift = 0.5 * dt
             if every > 0 and (s + phase) % every == 0:
-                for k in range(groups):
-                    filter_group(body, k)
+                if ti.static(options.plain):
+                    for p in range(groups):
+                        particle_velocity(body, p, free + followers)
+                    for n in range(free + followers):
+                        node_momentum(body, n, free + followers)
+                else:
+                    for k in range(groups):
+                        filter_group(body, k)
                 for n in range(followers):
-                    follower_loss(body, n, free)
+                    follower_loss(body, n, free, options.plain)
                 for n in range(free):
-                    filter_node(body, n, alpha)
+                    filter_node(body, n, alpha, options.plain)
                 for n in range(followers):
                     follow(body, n, free, 0.0 * dt)
-            for k in range(groups):
-                stress_group(body, k, law, damped, ih, converged, options)
+            if ti.static(options.plain):
+                for p in range(groups):
+                    particle_stress(body, p, free + followers, law, damped, ih, converged, options)
+                for n in range(free + followers):
+                    node_force(body, n, free + followers, ih)
+            else:
+                for k in range(groups):
+                    stress_group(body, k, law, damped, ih, converged, options)
             if ti.static(options.meets):
                 for k in range(active):
                     sample_motion(body, body.sample_active[k], dt)
@@ -110,9 +138,9 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
                 for k in range(active):
                     pair_total(body, body.sample_active[k])
             for n in range(followers):
-                follower_share(body, n, free, dt)
+                follower_share(body, n, free, dt, options.plain)
             for n in range(free):
-                move_node(body, n, active, g, dt, drift, keep)
+                move_node(body, n, active, g, dt, drift, keep, options.plain)
             for n in range(followers):
                 follow(body, n, free, drift)
 
@@ -123,32 +151,50 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
         dt: real, keep: real, ih: real, converged: real, drift: real,
     ):  # fmt: skip
         """One substep over all threads."""
-        for z in range(groups * STRIDE * filtered):
-            if z % STRIDE == 0:
-                filter_group(body, z // STRIDE)
+        if ti.static(options.plain):
+            for p in range(groups * filtered):
+                particle_velocity(body, p, free + followers)
+            for n in range((free + followers) * filtered):
+                node_momentum(body, n, free + followers)
+        else:
+            for z in range(groups * STRIDE * filtered):
+                if z % STRIDE == 0:
+                    filter_group(body, z // STRIDE)
         for n in range(followers * filtered):
-            follower_loss(body, n, free)
-        for n in range(free * filtered):
-            filter_node(body, n, alpha)
+            follower_loss(body, n, free, options.plain)
+        for z in range(free * filtered):
+            if z % row == 0:
+                for n in range(z, ti.min(z + row, free)):
+                    filter_node(body, n, alpha, options.plain)
         for n in range(followers * filtered):
             follow(body, n, free, 0.0 * dt)
-        for z in range(groups * STRIDE):
-            if z % STRIDE == 0:
-                stress_group(body, z // STRIDE, law, damped, ih, converged, options)
+        if ti.static(options.plain):
+            for p in range(groups):
+                particle_stress(body, p, free + followers, law, damped, ih, converged, options)
+            for n in range(free + followers):
+                node_force(body, n, free + followers, ih)
+        else:
+            for z in range(groups * STRIDE):
+                if z % STRIDE == 0:
+                    stress_group(body, z // STRIDE, law, damped, ih, converged, options)
         if ti.static(options.meets):
             for k in range(active):
                 sample_motion(body, body.sample_active[k], dt)
-        for k in range(active):
-            sample_contact(body, body.sample_active[k], up, lift, dt)
+        for z in range(active):
+            if z % row == 0:
+                for k in range(z, ti.min(z + row, active)):
+                    sample_contact(body, body.sample_active[k], up, lift, dt)
         if ti.static(options.meets):
             for k in range(active):
                 pair_contact(body, body.sample_active[k], dt)
             for k in range(active):
                 pair_total(body, body.sample_active[k])
         for n in range(followers):
-            follower_share(body, n, free, dt)
-        for n in range(free):
-            move_node(body, n, active, g, dt, drift, keep)
+            follower_share(body, n, free, dt, options.plain)
+        for z in range(free):
+            if z % row == 0:
+                for n in range(z, ti.min(z + row, free)):
+                    move_node(body, n, active, g, dt, drift, keep, options.plain)
         for n in range(followers):
             follow(body, n, free, drift)
 
@@ -165,21 +211,14 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
         body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
         converged: real,
     ):  # fmt: skip
-        """out[cell] = sum_p V0 psi(F_p)."""
-        for z in range(groups * STRIDE):
-            if z % STRIDE == 0:
-                group = z // STRIDE
-                q = gather(body, body.u, group)
-                differences(q)
-                total = q[0] * 0.0
-                for b in range(body.group_batch[group], body.group_batch[group + 1]):
-                    s, h = middle(body, b)
-                    F = strain(body, b, q, s, h, ih, options)
-                    if ti.static(options.clamped):
-                        clip(body, b, F, False)
-                    total += body.V0[b] * law.psi(F, body.mu[b], body.lam[b], converged)
-                for lane in ti.static(range(LANES)):
-                    out[group * LANES + lane] = total[lane]
+        """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
+        if ti.static(options.plain):
+            for p in range(groups):
+                out[p] = particle_energy(body, p, law, ih, converged, options)
+        else:
+            for z in range(groups * STRIDE):
+                if z % STRIDE == 0:
+                    group_energy(body, z // STRIDE, out, law, ih, converged, options)
 
     @ti.kernel
     def stress(
@@ -187,22 +226,13 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
         converged: real,
     ):  # fmt: skip
         """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
-        for z in range(groups * STRIDE):
-            if z % STRIDE == 0:
-                group = z // STRIDE
-                q = gather(body, body.u, group)
-                differences(q)
-                for b in range(body.group_batch[group], body.group_batch[group + 1]):
-                    s, h = middle(body, b)
-                    F = strain(body, b, q, s, h, ih, options)
-                    if ti.static(options.clamped):
-                        clip(body, b, F, False)
-                    P = law.pk1(F, body.mu[b], body.lam[b], converged)
-                    if ti.static(options.capped):
-                        cut(body, b, P, False)
-                    value = von_mises(P, F)
-                    for lane in ti.static(range(LANES)):
-                        out[b * LANES + lane] = value[lane]
+        if ti.static(options.plain):
+            for p in range(groups):
+                out[p] = particle_von_mises(body, p, law, ih, converged, options)
+        else:
+            for z in range(groups * STRIDE):
+                if z % STRIDE == 0:
+                    group_von_mises(body, z // STRIDE, out, law, ih, converged, options)
 
     return SimpleNamespace(
         serial=serial, parallel=parallel, start=start, energy=energy, stress=stress

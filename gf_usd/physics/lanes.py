@@ -48,10 +48,7 @@ def double_dot(A, B):
 @ti.func
 def log(x):
     """Natural logarithm, lane by lane."""
-    return ti.Vector(
-        [ti.log(x[0]), ti.log(x[1]), ti.log(x[2]), ti.log(x[3]),
-         ti.log(x[4]), ti.log(x[5]), ti.log(x[6]), ti.log(x[7])]
-    )  # fmt: skip
+    return ti.Vector([ti.log(x[lane]) for lane in ti.static(range(x.n))])
 
 
 @ti.func

@@ -1,10 +1,16 @@
-"""Substeps as launches of kernels: a small body's in one, a large one's each over all threads."""
+"""Substeps as launches of kernels: a small body's in one, a large one's each over all threads.
+
+Both take the same sums in the same order and agree to the bit, so that one thread alone, which
+gains nothing from a launch for each substep, may take the first for any body.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from gf_usd.runtime import cores
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -23,7 +29,8 @@ def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
     free = solver.stencil.free_count
     counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
     tail = (g, up, lift, dt, keep, 1.0 / solver.h, solver.converged)
-    if len(solver.particles) < SERIAL_BELOW:
+    alone = len(solver.particles) < SERIAL_BELOW or (s.threads or cores()) == 1
+    if s.device == "cpu" and alone:
         phase = solver.done % every if every else 0
         solver.kernels.serial(solver.pack, *counts, substeps, every, phase, alpha, *tail)
     else:

@@ -8,23 +8,28 @@ import taichi as ti
 
 from gf_usd.physics.contact_kernel import contact_force
 from gf_usd.physics.lanes import LANE_BITS, LANES
+from gf_usd.physics.plain_kernel import number
 
 
 @ti.func
-def block_sum(body: ti.template(), node):
-    """Sum of what the node's cells hold for it, in a fixed order."""
+def block_sum(body: ti.template(), node, plain: ti.template()):
+    """Sum of what the node's cells hold for it, in a fixed order; `plain_kernel` has summed it."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
-        o = body.node_slot[e] >> LANE_BITS
-        lane = body.node_slot[e] & (LANES - 1)
-        f += ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
+    if ti.static(plain):
+        for a in ti.static(range(3)):
+            f[a] = number(body.block, 0, 3, node, a)
+    else:
+        for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
+            o = body.node_slot[e] >> LANE_BITS
+            lane = body.node_slot[e] & (LANES - 1)
+            f += ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
     return f
 
 
 @ti.func
-def follower_share(body: ti.template(), follower, free, dt):
+def follower_share(body: ti.template(), follower, free, dt, plain: ti.template()):
     """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works."""
-    f = block_sum(body, free + follower)
+    f = block_sum(body, free + follower, plain)
     work = body.work[follower]
     for d in ti.static(range(3)):
         body.share[3 * follower + d] = f[d]
@@ -33,9 +38,9 @@ def follower_share(body: ti.template(), follower, free, dt):
 
 
 @ti.func
-def node_sum(body: ti.template(), node):
+def node_sum(body: ti.template(), node, plain: ti.template()):
     """What the cells hold for a free node and for those that follow it: (E^T f)_i."""
-    return block_sum(body, node) + leader_sum(body, node)
+    return block_sum(body, node, plain) + leader_sum(body, node)
 
 
 @ti.func
@@ -78,9 +83,9 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def move_node(body: ti.template(), node, contact, g, dt, drift, keep):
+def move_node(body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()):
     """v += dt (f/m + g + b), u += drift v, with the forces of the cells and of the floor."""
-    f = node_sum(body, node)
+    f = node_sum(body, node, plain)
     if contact > 0:
         f += contact_force(body, node)
     a = f * body.inverse_mass[node] + g
@@ -92,30 +97,30 @@ def move_node(body: ti.template(), node, contact, g, dt, drift, keep):
 
 
 @ti.func
-def follower_loss(body: ti.template(), follower, free):
+def follower_loss(body: ti.template(), follower, free, plain: ti.template()):
     """Keep (B v - m v)_l of a follower, for the nodes it follows."""
-    f = momentum_change(body, free + follower)
+    f = momentum_change(body, free + follower, plain)
     for d in ti.static(range(3)):
         body.share[3 * follower + d] = f[d]
 
 
 @ti.func
-def momentum_change(body: ti.template(), node):
+def momentum_change(body: ti.template(), node, plain: ti.template()):
     """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
-    p = block_sum(body, node)
+    p = block_sum(body, node, plain)
     for d in ti.static(range(3)):
         p[d] -= body.node_mass[node] * body.v[3 * node + d]
     return p
 
 
 @ti.func
-def filter_node(body: ti.template(), node, alpha):
+def filter_node(body: ti.template(), node, alpha, plain: ti.template()):
     """v += alpha (B v - m v) / m, with the followers' shares: E^T (B - M) E v.
 
     B and M agree on sum m v and sum X x m v, and E carries both, so they are kept to rounding;
     B <= M in the sense of forms, so no motion can grow.
     """
-    p = momentum_change(body, node) + leader_sum(body, node)
+    p = momentum_change(body, node, plain) + leader_sum(body, node)
     for d in ti.static(range(3)):
         v = body.v[3 * node + d]
         body.v[3 * node + d] = v + alpha * p[d] * body.inverse_mass[node]

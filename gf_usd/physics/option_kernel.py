@@ -36,6 +36,18 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
             for a in ti.static(range(3))
         ]
     )
+    B, outside = clipped_matrix(A, low, high)
+    if outside > 0:
+        if ti.static(counted):
+            body.clamped[b * LANES + lane] = 1
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                body.clip_room[9 * b + 3 * a + c][lane] = B[a, c]
+
+
+@ti.func
+def clipped_matrix(A, low, high):
+    """A with its singular values in [low, high], and 1 if any was outside."""
     U, S, V = ti.svd(A)
     outside = 0
     for a in ti.static(range(3)):
@@ -43,13 +55,10 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
         if s != S[a, a]:
             outside = 1
         S[a, a] = s
+    B = A
     if outside > 0:
-        if ti.static(counted):
-            body.clamped[b * LANES + lane] = 1
-        A = U @ S @ V.transpose()
-        for a in ti.static(range(3)):
-            for c in ti.static(range(3)):
-                body.clip_room[9 * b + 3 * a + c][lane] = A[a, c]
+        B = U @ S @ V.transpose()
+    return B, outside
 
 
 @ti.func

@@ -31,18 +31,20 @@ class Options:
     clamped: bool = False
     capped: bool = False
     meets: bool = False  # bodies meet each other, themselves or obstacles
+    plain: bool = False  # one thread a particle (`plain_kernel`), as on GPUs
 
 
 PLAIN = Options()
 
 
-def options_of(settings: Settings, meets: bool = False) -> Options:
+def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> Options:
     """The options that the settings ask for."""
     return Options(
         anchored=settings.wls,
         clamped=settings.clamp is not None,
         capped=settings.stress_cap is not None,
         meets=meets,
+        plain=plain,
     )
 
 

@@ -143,7 +143,6 @@ def arrays(
     """
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
-    slot_start, slot = layout.node_slots(stencil, batches)
     height = np.zeros(1)
     if contact:
         height = contact.rows.X @ settings.normal - floor_height(settings)
@@ -155,7 +154,6 @@ def arrays(
         "mu": layout.lanes(batches, per["signed_mu"], fill=True),
         "lam": layout.lanes(batches, per["lam"], fill=True),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
-        "block": np.zeros((81 * batches.groups, layout.LANES)),
         "u": np.zeros(3 * stencil.node_count),
         "v": velocity.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
@@ -165,10 +163,7 @@ def arrays(
         "anchor": np.zeros(3 * followers),
         "anchor_rate": np.zeros(3 * followers),
         "work": np.zeros(followers),
-        "group_batch": batches.batch,
-        "group_nodes": layout.group_nodes(stencil, batches),
-        "node_slot_start": slot_start,
-        "node_slot": slot,
+        **batches.arrays(stencil),
         **layout.follower_arrays(stencil),
         **layout.contact_arrays(contact, height, stencil.free_count),
         **options.arrays(batches, settings),

@@ -30,6 +30,7 @@ from gf_usd.physics.holds import Holder, held_by
 from gf_usd.physics.launch import run
 from gf_usd.physics.marching import Marcher, Passage
 from gf_usd.physics.meeting import CROWD, Meeting, pack_arrays
+from gf_usd.physics.plain import single_particles
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
 from gf_usd.physics.stencil import Rows, build_stencil
@@ -54,6 +55,7 @@ class TotalLagrangian(Marcher):
     rider_body : the body that a named set of points rides on; the first where it is not named.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
+    plain : one thread a particle in place of eight cells side by side; None: on a GPU.
 
     Raises InputError for pins that hold nothing, or everything.
     """
@@ -73,6 +75,7 @@ class TotalLagrangian(Marcher):
         acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
+        plain: bool | None = None,
     ) -> None:
         from gf_usd.runtime import init_taichi
 
@@ -121,11 +124,12 @@ class TotalLagrangian(Marcher):
         self.done = 0  # substeps since the start
         b = np.zeros((self.stencil.free_count, 3))
         self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
-        self.batches = batch_particles(self.stencil)
+        plain = settings.device != "cpu" if plain is None else plain
+        self.batches = single_particles(self.stencil) if plain else batch_particles(self.stencil)
         self.meeting = None
         if meets and encounters and self.contact:
             self.meeting = Meeting(encounters, self.contact, self)
-        self.options = options.options_of(settings, self.meeting is not None)
+        self.options = options.options_of(settings, self.meeting is not None, plain)
         self.reanchor = Reanchor(self)
         values = setup.arrays(
             particles, self.stencil, self.batches, self.contact, settings, per, start,

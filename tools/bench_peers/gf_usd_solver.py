@@ -1,5 +1,6 @@
-"""gf-usd itself on the drop of `bench_scene`: ``tl``, or ``ul`` as the second argument."""
+"""gf-usd itself on the drop of `bench_scene`; options: solver (tl | ul) and law."""
 
+import importlib
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -13,21 +14,15 @@ import numpy as np
 from gf_usd.model import Material, Particles, Settings, SurfaceSamples
 from gf_usd.physics.solvers import make_solver
 
-SOLVER = sys.argv[2] if len(sys.argv) > 2 else "tl"
-
-
-def sphere_points(n: int) -> np.ndarray:
-    """n points on the ball, by the golden angle (Gonzalez 2010)."""
-    k = np.arange(n) + 0.5
-    z, turn = 1.0 - 2.0 * k / n, np.pi * (1.0 + np.sqrt(5.0)) * k
-    rho = np.sqrt(1.0 - z * z)
-    return scene.RADIUS * np.stack([rho * np.cos(turn), z, rho * np.sin(turn)], -1)
-
 
 class GfUsd:
     """Elastic: no damping of the material, no filter, a floor that gives everything back."""
 
-    def __init__(self, n: int, dt: float, threads: int) -> None:
+    def __init__(
+        self, n: int, dt: float, threads: int, solver: str = "tl", law: str = "corotated"
+    ) -> None:
+        if law == "stableNeoHookean":
+            importlib.import_module("stable_neo_hookean")
         ball = scene.ball(n)
         count, volume = len(ball.X), ball.volume * len(ball.X)
         spacing = float(np.cbrt(ball.volume))
@@ -40,16 +35,16 @@ class GfUsd:
         )  # fmt: skip
         area = 4.0 * np.pi * scene.RADIUS**2
         points = int(np.ceil(area / spacing**2))
-        samples = SurfaceSamples(X=sphere_points(points), area=np.full(points, area / points))
+        samples = SurfaceSamples(X=scene.sphere_points(points), area=np.full(points, area / points))
         material = Material(
-            name="drop", law="corotated", density=scene.DENSITY, youngs_modulus=scene.YOUNG,
+            name="drop", law=law, density=scene.DENSITY, youngs_modulus=scene.YOUNG,
             poissons_ratio=scene.POISSON, friction=0.0, restitution=1.0,
         )  # fmt: skip
         self.fps = 1.0 / dt
         settings = Settings(
             frames=1, fps=self.fps, time_codes_per_second=self.fps, start=0.0, substeps=1,
             gravity=(0.0, -scene.GRAVITY, 0.0), up=(0.0, 1.0, 0.0), floor=0.0, threads=threads,
-            lift=(0.0, scene.RADIUS + scene.GAP, 0.0), solver=SOLVER,
+            lift=(0.0, scene.RADIUS + scene.GAP, 0.0), solver=solver,
         )  # fmt: skip
         self.dt = dt
         self.settings = settings

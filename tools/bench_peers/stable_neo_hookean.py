@@ -1,0 +1,47 @@
+"""The law of newton's VBD, as a row for gf-usd: only so that both can be held to one reference.
+
+    psi = mu/2 (|F|^2 - 3) - mu (J - 1) + (lam + mu)/2 (J - 1)^2
+    P = mu F + ((lam + mu) (J - 1) - mu) cof F
+
+Smith, de Goes and Kim (2018), without the term for degenerate elements, as newton 1.8 has it.
+"""
+
+import numpy as np
+import taichi as ti
+
+from gf_usd.physics.lanes import cofactor, determinant, double_dot
+from gf_usd.physics.laws import LAWS, Law
+
+
+@ti.func
+def psi(F, mu, lam, converged):
+    e = determinant(F, cofactor(F)) - 1.0
+    return 0.5 * mu * (double_dot(F, F) - 3.0) - mu * e + 0.5 * (lam + mu) * e * e
+
+
+@ti.func
+def pk1(F, mu, lam, converged):
+    cof = cofactor(F)
+    q = (lam + mu) * (determinant(F, cof) - 1.0) - mu
+    return [
+        mu * F[0] + q * cof[0],
+        mu * F[1] + q * cof[1],
+        mu * F[2] + q * cof[2],
+        mu * F[3] + q * cof[3],
+        mu * F[4] + q * cof[4],
+        mu * F[5] + q * cof[5],
+        mu * F[6] + q * cof[6],
+        mu * F[7] + q * cof[7],
+        mu * F[8] + q * cof[8],
+    ]
+
+
+def bulk(J, mu, lam):
+    """d^2 psi / dJ^2."""
+    return (lam + mu) * np.ones_like(J)
+
+
+LAWS["stableNeoHookean"] = Law(
+    token="stableNeoHookean", psi=psi, pk1=pk1, shear=1.0, bulk=bulk,
+    source="Smith, de Goes and Kim 2018, eq. 13",
+)  # fmt: skip
