@@ -34,7 +34,7 @@ def watch(solver: TotalLagrangian, lift: float) -> Ints:
         host.put(solver.arrays["sample_height"], height.astype(solver.real))
     height = height + lift + rows.W @ (u @ normal)
     for name in ("sample_force", "sample_depth", "sample_capped"):
-        solver.arrays[name].fill(0)
+        host.clear(solver.arrays[name])
     return np.flatnonzero(height < reach)
 
 
@@ -45,5 +45,5 @@ def attend(solver: TotalLagrangian, samples: Ints) -> int:
     active = np.zeros(len(solver.contact.mass), np.int32)
     active[: len(samples)] = samples
     host.put(solver.arrays["sample_active"], active)
-    solver.arrays["sample_force"].fill(0)
+    host.clear(solver.arrays["sample_force"])
     return len(samples)

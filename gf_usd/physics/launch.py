@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
+LAUNCHED = ("serial", "parallel", "start")  # kernels of a substep
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
 
@@ -25,13 +26,13 @@ def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
     tail = (g, up, lift, dt, keep, 1.0 / solver.h, solver.converged)
     if len(solver.particles) < SERIAL_BELOW:
         phase = solver.done % every if every else 0
-        solver.kernels.serial(solver.pack, *counts, substeps, every, phase, alpha, *tail)
+        solver.launch["serial"](*counts, substeps, every, phase, alpha, *tail)
     else:
-        solver.kernels.start(solver.pack, *counts[1:3], 0.5 * dt)
+        solver.launch["start"](*counts[1:3], 0.5 * dt)
         for k in range(substeps):
             drift = dt if k < substeps - 1 else 0.5 * dt
             due = int(every > 0 and (solver.done + k) % every == 0)
-            solver.kernels.parallel(solver.pack, *counts, due, alpha, *tail, drift)
+            solver.launch["parallel"](*counts, due, alpha, *tail, drift)
     solver.done += substeps
 
 

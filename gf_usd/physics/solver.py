@@ -25,15 +25,17 @@ from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
-from gf_usd.physics.health import measure, strains
+from gf_usd.physics.health import measure
 from gf_usd.physics.holds import Holder, held_by
-from gf_usd.physics.launch import run
+from gf_usd.physics.launch import LAUNCHED, run
+from gf_usd.physics.launcher import Launcher
 from gf_usd.physics.marching import Marcher, Passage
 from gf_usd.physics.meeting import CROWD, Meeting, pack_arrays
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
 from gf_usd.physics.stencil import Rows, build_stencil
 from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
+from gf_usd.physics.stretches import strains
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
@@ -145,6 +147,7 @@ class TotalLagrangian(Marcher):
         self.pack = pack_type(kind, epoch())(**self.arrays)
         self.law = LAWS[law]
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
+        self.launch = {name: Launcher(getattr(self.kernels, name), self.pack) for name in LAUNCHED}
         self._vec = ti.types.vector(3, kind)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
@@ -246,7 +249,7 @@ class TotalLagrangian(Marcher):
         """See `Marcher`."""
         u, v = self.state()
         particles, nodes = self.particle_pose(index), node_motion(self)
-        stretch, J = strains(particles)
+        stretch, J = strains(particles.F)
         self.strained = self._strained(stretch, J)
         return Frame(
             index=index,
