@@ -87,7 +87,10 @@ def _asked_of_files(inside: Callable[[int], bool]) -> Callable[[int], bool]:
     """`inside(level)`, False at once where the frame is of no file."""
 
     def inside_class(level_of_class_stackframe: int) -> bool:
-        frame = sys._getframe(level_of_class_stackframe)
+        try:
+            frame = sys._getframe(level_of_class_stackframe)
+        except ValueError:  # a script's own level has nothing above it
+            return False
         if frame.f_code.co_filename.startswith("<"):
             return False
         return inside(level_of_class_stackframe + 1)

@@ -15,6 +15,7 @@ from gf_usd.errors import GfUsdError, UsageError
 from gf_usd.frontend import frames_without_source, quicken
 
 DEVICES = ("cpu", "cuda")
+THREADS = 8  # that kernels are compiled for, at least
 
 _started: dict[str, Any] = {}
 _starts = 0
@@ -92,9 +93,20 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
         )
+    _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _starts += 1
+
+
+def _leave_threads_out(ti: ModuleType, threads: int) -> None:
+    """Compile for THREADS threads whatever their number, so that it is no part of a kernel's key.
+
+    How many there are was settled with the pool, which gives a loop no more than it has.  Compiled
+    in is in how many pieces a loop is cut: more than there are threads do no harm.
+    """
+    config = ti.lang.impl.get_runtime().prog.config()
+    config.cpu_max_num_threads = max(THREADS, threads)
 
 
 def epoch() -> int:
