@@ -80,7 +80,7 @@ class Meeting:
 
     def arrays(self) -> dict[str, Floats]:
         """The part of the kernels' pack."""
-        return pack_arrays(len(self._X))
+        return layout.pack_arrays(len(self._X))
 
     def save(self) -> dict[str, Any]:
         """What `restore` wants."""
@@ -112,11 +112,18 @@ class Meeting:
     def _stored(self, depth: Floats) -> float:
         return float(0.5 * self._k @ depth**2)
 
-    def imminent(self, solver: TotalLagrangian) -> bool:
-        """Whether anything may touch before the next frame."""
+    def imminent(self, solver: TotalLagrangian, still: Ints | None = None) -> bool:
+        """Whether anything may touch before the next frame; bodies `still` (B,) do not move."""
         span = solver.frame_time
-        near, hold = self._schedule(solver, *self.motion(solver), solver.time / span, span)
+        near, hold = self._schedule(solver, *self.motion(solver), solver.time / span, span, still)
         return bool(near) or hold < span
+
+    def pass_by(self, flying: Ints, time: float) -> None:
+        """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
+        for k in np.flatnonzero(flying):
+            self._gap[self._members[k]] = (FACING + LOOK) * self._spacing
+            self.faced.forget(self._members[k])
+        self._looked = time
 
     def passage(self, solver: TotalLagrangian) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by looks [J] and deepest overlap [m]."""
@@ -179,8 +186,9 @@ class Meeting:
         return float(speed.max(initial=0.0))
 
     def _schedule(
-        self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float
-    ) -> tuple[list[tuple[int, int]], float]:
+        self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float,
+        still: Ints | None = None,
+    ) -> tuple[list[tuple[int, int]], float]:  # fmt: skip
         """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds."""
         s, e = self._spacing, self.encounters
         fall = float(np.linalg.norm(solver.settings.gravity)) * span
@@ -201,10 +209,13 @@ class Meeting:
             return max(reach, gap - s) / max(speed, 1e-30)
 
         for a in range(len(low)):
-            if e.self_contact:
+            rests = still is not None and bool(still[a])
+            if e.self_contact and not rests:
                 hold = min(hold, judge((a, a), 0.0, 2.0 * spread[a] + fall))
             for b in range(a):
                 if (a, b) in e.through or (b, a) in e.through:
+                    continue
+                if rests and still is not None and still[b]:
                     continue
                 speed = float(np.linalg.norm(mean[a] - mean[b])) + spread[a] + spread[b] + fall
                 gap = box_gap(low[a], high[a], low[b], high[b])
@@ -212,7 +223,7 @@ class Meeting:
                 if near and near[-1] == (a, b):
                     near.append((b, a))
             for k, obstacle in enumerate(self._obstacles):
-                if (a, k) in e.through_colliders:
+                if (a, k) in e.through_colliders or (rests and obstacle.speed(frame) == 0.0):
                     continue
                 speed = float(np.linalg.norm(mean[a])) + spread[a] + fall + obstacle.speed(frame)
                 gap = obstacle.gap(low[a], high[a])
@@ -285,11 +296,3 @@ class Meeting:
         links[: len(order), layout.FACING] = order
         host.put(solver.arrays["pair"], pair.astype(solver.real).ravel())
         host.put(solver.arrays["links"], links.astype(np.int32).ravel())
-
-
-def pack_arrays(n: int) -> dict[str, Floats]:
-    """The meeting's part of the kernels' pack for n samples; n = 0 where nobody meets."""
-    return {
-        "pair": np.zeros(layout.ROW * max(1, n)),
-        "links": np.full(layout.LINKS * (n + 1), layout.NOBODY),
-    }

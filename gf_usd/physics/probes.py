@@ -53,6 +53,12 @@ def von_mises(solver: TotalLagrangian) -> Floats:
     return out
 
 
+def kinetic_energies(solver: TotalLagrangian, bodies: int) -> Floats:
+    """sum_i m_i v_i^2 / 2 [J] over the nodes of each body, (bodies,)."""
+    m, v = solver.stencil.mass, solver.state()[1]
+    return np.bincount(solver.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
+
+
 def potential_energy(solver: TotalLagrangian, u: Floats) -> float:
     """-sum_i m_i x_i . (g + b) [J], heights over the floor; u (M, 3) without the offset."""
     s, m = solver.settings, solver.stencil.mass
