@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 FLIGHT = 1e-5  # strain, and speed over that of waves; far below what is seen, above rounding
-REST = 1e-6  # of m g0 r: a speed of 1.4e-3 sqrt(g0 r), 4 mm/s for a ball of 1 m
+REST = 1e-7  # of m g0 r: a speed of 4.5e-4 sqrt(g0 r), 1.4 mm/s for a ball of 1 m
 PRESSING = 1e-2  # [g0] gravity that would have moved a body without support within T
 
 
