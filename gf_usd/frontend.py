@@ -56,7 +56,7 @@ def quicken() -> None:
     words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
     if hasattr(words, "TextWrapper"):
         words.TextWrapper = _Whole  # pyright: ignore[reportAttributeAccessIssue]
-    context = getattr(words, "ASTTransformerContext", None)
+    context: Any = getattr(words, "ASTTransformerContext", None)
     if hasattr(context, "get_pos_info"):
         context.get_pos_info = _once_worded(context.get_pos_info)
     kernels = importlib.import_module("taichi.lang.kernel_impl")

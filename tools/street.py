@@ -140,7 +140,7 @@ def table(stages: Stages, particles: int, frames: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--particles", type=int, default=10_000)
     parser.add_argument("--points", type=int, default=10_000, help="of the mesh, about")
     parser.add_argument("--frames", type=int, default=6)

@@ -37,7 +37,8 @@ class Launcher:
         # Arrays of a pack come after all other arguments.
         for place, array in arrays:
             context.set_arg_ndarray(place, array)
-        impl.get_runtime().prog.launch_kernel(compiled, context)
+        program: Any = impl.get_runtime().prog
+        program.launch_kernel(compiled, context)
 
     def _prepare(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
         from taichi.lang import impl
@@ -45,7 +46,7 @@ class Launcher:
         primal, pack = self._kernel._primal, self._pack
         made = primal.compiled_kernels[primal.ensure_compiled(pack, *values)]
         arrays = [((k,), array.arr) for k, array in enumerate(pack._members, 1 + len(values))]
-        program = impl.get_runtime().prog
+        program: Any = impl.get_runtime().prog
         compiled = program.compile_kernel(program.config(), program.get_device_caps(), made)
         setters = [_setter(argument.annotation) for argument in primal.arguments[1:]]
         return made, compiled, pack._ArgPack__argpack, arrays, setters

@@ -84,7 +84,7 @@ class Shortcuts:
         if flying.any():
             if not self._flies or _near(solver, near, len(flying))[flying].any():
                 return None
-            if not all(self._rigid(solver, k) for k in np.flatnonzero(flying)):
+            if not all(self._rigid(solver, int(k)) for k in np.flatnonzero(flying)):
                 return None
         if solver.meeting and solver.meeting.imminent(solver, sleeping):
             return None

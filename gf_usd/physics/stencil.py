@@ -106,7 +106,8 @@ class Stencil:
         body : (n,) the body that each rides on; None: the first.
         """
         body = np.zeros(len(X), int) if body is None else body
-        known = sparse.vstack([sparse.identity(self.free_count, format="csr"), self.follow], "csr")
+        free = sparse.identity(self.free_count, format="csr")
+        known = sparse.csr_matrix(sparse.vstack([free, self.follow]))
         parts = [
             self._operators(X[k : k + CHUNK], body[k : k + CHUNK], known)
             for k in range(0, max(len(X), 1), CHUNK)
@@ -159,7 +160,7 @@ def base_node(cells: Floats) -> tuple[Ints, Floats]:
 
 def stacked(parts: list[sparse.csr_matrix]) -> sparse.csr_matrix:
     """Sparse rows one under the other."""
-    return parts[0] if len(parts) == 1 else sparse.vstack(parts, format="csr")
+    return parts[0] if len(parts) == 1 else sparse.csr_matrix(sparse.vstack(parts, format="csr"))
 
 
 def nodal_mass(fx: Floats, m: Floats, nodes: Ints, cell: Ints, count: int) -> Floats:

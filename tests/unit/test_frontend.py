@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -42,11 +43,12 @@ def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
 
 
 def test_a_fault_in_a_kernel_is_still_placed() -> None:
-    ti = import_taichi()
+    ti: Any = import_taichi()
     init_taichi()
+    numbers: Any = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
     @ti.kernel
-    def faulty(x: ti.types.ndarray(dtype=ti.f32, ndim=1)):
+    def faulty(x: numbers):
         for i in range(4):
             x[i] = nowhere  # noqa: F821  # pyright: ignore[reportUndefinedVariable]
 

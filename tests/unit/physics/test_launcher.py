@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from strained_ball import body, made
@@ -21,7 +23,8 @@ def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
         if not quick:
             for name in solver.launch:
                 kernel = getattr(solver.kernels, name)
-                solver.launch[name] = lambda *a, kernel=kernel, s=solver: kernel(s.pack, *a)
+                plain: Any = lambda *a, kernel=kernel, s=solver: kernel(s.pack, *a)  # noqa: E731
+                solver.launch[name] = plain
         for index in (1, 2, 3):
             solver.advance(index, 2 + index)
         ends.append(host.values(solver.arrays["u"]))
