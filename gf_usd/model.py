@@ -191,7 +191,7 @@ class Settings:
     stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
     samples_per_frame: int = 1  # states written a frame, for motion blur
     first: int = 0  # frame that is written first; below 0 the rest pose is held
-    shortcuts: bool = True  # tl: no substeps where all bodies fly freely or sleep
+    shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""

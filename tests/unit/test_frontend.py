@@ -48,7 +48,7 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
     numbers: Any = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
     @ti.kernel
-    def faulty(x: numbers):
+    def faulty(x: numbers):  # pyright: ignore[reportInvalidTypeForm]
         for i in range(4):
             x[i] = nowhere  # noqa: F821  # pyright: ignore[reportUndefinedVariable]
 

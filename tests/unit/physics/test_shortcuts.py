@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import meetings
 import numpy as np
 import pytest
-from meetings import meeting, obstacle
 from solids import CUBE_POINTS, CUBE_TRIANGLES, cube, sphere
 
 from gf_usd.materials import G0
@@ -14,6 +16,11 @@ RADIUS = 0.5  # [m]
 FPS = 24.0
 DOWN = (0.0, -G0, 0.0)
 AWAKE = 100.0  # [s] at rest: longer than anyone is asked to wait
+
+
+def meeting(*surfaces: Any, **said: Any):
+    """As a bake has it, with shortcuts unless they are said to be off."""
+    return meetings.meeting(*surfaces, **{"shortcuts": True, **said})
 
 
 def ball(height: float, x: float = 0.0, path: str = "/Ball"):
@@ -147,7 +154,7 @@ def test_an_obstacle_that_comes_wakes_a_sleeper():
     comes[4:, 0] = 0.6 * np.arange(1, 5)
     woken = []
     for way in (stays, comes):
-        wall = obstacle(CUBE_POINTS + [-2.2, 0.0, -0.5], CUBE_TRIANGLES, offset=way)
+        wall = meetings.obstacle(CUBE_POINTS + [-2.2, 0.0, -0.5], CUBE_TRIANGLES, offset=way)
         solver = meeting(
             ball(0.0), particles=250, frames=8, fps=FPS, gravity=DOWN, floor=0.0, colliders=(wall,)
         )  # fmt: skip
