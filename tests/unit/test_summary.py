@@ -134,14 +134,12 @@ def test_totals_and_extremes() -> None:
             stress_capped=6, work=-1.0, sleeping=2, momentum=(1.0, 2.0, 3.0),
         ),
     ]  # fmt: skip
-    assert log_of(frames).summary() == {
+    skipped = {"frames_without_substeps": 1, "flying_body_frames": 0, "sleeping_body_frames": 2}
+    assert log_of(frames).summary() == skipped | {
         "frames": 3,
         "substeps": 30,
         "substeps_max_per_frame": 20,
         "rollbacks": 3,
-        "frames_without_substeps": 1,
-        "flying_body_frames": 0,
-        "sleeping_body_frames": 2,
         "restitution": None,
         "deepest_penetration_m": 0.05,
         "deepest_penetration_spacings": pytest.approx(0.5),
