@@ -1,6 +1,6 @@
-"""The immutable values that cross rooms.
+"""The immutable values that cross rooms: SI, in the source stage's world frame and up axis.
 
-SI, in the source stage's world frame and up axis.  Quaternions (w, x, y, z); linear Rec. 709.
+Quaternions (w, x, y, z); linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -19,10 +19,8 @@ if TYPE_CHECKING:
     from gf_usd.splats import SplatPose, Splats
     from gf_usd.surface_material import SurfaceMaterial
 
-# Of any width: files hold float32, the solver's bookkeeping float64.
-Floats = NDArray[Any]
+Floats = NDArray[Any]  # of any width: files hold float32, the solver's bookkeeping float64
 Ints = NDArray[Any]
-
 AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
@@ -193,6 +191,7 @@ class Settings:
     stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
     samples_per_frame: int = 1  # states written a frame, for motion blur
     first: int = 0  # frame that is written first; below 0 the rest pose is held
+    shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""
@@ -239,6 +238,8 @@ class Health:
     work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
+    flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
+    sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
 
 

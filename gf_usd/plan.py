@@ -103,8 +103,7 @@ class Plan:
                 return solver
         more: dict[str, Any] = {}
         if self.velocity:
-            several = len(self.velocity) > 1
-            more["velocity"] = list(self.velocity) if several else self.velocity[0]
+            more["velocity"] = list(self.velocity) if self.velocity[1:] else self.velocity[0]
         if self.settings.solver == "tl" and self.bodies is not None:
             more |= {"encounters": self.encounters, "rider_body": self.bodies.riders}
         return make_solver(

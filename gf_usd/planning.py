@@ -79,6 +79,7 @@ class Request:
     handles: int | None = None  # frames written on both sides besides
     clip_frames: int | None = None  # of a value clip; 0: one file
     half: bool = False
+    no_shortcuts: bool = False  # substeps also where all bodies fly freely or sleep
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -195,9 +196,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
-    drag = request.drag
-    if drag is None:
-        drag = PAPER_DRAG / T if paper else 0.0
+    drag = (PAPER_DRAG / T if paper else 0.0) if request.drag is None else request.drag
     return Settings(
         frames=frames,
         first=first,
@@ -225,6 +224,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         stress=request.stress,
         skin=request.skin or ("paper" if paper else "embed"),
         solver=request.solver or "tl",
+        shortcuts=not request.no_shortcuts,
     )
 
 

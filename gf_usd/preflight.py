@@ -82,7 +82,6 @@ def prepare(
     # A device that is not there is found out before the asset is read.
     init_taichi(request.device, request.threads)
     from gf_usd.assets import convert, read_asset
-    from gf_usd.geometry.splat_hull import with_hulls
 
     converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if converted is None:
@@ -95,7 +94,7 @@ def prepare(
         )
     else:
         asset = converted.asset(prims=tuple(prims), time_code=request.start)
-    asset = with_hulls(asset)
+    asset = _hulled(asset)
     asset, words, looks = _stage(asset, source, prims, request, looks, converted is None)
     names = [look.name for look in looks]
     files = outputs(source, names, target_name, request.flatten)
@@ -160,7 +159,6 @@ def inspect(
     from gf_usd.estimate import estimate
     from gf_usd.geometry.parts import poor_parts
     from gf_usd.geometry.repair import repair_asset
-    from gf_usd.geometry.splat_hull import with_hulls
     from gf_usd.inspection import implausible_size, look_at, lost_volume
 
     check_unit(meters_per_unit)
@@ -174,7 +172,7 @@ def inspect(
         up_axis=up_axis,
         time_code=request.start,
     )
-    asset = with_hulls(asset)
+    asset = _hulled(asset)
     usd = source.suffix.lower() in USD
     asset, words, looks = _stage(asset, source, prims, request, looks, usd)
     seen = look_at(asset, repair_asset(asset)[1] if repair else ())
@@ -220,6 +218,15 @@ def _stage(
     if words.says_material:
         return asset, words, [Authored(look_name(words, asset.surfaces))]
     return asset, words, [Authored("rubber")]
+
+
+def _hulled(asset: Asset) -> Asset:
+    """See `with_hulls`, whose libraries only captured Gaussians need."""
+    if not asset.splats:
+        return asset
+    from gf_usd.geometry.splat_hull import with_hulls
+
+    return with_hulls(asset)
 
 
 def _elastic(looks: Sequence[Any]) -> bool:

@@ -12,8 +12,10 @@ from types import ModuleType
 from typing import Any
 
 from gf_usd.errors import GfUsdError, UsageError
+from gf_usd.frontend import frames_without_source, quicken
 
 DEVICES = ("cpu", "cuda")
+THREADS = 8  # that kernels are compiled for, at least
 
 _started: dict[str, Any] = {}
 _starts = 0
@@ -29,7 +31,8 @@ def import_taichi() -> ModuleType:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
     os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
     try:
-        taichi = importlib.import_module("taichi")
+        with frames_without_source():
+            taichi = importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
             raise GfUsdError(
@@ -39,30 +42,8 @@ def import_taichi() -> ModuleType:
         raise GfUsdError(
             f"Taichi cannot be loaded: {error}", "install it: python -m pip install 'taichi>=1.7.4'"
         ) from error
-    _leave_lines_whole()
+    quicken()
     return taichi
-
-
-class _Whole:
-    """In place of textwrap.TextWrapper: a line stays one line."""
-
-    def __init__(self, width: int) -> None:
-        pass
-
-    def wrap(self, text: str) -> list[str]:
-        return [text.rstrip()] if text.strip() else []
-
-
-def _leave_lines_whole() -> None:
-    """Quote source lines unbroken in Taichi's messages.
-
-    Taichi words a position for every expression that it meets, whether or not it has to complain,
-    and breaking these lines at 80 columns took much of the time from a kernel's source to its key
-    in the cache on disk.
-    """
-    words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
-    if hasattr(words, "TextWrapper"):
-        words.TextWrapper = _Whole  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
@@ -112,9 +93,20 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
             log_level=ti.ERROR,
         )
+    _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _starts += 1
+
+
+def _leave_threads_out(ti: ModuleType, threads: int) -> None:
+    """Compile for THREADS threads whatever their number, so that it is no part of a kernel's key.
+
+    How many there are was settled with the pool, which gives a loop no more than it has.  Compiled
+    in is in how many pieces a loop is cut: more than there are threads do no harm.
+    """
+    config = ti.lang.impl.get_runtime().prog.config()
+    config.cpu_max_num_threads = max(THREADS, threads)
 
 
 def epoch() -> int:

@@ -133,6 +133,8 @@ SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected")
 MOSTS = (
     *("penetration", "overlap", "let_go", "max_J", "max_stretch", "inverted", "clamped"),
     "stress_capped",
+    "flying",
+    "sleeping",
 )
 LEASTS = ("min_J", "min_stretch")
 

@@ -13,8 +13,8 @@ from gf_usd.geometry.drift import drift
 from gf_usd.geometry.skinning import MeshSkin
 from gf_usd.model import Frame
 from gf_usd.physics.gaussians import matrix_from_quaternion
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.reanchor import WIDTH, wls_gradient
+from gf_usd.physics.stretches import singular_values
 from gf_usd.preflight import prepare
 
 WARM = 3  # frames

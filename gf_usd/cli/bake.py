@@ -155,6 +155,9 @@ def bake(
         bool, typer.Option("--self-contact", help="A body meets itself, too.")
     ] = False,
     solver: Solver = None,
+    no_shortcuts: Annotated[
+        bool, typer.Option("--no-shortcuts", help="Simulate free flight and sleep, too.")
+    ] = False,
     wls: Annotated[
         bool | None,
         typer.Option(
@@ -235,9 +238,9 @@ def bake(
         blend_width=blend_width, material_boxes=tuple(material_box or ()),
         material_labels=tuple(material_label or ()),
         time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress, skin=skin, solver=solver, wls=wls, procrustes=procrustes, clamp=clamp,
-        stress_cap=stress_cap, export_ply=export_ply, export_spz=export_spz,
-        meters_per_unit=meters_per_unit, up_axis=up_axis,
+        stress=stress, skin=skin, solver=solver, no_shortcuts=no_shortcuts,
+        wls=wls, procrustes=procrustes, clamp=clamp, stress_cap=stress_cap, export_ply=export_ply,
+        export_spz=export_spz, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
         range=range, handles=handles, clip_frames=clip_frames, resume=resume,
         limits=parse_limits(limits),

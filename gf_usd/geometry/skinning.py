@@ -34,6 +34,7 @@ GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to st
 # Of dense weights held at once: they stay in a core's cache, and BLAS does not share such a product
 # out among threads, which takes several times as long where cores are busy (measured).
 CHUNK_BYTES = 200_000
+KEPT_BYTES = 32_000_000  # of weights that are kept from frame to frame
 SKIN_NOTES = {
     "paper": (
         "skin paper: offsets of vertices are stretched but not turned with the body"
@@ -73,7 +74,7 @@ class InverseDistance:
 class PaperSkin:
     """The paper's eq. 6: weights on the full cloud, offsets transformed by the blended stretch U.
 
-    The weights (n x N) are computed afresh, a chunk of rows at a time, whenever they are used.
+    The weights (n x N) are kept where they are few, else computed afresh whenever they are used.
     X : (n, 3) [m] rest positions of the points; particles : (N, 3) [m] of the particles.
     """
 
@@ -155,25 +156,39 @@ def nearest_weights(X: Floats, particles: Floats, k: int, power: float) -> spars
 
 
 class CloudWeights:
-    """Inverse-distance weights (n, N) on every particle, never held as a whole.
+    """Inverse-distance weights (n, N) on every particle, a chunk of rows at a time.
 
-    chunk_bytes bounds the weights in memory; one row (8 N bytes) is the least.
+    chunk_bytes bounds a chunk; one row (8 N bytes) is the least.  Chunks are kept where all of them
+    take at most `kept_bytes`, which changes no digit.
     """
 
-    def __init__(self, X: Floats, particles: Floats, power: float, chunk_bytes: int) -> None:
+    def __init__(
+        self,
+        X: Floats,
+        particles: Floats,
+        power: float,
+        chunk_bytes: int,
+        kept_bytes: int = KEPT_BYTES,
+    ) -> None:
         self.X = np.asarray(X, float)
         self.particles = np.asarray(particles, float)
         self.power = power
-        self.rows = max(1, chunk_bytes // (8 * len(particles)))
+        rows = max(1, chunk_bytes // (8 * len(particles)))
+        self.chunks = [slice(start, start + rows) for start in range(0, len(X), rows)]
+        self.kept = None
+        if 8 * len(X) * len(particles) <= kept_bytes:
+            self.kept = [self._weights(chunk) for chunk in self.chunks]
 
     def __matmul__(self, values: Floats) -> Floats:
         """(n, c) of values (N, c)."""
         out = np.empty((len(self.X), values.shape[1]))
-        for start in range(0, len(self.X), self.rows):
-            rows = slice(start, start + self.rows)
-            squared = cdist(self.X[rows], self.particles, "sqeuclidean")
-            out[rows] = inverse_distance(squared, self.power) @ values
+        for k, chunk in enumerate(self.chunks):
+            out[chunk] = (self.kept[k] if self.kept else self._weights(chunk)) @ values
         return out
+
+    def _weights(self, chunk: slice) -> Floats:
+        squared = cdist(self.X[chunk], self.particles, "sqeuclidean")
+        return inverse_distance(squared, self.power)
 
 
 def blend(apply: Callable[[Floats], Floats], *fields: Floats) -> tuple[Floats, ...]:

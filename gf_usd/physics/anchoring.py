@@ -34,7 +34,7 @@ def node_motion(solver: TotalLagrangian) -> tuple[Floats, Floats]:
 
 def anchor(solver: TotalLagrangian, index: int) -> None:
     """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
-    solver.arrays["work"].fill(0)
+    host.clear(solver.arrays["work"])
     if solver.holder is None or not solver.holder.moving:
         return
     free, nodes = solver.stencil.free_count, solver.stencil

@@ -35,7 +35,7 @@ def watch(solver: TotalLagrangian, lift: float) -> Ints:
         host.put(solver.arrays["sample_height"], height.astype(solver.real))
     height = height + lift + rows.W @ (u @ normal)
     for name in ("sample_force", "sample_depth", "sample_capped"):
-        solver.arrays[name].fill(0)
+        host.clear(solver.arrays[name])
     return np.flatnonzero(height < reach)
 
 
@@ -52,7 +52,7 @@ def attend(solver: TotalLagrangian, samples: Ints) -> int:
     _head(solver, "node_sample", samples[of_nodes.indices])
     _head(solver, "node_sample_weight", of_nodes.data)
     host.put(solver.arrays["node_sample_start"], of_nodes.indptr)
-    solver.arrays["sample_force"].fill(0)
+    host.clear(solver.arrays["sample_force"])
     return len(samples)
 
 

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from gf_usd.model import Floats, GaussianPose, Pose
 
+CHUNK = 4096  # particles at once: what is made on the way stays in a core's cache
+NEWTON = 12  # steps of the polar iteration, enough for stretches of 1/100 to 100
+SETTLED = 1e-9  # change after which an iterate is exact to rounding
 SWEEPS = 6  # Jacobi converges quadratically: f64 digits are used up well before
 
 
@@ -65,7 +68,46 @@ class GaussianTrack:
 
 
 def nearest_rotation(F: Floats) -> NDArray[np.float64]:
-    """(N, 3, 3) R of the polar decomposition with det R = 1, by the signed SVD."""
+    """(N, 3, 3) R of the polar decomposition with det R = 1: that of the signed SVD.
+
+    By Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986), several times as fast; by the SVD
+    itself where F is inverted, or so flat that the iteration would take long.
+    """
+    F = np.asarray(F, float)
+    out = np.empty(F.shape)
+    for k in range(0, len(F), CHUNK):
+        some = slice(k, k + CHUNK)
+        out[some], done = _newton(F[some])
+        if not done.all():
+            out[some][~done] = _signed_svd(F[some][~done])
+    return out
+
+
+def _newton(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Iterates (n, 3, 3), and which of them (n,) are rotations to rounding."""
+    q = np.ascontiguousarray(F.reshape(-1, 9).T)
+    upright = done = np.linalg.det(F) > 0.0
+    with np.errstate(all="ignore"):  # what comes to nothing goes to the SVD
+        for _ in range(NEWTON):
+            a, b, c, d, e, f, g, h, i = q
+            cof = np.stack(
+                [
+                    *(e * i - f * h, f * g - d * i, d * h - e * g),
+                    *(c * h - b * i, a * i - c * g, b * g - a * h),
+                    *(b * f - c * e, c * d - a * f, a * e - b * d),
+                ]
+            )
+            J = a * cof[0] + b * cof[1] + c * cof[2]
+            new = 0.5 * (q + cof / J)
+            # The error of an iterate is the square of its change.
+            done = np.abs(new - q).max(0) < SETTLED
+            q = new
+            if (done | ~upright).all():
+                break
+    return q.T.reshape(-1, 3, 3), done & upright
+
+
+def _signed_svd(F: Floats) -> NDArray[np.float64]:
     U, _, Vt = np.linalg.svd(F)
     U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
     return U @ Vt

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
+LAUNCHED = ("serial", "parallel", "start")  # kernels of a substep
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
 
@@ -32,13 +33,13 @@ def run(solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
     alone = len(solver.particles) < SERIAL_BELOW or (s.threads or cores()) == 1
     if s.device == "cpu" and alone:
         phase = solver.done % every if every else 0
-        solver.kernels.serial(solver.pack, *counts, substeps, every, phase, alpha, *tail)
+        solver.launch["serial"](*counts, substeps, every, phase, alpha, *tail)
     else:
-        solver.kernels.start(solver.pack, *counts[1:3], 0.5 * dt)
+        solver.launch["start"](*counts[1:3], 0.5 * dt)
         for k in range(substeps):
             drift = dt if k < substeps - 1 else 0.5 * dt
             due = int(every > 0 and (solver.done + k) % every == 0)
-            solver.kernels.parallel(solver.pack, *counts, due, alpha, *tail, drift)
+            solver.launch["parallel"](*counts, due, alpha, *tail, drift)
     solver.done += substeps
 
 

@@ -28,6 +28,7 @@ class Law:
     pk1: Callable  # (F, mu, lam, converged) -> P
     shear: Callable  # (mu) -> d^2 psi / dF^2 along the planes that keep J [Pa], in numpy
     bulk: Callable  # (J, mu, lam) -> d^2 psi / dJ^2 [Pa], in numpy
+    stored: Callable  # (s, J, mu, lam) -> psi, in numpy; s (N, 3) signed stretches, their product J
     source: str
 
 
@@ -102,6 +103,18 @@ def neo_hookean_pk1(F, mu, lam, converged):
     ]
 
 
+def corotated_stored(s, J, mu, lam):
+    """psi of signed stretches: |F - R|^2 = sum (s_i - 1)^2."""
+    return mu * ((s - 1.0) ** 2).sum(1) + 0.5 * lam * (J - 1.0) ** 2
+
+
+def neo_hookean_stored(s, J, mu, lam):
+    """psi of stretches: |F|^2 = sum s_i^2."""
+    t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
+    g = np.log(np.maximum(J, J_EXTENSION)) + t - 0.5 * t * t
+    return 0.5 * mu * ((s * s).sum(1) - 3.0) - mu * g + 0.5 * lam * g * g
+
+
 def corotated_bulk(J, mu, lam):
     """d^2/dJ^2 of lam/2 (J - 1)^2."""
     return lam * np.ones_like(J)
@@ -144,6 +157,7 @@ LAWS: dict[str, Law] = {
             pk1=corotated_pk1,
             shear=lambda mu: 2.0 * mu,
             bulk=corotated_bulk,
+            stored=corotated_stored,
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
         Law(
@@ -152,6 +166,7 @@ LAWS: dict[str, Law] = {
             pk1=neo_hookean_pk1,
             shear=lambda mu: mu,
             bulk=neo_hookean_bulk,
+            stored=neo_hookean_stored,
             source="Bonet and Wood 2008, eq. 6.28",
         ),
     )
@@ -165,6 +180,9 @@ MIXED = Law(
     shear=lambda mu: np.where(mu > 0.0, 2.0 * mu, -mu),
     bulk=lambda J, mu, lam: np.where(
         mu > 0.0, corotated_bulk(J, mu, lam), neo_hookean_bulk(J, np.abs(mu), lam)
+    ),
+    stored=lambda s, J, mu, lam: np.where(
+        mu > 0.0, corotated_stored(s, J, mu, lam), neo_hookean_stored(s, J, np.abs(mu), lam)
     ),
     source="each particle's own",
 )

@@ -31,6 +31,8 @@ class Passage:
     injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`
     clamped: int = 0  # particles whose singular values of F were clipped
     stress_capped: int = 0  # particles whose stress was cut
+    flying: int = 0  # bodies that flew by the closed form: there were no substeps
+    sleeping: int = 0  # bodies that slept: there were no substeps
 
 
 class Marcher(ABC):
@@ -129,9 +131,8 @@ class Marcher(ABC):
             particle, fault = self.not_finite()
             if not fault:
                 frame = self.read(index)
-                health = replace(
-                    frame.health, substeps=substeps, rollbacks=attempt, **asdict(passage)
-                )
+                done = 0 if passage.flying or passage.sleeping else substeps
+                health = replace(frame.health, substeps=done, rollbacks=attempt, **asdict(passage))
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:
                     self.guard.passed()

@@ -82,7 +82,7 @@ class Meeting:
 
     def arrays(self) -> dict[str, Floats]:
         """The part of the kernels' pack."""
-        return pack_arrays(len(self._X))
+        return layout.pack_arrays(len(self._X))
 
     def save(self) -> dict[str, Any]:
         """What `restore` wants."""
@@ -114,11 +114,18 @@ class Meeting:
     def _stored(self, depth: Floats) -> float:
         return float(0.5 * self._k @ depth**2)
 
-    def imminent(self, solver: TotalLagrangian) -> bool:
-        """Whether anything may touch before the next frame."""
+    def imminent(self, solver: TotalLagrangian, still: Ints | None = None) -> bool:
+        """Whether anything may touch before the next frame; bodies `still` (B,) do not move."""
         span = solver.frame_time
-        near, hold = self._schedule(solver, *self.motion(solver), solver.time / span, span)
+        near, hold = self._schedule(solver, *self.motion(solver), solver.time / span, span, still)
         return bool(near) or hold < span
+
+    def pass_by(self, flying: Ints, time: float) -> None:
+        """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
+        for k in np.flatnonzero(flying):
+            self._gap[self._members[k]] = (FACING + LOOK) * self._spacing
+            self.faced.forget(self._members[k])
+        self._looked = time
 
     def passage(self, solver: TotalLagrangian) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by looks [J] and deepest overlap [m]."""
@@ -184,8 +191,9 @@ class Meeting:
         return float(speed.max(initial=0.0))
 
     def _schedule(
-        self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float
-    ) -> tuple[list[tuple[int, int]], float]:
+        self, solver: TotalLagrangian, x: Floats, v: Floats, frame: float, span: float,
+        still: Ints | None = None,
+    ) -> tuple[list[tuple[int, int]], float]:  # fmt: skip
         fall = float(np.linalg.norm(solver.settings.gravity)) * span
         return schedule(
             [Box.around(x[m], v[m]) for m in self._members],
@@ -195,6 +203,7 @@ class Meeting:
             fall=fall,
             reach=(FACING + LOOK) * self._spacing,
             spacing=self._spacing,
+            still=still,
         )
 
     def _candidates(self, seen: Looking, near: Sequence[int], theirs: Floats) -> Ints:
@@ -270,11 +279,3 @@ class Meeting:
         links[: len(order), layout.FACING] = order
         host.put(solver.arrays["pair"], pair.astype(solver.real).ravel())
         host.put(solver.arrays["links"], links.astype(np.int32).ravel())
-
-
-def pack_arrays(n: int) -> dict[str, Floats]:
-    """The meeting's part of the kernels' pack for n samples; n = 0 where nobody meets."""
-    return {
-        "pair": np.zeros(layout.ROW * max(1, n)),
-        "links": np.full(layout.LINKS * (n + 1), layout.NOBODY),
-    }

@@ -46,6 +46,12 @@ class Faced:
         faced = self.partner[self.partner >= 0]
         return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
 
+    def forget(self, rows: Ints) -> None:
+        """Samples `rows` face nothing."""
+        away = nothing(len(rows))
+        for name in ARRAYS:
+            getattr(self, name)[rows] = getattr(away, name)
+
     def lists(self) -> tuple[Ints, Ints]:
         """(n + 1,) and (m,): for each sample those that face it, in order."""
         who = np.flatnonzero(self.partner >= 0)

@@ -65,7 +65,7 @@ def clear(solver: TotalLagrangian) -> None:
     """Count from zero."""
     for name, on in _counted(solver.options):
         if on:
-            solver.arrays[name].fill(0)
+            host.clear(solver.arrays[name])
 
 
 def touched(solver: TotalLagrangian) -> dict[str, Floats]:

@@ -32,10 +32,12 @@ from gf_usd.model import Floats, Pose
 from gf_usd.physics import body as layout
 from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
+from gf_usd.physics.stretches import singular_values
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
+CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
 NEIGHBOURS = 20  # docs/physics.md, fitted
 WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
 FLAT = 1e-9  # eigenvalue of the moments, beside the largest, of a direction without neighbours
@@ -75,6 +77,18 @@ def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
 
     Where J < 0 the smallest singular value counts as negative, as in `option_kernel.clip`.
     """
+    s = singular_values(F)
+    # Wide of what the closed form may be off by: only these are worth an SVD.
+    slack = CLOSE * s[:, 2]
+    near = (s[:, 0] < low + slack) | (s[:, 2] > high - slack)
+    near |= np.linalg.det(F) < 0.0
+    out, changed = np.array(F), np.zeros(len(F), bool)
+    if near.any():
+        out[near], changed[near] = _clipped(F[near], low, high)
+    return out, changed
+
+
+def _clipped(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     U, s, Vt = np.linalg.svd(F)
     s[:, 2] *= np.where(np.linalg.det(F) < 0.0, -1.0, 1.0)
     turned = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0.0, -1.0, 1.0)
@@ -137,11 +151,15 @@ class Reanchor:
         none = np.zeros(len(solver.particles), bool)
         if not self.acts or solver.not_finite()[1]:
             return none, 0.0
-        before = stored_energy(solver)
+        pose = solver.particle_pose(index)
+        before = stored_energy(solver, pose.F)
         if self.alpha > 0.0:
             self._correct(solver)
-        clipped = self._recompute(solver, index) if self.gradient is not None else none
-        return clipped, stored_energy(solver) - before
+            pose = solver.particle_pose(index)
+        F, clipped = pose.F, none
+        if self.gradient is not None:
+            F, clipped = self._recompute(solver, pose)
+        return clipped, stored_energy(solver, F) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
         u = host.values(solver.arrays["u"]).astype(float).reshape(-1, 3)
@@ -150,13 +168,13 @@ class Reanchor:
         u += self.alpha * (mean - u)
         host.put(solver.arrays["u"], u.astype(solver.real).ravel())
 
-    def _recompute(self, solver: TotalLagrangian, index: int) -> Floats:
+    def _recompute(self, solver: TotalLagrangian, pose: Pose) -> tuple[Floats, Floats]:
+        """F (N, 3, 3) anew, put where the kernels see it, and the particles that were clipped."""
         assert self.gradient is not None
-        pose = solver.particle_pose(index)
         moved = pose.x - solver.particles.X - solver.offset
         F = np.eye(3) + np.stack([D @ moved for D in self.gradient], -1)
         clipped = np.zeros(len(F), bool)
         if self.clamp is not None:
             F, clipped = clip_stretches(F, *self.clamp)
         self.put(solver, F - (pose.F - self.F0.astype(float)))
-        return clipped
+        return F, clipped

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.encounters import Encounters
-from gf_usd.model import Floats
+from gf_usd.model import Floats, Ints
 from gf_usd.physics.obstacles import Obstacle, box_gap
 
 
@@ -42,11 +42,13 @@ def schedule(
     fall: float,
     reach: float,
     spacing: float,
+    still: Ints | None = None,
 ) -> tuple[list[tuple[int, int]], float]:
     """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds.
 
     frame : where the obstacles are; fall : [m/s] that gravity adds until the next look at latest;
-    reach : [m] from where something is faced.
+    reach : [m] from where something is faced; bodies `still` (B,) do not move: what does not either
+    is no concern of theirs.
     """
     near: list[tuple[int, int]] = []
     hold = float("inf")
@@ -59,17 +61,20 @@ def schedule(
 
     speeds = [obstacle.speed(frame) for obstacle in obstacles]
 
+    rests = [still is not None and bool(still[k]) for k in range(len(boxes))]
     for a, mine in enumerate(boxes):
-        if encounters.self_contact:
+        if encounters.self_contact and not rests[a]:
             hold = min(hold, judge(0.0, 2.0 * mine.spread, (a, a)))
         for b, other in enumerate(boxes[:a]):
             if (a, b) in encounters.through or (b, a) in encounters.through:
+                continue
+            if rests[a] and rests[b]:
                 continue
             speed = float(np.linalg.norm(mine.mean - other.mean)) + mine.spread + other.spread
             gap = box_gap(mine.low, mine.high, other.low, other.high)
             hold = min(hold, judge(gap, speed, (a, b), (b, a)))
         for k, obstacle in enumerate(obstacles):
-            if (a, k) in encounters.through_colliders:
+            if (a, k) in encounters.through_colliders or (rests[a] and speeds[k] == 0.0):
                 continue
             speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
             hold = min(hold, judge(obstacle.gap(mine.low, mine.high), speed, (a, -1 - k)))

@@ -10,7 +10,7 @@ import numpy as np
 from gf_usd.model import Floats, Ints, Material, Particles, Settings, SurfaceSamples
 from gf_usd.own_values import spread
 from gf_usd.physics import body as layout
-from gf_usd.physics import options
+from gf_usd.physics import host, options
 from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.holds import held_by
@@ -186,5 +186,5 @@ def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
         if value.ndim > 1:
             made = ti.types.vector(value.shape[1], made)
         out[name] = ti.ndarray(made, value.shape[:1])
-        out[name].from_numpy(value)
+        host.put(out[name], value)
     return out

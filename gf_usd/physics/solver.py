@@ -25,16 +25,20 @@ from gf_usd.physics.body import batch_particles
 from gf_usd.physics.embedding import pose
 from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
-from gf_usd.physics.health import measure, strains
+from gf_usd.physics.health import measure
 from gf_usd.physics.holds import Holder, held_by
-from gf_usd.physics.launch import run
+from gf_usd.physics.launch import LAUNCHED, run
+from gf_usd.physics.launcher import Launcher
 from gf_usd.physics.marching import Marcher, Passage
-from gf_usd.physics.meeting import CROWD, Meeting, pack_arrays
+from gf_usd.physics.meeting import CROWD, Meeting
+from gf_usd.physics.pair_layout import pack_arrays
 from gf_usd.physics.plain import single_particles
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
+from gf_usd.physics.shortcuts import Shortcuts
 from gf_usd.physics.stencil import Rows, build_stencil
 from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
+from gf_usd.physics.stretches import strains
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
@@ -131,6 +135,7 @@ class TotalLagrangian(Marcher):
             self.meeting = Meeting(encounters, self.contact, self)
         self.options = options.options_of(settings, self.meeting is not None, plain)
         self.reanchor = Reanchor(self)
+        self.shortcuts = Shortcuts(self)
         values = setup.arrays(
             particles, self.stencil, self.batches, self.contact, settings, per, start,
             self.acceleration,
@@ -149,6 +154,7 @@ class TotalLagrangian(Marcher):
         self.pack = pack_type(kind, epoch())(**self.arrays)
         self.law = law_of(materials)
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
+        self.launch = {name: Launcher(getattr(self.kernels, name), self.pack) for name in LAUNCHED}
         self._vec = ti.types.vector(3, kind)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
@@ -160,6 +166,7 @@ class TotalLagrangian(Marcher):
             state["F0"] = self.reanchor.F0.copy()
         if self.meeting:
             state |= self.meeting.save()
+        state |= self.shortcuts.save()
         return {**state, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
     def restore(self, saved: dict[str, Any]) -> None:
@@ -170,6 +177,7 @@ class TotalLagrangian(Marcher):
             self.reanchor.put(self, saved["F0"])
         if self.meeting:
             self.meeting.restore(saved)
+        self.shortcuts.restore(saved)
         self.offset = np.asarray(saved["offset"], float).copy()
         self.time, self.done = float(saved["time"]), int(saved["done"])
 
@@ -191,6 +199,8 @@ class TotalLagrangian(Marcher):
         anchor(self, index)
         options.clear(self)
         near = watch(self, float(self.offset @ self.normal))
+        if (passage := self.shortcuts.take(self, near, substeps)) is not None:
+            return passage
         if self.meeting:
             self.meeting.begin(self)
         dt, left = self.frame_time / substeps, substeps
@@ -216,13 +226,14 @@ class TotalLagrangian(Marcher):
             clamped=int((touched["clamped"] | clipped).sum()),
             stress_capped=int(touched["stress_capped"].sum()),
         )
-        if not active:
-            return passage
-        return replace(
-            passage,
-            friction_capped=int(host.values(self.arrays["sample_capped"]).sum()),
-            penetration=float(host.values(self.arrays["sample_depth"]).max()),
-        )
+        if active:
+            passage = replace(
+                passage,
+                friction_capped=int(host.values(self.arrays["sample_capped"]).sum()),
+                penetration=float(host.values(self.arrays["sample_depth"]).max()),
+            )
+        self.shortcuts.note(self, passage)
+        return passage
 
     def vector(self, values: Any) -> Any:
         """Three numbers as the kernels take them."""
@@ -250,7 +261,7 @@ class TotalLagrangian(Marcher):
         """See `Marcher`."""
         u, v = self.state()
         particles, nodes = self.particle_pose(index), node_motion(self)
-        stretch, J = strains(particles)
+        stretch, J = strains(particles.F)
         self.strained = self._strained(stretch, J)
         return Frame(
             index=index,

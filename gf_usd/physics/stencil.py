@@ -23,6 +23,7 @@ from gf_usd.physics.followers import FREE_MASS, affine_fit, split_nodes
 from gf_usd.physics.holds import Held, Holder, held_by, mirror_points
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbour that a fit would take
+CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 
 
@@ -104,20 +105,32 @@ class Stencil:
 
         body : (n,) the body that each rides on; None: the first.
         """
-        base, fx = self.base(X + self.shift[np.zeros(len(X), int) if body is None else body])
+        body = np.zeros(len(X), int) if body is None else body
+        free = sparse.identity(self.free_count, format="csr")
+        known = sparse.csr_matrix(sparse.vstack([free, self.follow]))
+        parts = [
+            self._operators(X[k : k + CHUNK], body[k : k + CHUNK], known)
+            for k in range(0, max(len(X), 1), CHUNK)
+        ]
+        W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(4))
+        for one in G:
+            # Which nodes count is the same for all four, and as much memory as the weights.
+            if np.array_equal(one.indices, W.indices):
+                one.indices, one.indptr = W.indices, W.indptr
+        return Rows(X=X, W=W, G=(G[0], G[1], G[2]))
+
+    def _operators(
+        self, X: Floats, body: Ints, known: sparse.csr_matrix
+    ) -> list[sparse.csr_matrix]:
+        """W and the three of G of some points, which the four take turns to leave."""
+        base, fx = self.base(X + self.shift[body])
         ijk = base[:, None, :] + OFFSETS
         at = self.locate(ijk)
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
         at[missing] = self.node_count + inverse.ravel()
-        extend = sparse.vstack(
-            [
-                sparse.identity(self.free_count, format="csr"),
-                self.follow,
-                affine_fit(keys, self.node_ijk[: self.free_count]),
-            ],
-            format="csr",
-        )
+        beyond = affine_fit(keys, self.node_ijk[: self.free_count])
+        extend = sparse.vstack([known, beyond], format="csr")
         if self.held.any:
             constants = sparse.eye(
                 extend.shape[0], self.node_count - self.free_count, -self.free_count
@@ -132,8 +145,7 @@ class Stencil:
             out.sort_indices()
             return out
 
-        gx, gy, gz = (operator(g[..., axis]) for axis in range(3))
-        return Rows(X=X, W=operator(w), G=(gx, gy, gz))
+        return [operator(w), *(operator(g[..., axis]) for axis in range(3))]
 
     def base(self, X: Floats) -> tuple[Ints, Floats]:
         """Base node (n, 3) and distance from it in cells (n, 3), in [0.5, 1.5)."""
@@ -144,6 +156,25 @@ def base_node(cells: Floats) -> tuple[Ints, Floats]:
     """Base node and remainder of positions measured in cells."""
     base = np.floor(cells - 0.5).astype(np.int64)
     return base, cells - base
+
+
+def stacked(parts: list[sparse.csr_matrix]) -> sparse.csr_matrix:
+    """Sparse rows one under the other."""
+    return parts[0] if len(parts) == 1 else sparse.csr_matrix(sparse.vstack(parts, format="csr"))
+
+
+def nodal_mass(fx: Floats, m: Floats, nodes: Ints, cell: Ints, count: int) -> Floats:
+    """sum_p w_ip m_p [kg] of each of `count` nodes.
+
+    fx (N, 3) and m (N,) by particle, in the order of cells; nodes (K, 27); cell (N,) of each.
+    """
+    out = np.zeros(count)
+    for k in range(0, len(m), CHUNK):
+        some = slice(k, k + CHUNK)
+        (wx, wy, wz), (a, b, c) = np.moveaxis(bspline(fx[some])[0], 2, 0), OFFSETS.T
+        w = wx[:, a] * wy[:, b] * wz[:, c]
+        np.add.at(out, nodes[cell[some]].ravel(), (w * m[some, None]).ravel())
+    return out
 
 
 def weights(fx: Floats, h: float) -> tuple[Floats, Floats]:
@@ -210,9 +241,8 @@ def build_stencil(
     cell_nodes = at.reshape(reached.shape)
     fx = fx[order]
     cell_start = np.append(first, len(X))
-    w, _ = weights(fx, h)
-    nodes = np.repeat(cell_nodes, np.diff(cell_start), axis=0)
-    mass = np.bincount(nodes.ravel(), (w * m[order, None]).ravel(), minlength=len(sorted_keys))
+    cell = np.repeat(np.arange(len(first)), np.diff(cell_start))
+    mass = nodal_mass(fx, m[order], cell_nodes, cell, len(sorted_keys))
     node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
     node_body = np.empty(len(mass), np.int64)
     node_body[cell_nodes] = body[order[first]][:, None]

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.physics import host
+
 if TYPE_CHECKING:
     from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
 
@@ -27,7 +29,7 @@ def watch(solver: UpdatedLagrangian, lift: float) -> int:
     active[: len(near)] = near
     solver.arrays["sample_active"].from_numpy(active)
     for name in ("sample_force", "sample_depth", "sample_capped"):
-        solver.arrays[name].fill(0)
+        host.clear(solver.arrays[name])
     return len(near)
 
 

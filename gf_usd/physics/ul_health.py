@@ -20,7 +20,7 @@ def measure(
 ) -> Health:
     """Energies, momenta and stretches in float64; C (N, 3, 3) [1/s], m (N,) [kg], h [m].
 
-    strain : (stretch (N, 3), J (N,)) from `health.strains`.
+    strain : (stretch (N, 3), J (N,)) from `stretches.strains`.
 
     A particle holds an affine motion, of inertia m h^2/4 in every direction (the B-splines' own):
 

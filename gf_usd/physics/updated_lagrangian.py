@@ -18,13 +18,13 @@ import numpy as np
 
 from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
-from gf_usd.physics import setup, ul_setup
+from gf_usd.physics import host, setup, ul_setup
 from gf_usd.physics.guard import Guard
-from gf_usd.physics.health import strains
 from gf_usd.physics.launch import SERIAL_BELOW
 from gf_usd.physics.marching import Marcher, Passage, first_bad
 from gf_usd.physics.stencil import build_stencil
 from gf_usd.physics.stiffening import strained_step
+from gf_usd.physics.stretches import strains
 from gf_usd.physics.ul_floor import contact_energy, watch
 from gf_usd.physics.ul_health import measure
 from gf_usd.physics.ul_riding import board
@@ -180,7 +180,7 @@ class UpdatedLagrangian(Marcher):
         s, n = self.settings, len(self.particles)
         dt = self.frame_time / substeps
         for name in ("box", "clamped", "stress_capped"):
-            self.arrays[name].fill(0)
+            host.clear(self.arrays[name])
         lift = float(self.offset @ s.normal) - (s.floor or 0.0)
         active = watch(self, lift)
         low, high = s.clamp or (0.0, 0.0)
@@ -225,7 +225,7 @@ class UpdatedLagrangian(Marcher):
         cells = x / self.h - self.phase
         x = x + self.offset
         pose = Pose(x=x, v=v, F=F)
-        stretch, J = strains(pose)
+        stretch, J = strains(pose.F)
         self.strained = self._strained(stretch, J, cells)
         C = self.array("C").reshape(-1, 3, 3)
         self.kernels.energy(self.pack, len(x), self.value, self.converged)

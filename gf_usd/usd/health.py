@@ -43,6 +43,8 @@ FRAME: dict[str, tuple[Any, str, str]] = {
     "frictionCaps": (Types.Int64, "friction_capped", ""),
     "substeps": (Types.Int, "substeps", ""),
     "rollbacks": (Types.Int, "rollbacks", ""),
+    "flyingBodies": (Types.Int, "flying", ""),
+    "sleepingBodies": (Types.Int, "sleeping", ""),
 }
 
 # attribute -> (type, key of `HealthLog.summary`, unit)
@@ -50,6 +52,7 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
     "frames": (Types.Int, "frames", ""),
     "substeps": (Types.Int64, "substeps", ""),
     "rollbacks": (Types.Int, "rollbacks", ""),
+    "framesWithoutSubsteps": (Types.Int, "frames_without_substeps", ""),
     "energyStart": (Types.Double, "energy_start_J", "energy"),
     "energyEnd": (Types.Double, "energy_end_J", "energy"),
     "energyGain": (Types.Double, "energy_gain_max_J", "energy"),

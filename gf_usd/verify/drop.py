@@ -9,8 +9,8 @@ import numpy as np
 
 from gf_usd.materials import G0
 from gf_usd.model import SurfaceSamples
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.physics.stretches import singular_values
 from gf_usd.verify.bodies import ball, elastic, settings, sphere
 from gf_usd.verify.case import Case, Curve, Measure
 

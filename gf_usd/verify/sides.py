@@ -9,8 +9,8 @@ import numpy as np
 
 from gf_usd.materials import FILTER_RATE, G0, time_scale
 from gf_usd.physics.guard import energy
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.solvers import make_solver
+from gf_usd.physics.stretches import singular_values
 from gf_usd.verify.bodies import ball, look, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Measure
 

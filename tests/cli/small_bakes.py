@@ -23,6 +23,7 @@ REPORT = {
 BAKE = ["look", "cache", "material", "frames", "health"]
 HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
+    "frames_without_substeps", "flying_body_frames", "sleeping_body_frames",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
     "deepest_overlap_m", "deepest_overlap_spacings", "let_go_max",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",

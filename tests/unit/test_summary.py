@@ -131,10 +131,11 @@ def test_totals_and_extremes() -> None:
         Health(
             substeps=20, elastic=5.0, mass=1.0, min_J=0.6, max_J=1.4, min_stretch=0.5,
             max_stretch=1.1, inverted=3, penetration=0.02, friction_capped=1, rollbacks=2,
-            stress_capped=6, work=-1.0, momentum=(1.0, 2.0, 3.0),
+            stress_capped=6, work=-1.0, sleeping=2, momentum=(1.0, 2.0, 3.0),
         ),
     ]  # fmt: skip
-    assert log_of(frames).summary() == {
+    skipped = {"frames_without_substeps": 1, "flying_body_frames": 0, "sleeping_body_frames": 2}
+    assert log_of(frames).summary() == skipped | {
         "frames": 3,
         "substeps": 30,
         "substeps_max_per_frame": 20,

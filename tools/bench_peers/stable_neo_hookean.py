@@ -41,7 +41,13 @@ def bulk(J, mu, lam):
     return (lam + mu) * np.ones_like(J)
 
 
+def stored(s, J, mu, lam):
+    """psi of signed stretches (n, 3) and their product J (n,)."""
+    e = J - 1.0
+    return 0.5 * mu * ((s * s).sum(1) - 3.0) - mu * e + 0.5 * (lam + mu) * e * e
+
+
 LAWS["stableNeoHookean"] = Law(
-    token="stableNeoHookean", psi=psi, pk1=pk1, shear=1.0, bulk=bulk,
+    token="stableNeoHookean", psi=psi, pk1=pk1, shear=lambda mu: mu, bulk=bulk, stored=stored,
     source="Smith, de Goes and Kim 2018, eq. 13",
 )  # fmt: skip

@@ -10,8 +10,9 @@ from strained_ball import EXACT, INVERTED, SQUASH, body, clipped, force, made, s
 from gf_usd.model import Health, Pose
 from gf_usd.physics.guard import GAIN, Guard
 from gf_usd.physics.options import touched
-from gf_usd.physics.probes import elastic_energy, von_mises
+from gf_usd.physics.probes import elastic_energy, strain_energy, von_mises
 from gf_usd.physics.reanchor import clip_stretches
+from gf_usd.physics.stretches import strains
 
 
 def test_clipping_by_hand():
@@ -33,6 +34,8 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     strain(bare, clipped(A, low, high))
     # Taichi's SVD of float64 stops its Jacobi sweeps at about 1e-9.
     assert elastic_energy(seen) == pytest.approx(elastic_energy(bare), rel=1e-7)
+    told = strain_energy(seen, *strains(seen.particle_pose(0).F))
+    assert told == pytest.approx(elastic_energy(bare), rel=1e-7)
     wanted = force(bare)
     np.testing.assert_allclose(force(seen), wanted, atol=1e-6 * np.abs(wanted).max())
     assert touched(seen)["clamped"].all()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.physics.stretches import singular_values
 
 # State is kept in float32: 6e-8 of each value, and sums over the nodes average it.
 SINGLE = 1e-6

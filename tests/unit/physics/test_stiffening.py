@@ -7,10 +7,10 @@ import pytest
 from lane_kernels import evaluate
 from solids import ball, look, settings
 
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.laws import LAWS
 from gf_usd.physics.solver import TotalLagrangian
 from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
+from gf_usd.physics.stretches import singular_values
 from gf_usd.physics.timestep import stable_step
 
 MU, LAM = 2.0, 3.0

@@ -9,8 +9,8 @@ import pytest
 from solids import ball, look, settings
 from test_stiffening import LAM, MU, felt, unit
 
-from gf_usd.physics.health import singular_values
 from gf_usd.physics.laws import LAWS
+from gf_usd.physics.stretches import singular_values
 from gf_usd.physics.ul_step import cells_now, strained_speed, world_stiffness
 from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
 

@@ -1,0 +1,48 @@
+"""Launches with arrays looked at once: what a launch by Taichi does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from strained_ball import body, made
+
+from gf_usd.physics import host
+from gf_usd.physics.launcher import Launcher
+
+# Half the body squeezed, so that every number of the launch matters.
+SPEED = 40.0
+
+
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
+    ends = []
+    for quick in (True, False):
+        solver = made(real, velocity=lambda X: SPEED * np.sin(3.0 * X[:, [1, 2, 0]]))
+        if not quick:
+            for name in solver.launch:
+                kernel = getattr(solver.kernels, name)
+                plain: Any = lambda *a, kernel=kernel, s=solver: kernel(s.pack, *a)  # noqa: E731
+                solver.launch[name] = plain
+        for index in (1, 2, 3):
+            solver.advance(index, 2 + index)
+        ends.append(host.values(solver.arrays["u"]))
+    assert np.abs(ends[0]).max() > 1e-3 * body().radius
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+def test_launchers_of_two_bodies_keep_to_their_own() -> None:
+    one, other = made(), made()
+    for solver in (one, other):
+        solver.advance(1, 2)
+    before = host.values(one.arrays["u"])
+    host.put(other.arrays["v"], host.values(other.arrays["v"]) + 1.0)
+    other.advance(2, 2)
+    np.testing.assert_array_equal(host.values(one.arrays["u"]), before)
+
+
+def test_it_complains_as_taichi_does() -> None:
+    solver = made()
+    with pytest.raises(Exception, match="missing"):
+        Launcher(solver.kernels.start, solver.pack)(1)
