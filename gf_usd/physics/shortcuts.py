@@ -53,25 +53,25 @@ class Shortcuts:
         self._wave = float(solver.per["wave_speed"].min())
         self._limit = REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])
-        self.calm = np.zeros(bodies.count)  # [s] since each body last moved
+        self.at_rest = np.zeros(bodies.count)  # [s] since each body last moved
         self.depth = np.zeros(2)  # [m] penetration and overlap of the last frame with substeps
 
     def save(self) -> dict[str, Any]:
         """What `restore` wants."""
-        return {"calm": self.calm.copy(), "calm_depth": self.depth.copy()}
+        return {"at_rest": self.at_rest.copy(), "at_rest_depth": self.depth.copy()}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Go back to what `save` returned."""
-        self.calm = np.array(saved["calm"], float)
-        self.depth = np.array(saved["calm_depth"], float)
+        self.at_rest = np.array(saved["at_rest"], float)
+        self.depth = np.array(saved["at_rest_depth"], float)
 
     def note(self, solver: TotalLagrangian, passage: Passage) -> None:
         """See which bodies rest after a frame with substeps."""
         if not self._sleeps:
             return
         self.depth = np.array([passage.penetration, passage.overlap])
-        rests = kinetic_energies(solver, len(self.calm)) <= self._limit
-        self.calm = np.where(rests, self.calm + solver.frame_time, 0.0)
+        rests = kinetic_energies(solver, len(self.at_rest)) <= self._limit
+        self.at_rest = np.where(rests, self.at_rest + solver.frame_time, 0.0)
 
     def take(self, solver: TotalLagrangian, near: Ints, substeps: int) -> Passage | None:
         """Move by a frame without substeps; None where that cannot be done.
@@ -79,7 +79,7 @@ class Shortcuts:
         near : contact samples that the floor may reach within the frame; substeps : those left out,
         which the filter counts on.
         """
-        sleeping = self._sleeps & (self.calm >= self._patience)
+        sleeping = self._sleeps & (self.at_rest >= self._patience)
         flying = ~sleeping
         if flying.any():
             if not self._flies or _near(solver, near, len(flying))[flying].any():

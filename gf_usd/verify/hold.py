@@ -13,6 +13,7 @@ def put(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:
     still = np.zeros_like(u) if v is None else v
     solver.restore(
         {
+            **solver.save(),
             "u": u.astype(solver.real).ravel(),
             "v": still.astype(solver.real).ravel(),
             "offset": np.zeros(3),

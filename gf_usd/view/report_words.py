@@ -31,6 +31,9 @@ ROWS: tuple[Row, ...] = (
     Row("frames", "Frames", "", "how many were simulated"),
     Row("substeps", "Substeps", "", "time steps, over all frames"),
     Row("substeps_max_per_frame", "Substeps of a frame", "", "at most"),
+    Row("frames_without_substeps", "Frames without", "", "frames in which all flew or slept"),
+    Row("flying_body_frames", "Flown", "", "bodies, over all frames without substeps"),
+    Row("sleeping_body_frames", "Slept", "", "bodies, over all frames without substeps"),
     Row("rollbacks", "Frames redone", "", "times a frame was redone with half the step"),
     Row("restitution", "Rebound", "", "speed after the first bounce over the speed before it"),
     Row(
@@ -124,6 +127,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "skin": ("Skin", ""),
     "solver": ("Solver", ""),
     "floor_normal": ("Normal of the floor", ""),
+    "shortcuts": ("Flight and sleep left out", ""),
     "wls": ("WLS recomputation", ""),
     "procrustes": ("Shape correction", ""),
     "clamp": ("Clamp of stretches", ""),

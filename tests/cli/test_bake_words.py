@@ -74,6 +74,8 @@ def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path)
     assert (plan["particles"], plan["frames"]) == (done["particles"], done["frames"])
     assert plan["materials"] == [done["bakes"][0]["material"]]
     # In free flight nothing makes the solver halve its step: five frames of motion.
+    words = (*SMALL, "--no-shortcuts", "--json", "-o", "new/", "--overwrite")
+    done = strict(gf_usd("bake", block, *words).out)
     assert done["bakes"][0]["health"]["substeps"] == 5 * plan["substeps_per_frame"]["rubber"]
 
 

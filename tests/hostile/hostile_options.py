@@ -62,6 +62,7 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "export_spz": ("frames",),
     "combine": (True, False),
     "self_contact": (True, False),
+    "no_shortcuts": (True, False),
     "floor": ("none", "0", "0.5", "0,1,0", "0.5:0.2,1,0", "0,-1,0", "0,0,0", "1,2", "nan", "1e300",
               "", "1:2:3", "nan:0,1,0", "0,nan,0"),
     "only": ("mesh", "gaussians", "gaussians,points", "all", "", "mesh,mesh"),

@@ -35,7 +35,8 @@ def test_a_wrong_number_of_children(tmp_path: Path) -> None:
         refusal = error
     else:
         pytest.skip("this usd-core refuses the file itself: docs/upstream.md can go")
-    assert "made its reader crash (signal 11, SIGSEGV)" in refusal.message
+    # it writes past its memory: what notices first, the kernel or malloc, differs
+    assert re.search(r"made its reader crash \(signal (11, SIGSEGV|6, SIGABRT)\)", refusal.message)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ def falling(height: float = 2.0, *, frames: int = 20, **said):
 
 def asleep(solver, *bodies: int) -> None:
     """As if they had been at rest for long."""
-    solver.shortcuts.calm[list(bodies)] = AWAKE
+    solver.shortcuts.at_rest[list(bodies)] = AWAKE
 
 
 def test_a_drop_with_and_without_agrees():
@@ -175,7 +175,7 @@ def test_resumed_in_flight_or_asleep_it_goes_on_to_the_bit(at):
 
     whole = made()
     asleep(whole, 0, 1)
-    whole.shortcuts.calm[1 if whole.particles.X[whole.particles.body == 1, 1].mean() > 1 else 0] = 0
+    whole.shortcuts.at_rest[1 if whole.particles.X[whole.particles.body == 1, 1].mean() > 1 else 0] = 0
     frames, standing, health = [], None, None
     for frame in whole.frames():
         frames.append(frame)
