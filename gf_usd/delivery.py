@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gf_usd.publish import partial_path, publish
+from gf_usd.publish import drop_working, partial_path, publish
 from gf_usd.resuming import abandoned, folders
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ def sweep(plan: Plan) -> set[Path]:
     """
     from gf_usd.usd.clips import clips_of, remove_clips
 
+    for path in (plan.outputs.root, plan.outputs.layers, *plan.outputs.caches):
+        drop_working(path)
     kept = {folder for cache in plan.outputs.caches if (folder := clips_of(cache))}
     stale = {folder for c in plan.outputs.caches if (folder := clips_of(partial_path(c)))}
     if not any(plan.standing):

@@ -7,15 +7,30 @@ one under the final name.  Publish what others refer to first, and what refers t
 
 from __future__ import annotations
 
+import glob
 import os
+import re
 from pathlib import Path
 
 from gf_usd.errors import BakeError
+
+WORKING = re.compile(r"\.\w{6}")
 
 
 def partial_path(path: Path) -> Path:
     """``duck.rubber.cache.usdc`` -> ``duck.rubber.cache.partial.usdc``, in the same folder."""
     return path.with_name(f"{path.stem}.partial{path.suffix}")
+
+
+def drop_working(path: Path) -> None:
+    """Delete what a kill in the middle of USD's saving left of `partial_path(path)`.
+
+    USD saves to a file beside it, its name without the suffix and six letters, and renames that.
+    """
+    stem = partial_path(path).stem
+    for left in path.parent.glob(f"{glob.escape(stem)}.??????"):
+        if WORKING.fullmatch(left.name.removeprefix(stem)):
+            left.unlink(missing_ok=True)
 
 
 def publish(path: Path) -> Path:

@@ -31,7 +31,10 @@ from gf_usd.usd.stage import VARIANT_SET, asset_path, new_layer, refresh, save
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
 MANIFEST = "manifest.usda"
-OURS = re.compile(r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda)")
+# USD saves to NAME.partial.XXXXXX first, which a kill leaves
+OURS = re.compile(
+    r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda|(\d{4,}|manifest)\.partial\.\w{6})"
+)
 
 
 @dataclass

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gf_usd.errors import BakeError
-from gf_usd.publish import partial_path, publish, publish_text
+from gf_usd.publish import drop_working, partial_path, publish, publish_text
 
 
 def test_the_partial_name_keeps_folder_and_suffix() -> None:
@@ -40,3 +40,14 @@ def test_text_is_written_in_one_step(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "{}\nμ"
     with pytest.raises(BakeError, match="could not be written"):
         publish_text(tmp_path / "no" / "report.json", "{}")
+
+
+def test_what_a_kill_within_usd_leaves_is_dropped_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "duck.rubber.cache.usdc"
+    left = ["duck.rubber.cache.partial.LRS4IR", "duck.rubber.cache.partial.nm_fTH"]
+    mine = ["duck.rubber.cache.partial.notes.txt", "duck.rubber.cache.partial.usdc",
+            "duck.jelly.cache.partial.LRS4IR", "LRS4IR"]  # fmt: skip
+    for name in (*left, *mine):
+        (tmp_path / name).write_text("x")
+    drop_working(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(mine)

@@ -175,7 +175,9 @@ def test_resumed_in_flight_or_asleep_it_goes_on_to_the_bit(at):
 
     whole = made()
     asleep(whole, 0, 1)
-    whole.shortcuts.at_rest[1 if whole.particles.X[whole.particles.body == 1, 1].mean() > 1 else 0] = 0
+    whole.shortcuts.at_rest[
+        1 if whole.particles.X[whole.particles.body == 1, 1].mean() > 1 else 0
+    ] = 0
     frames, standing, health = [], None, None
     for frame in whole.frames():
         frames.append(frame)

@@ -193,7 +193,8 @@ def test_only_clips_are_removed(tmp_path: Path) -> None:
     folder = clips_of(cache)
     assert summary.bytes == sum(p.stat().st_size for p in (cache, *summary.clips))
     (folder / "notes.txt").write_text("mine")
-    (folder / "0009.partial.usdc").write_bytes(b"left by a kill")
+    for name in ("0009.partial.usdc", "0009.partial.LRS4IR", "manifest.partial.nmefTH"):
+        (folder / name).write_bytes(b"left by a kill, the last two by one within USD")
     remove_clips(folder)
     assert [p.name for p in folder.iterdir()] == ["notes.txt"]
     (folder / "notes.txt").unlink()
