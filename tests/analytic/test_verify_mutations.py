@@ -35,8 +35,8 @@ class Fault:
 FAULTS = {
     "slope of the spline turned round": Fault(
         "physics/stencil_kernel.py",
-        "b = q[o + 2 * n] - q[o]\n",
-        "b = q[o] - q[o + 2 * n]\n",
+        "b = q[k] - q[i]\n",
+        "b = q[i] - q[k]\n",
         "patch",
     ),
     "2/h^2 for 4/h^2 in APIC": Fault(
@@ -69,8 +69,8 @@ FAULTS = {
     ),
     "followers keep their forces": Fault(
         "physics/node_kernel.py",
-        "return block_sum(body, node) + leader_sum(body, node)",
-        "return block_sum(body, node)",
+        "return block_sum(body, node, plain) + leader_sum(body, node)",
+        "return block_sum(body, node, plain)",
         "momentum",
     ),
     "no body force": Fault(
