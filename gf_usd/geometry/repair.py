@@ -44,13 +44,16 @@ class Repairs:
     holes_left: int = 0  # holes above the limit
     largest_left: float = 0.0  # share of the closed area
     loose_edges: int = 0  # boundary edges in no closed loop, left open
+    thickened: int = 0  # thin parts that were given one spacing of flesh
+    thickness: float = 0.0  # [m] of theirs
+    thin_left: int = 0  # sheets left as they are: too small, or without two sides
 
     @property
     def changed(self) -> bool:
         """Whether anything was altered."""
         return bool(
             self.collapsed + self.slivers + self.duplicates + self.walls + self.other_sides
-            + self.turned + self.turned_parts + self.inner + self.holes_closed
+            + self.turned + self.turned_parts + self.inner + self.holes_closed + self.thickened
         )  # fmt: skip
 
     def words(self) -> tuple[str, ...]:
@@ -99,6 +102,16 @@ class Repairs:
         if self.loose_edges:
             said.append(
                 f"left {_count(self.loose_edges, 'boundary edge')} that make no closed loop"
+            )
+        if self.thickened:
+            said.append(
+                f"made {_count(self.thickened, 'thin part')} {self.thickness:.3g} m thick, one"
+                " spacing, for the simulation"
+            )
+        if self.thin_left:
+            said.append(
+                f"left {_count(self.thin_left, 'sheet')} without flesh: too small for a body of"
+                " particles, or one-sided"
             )
         return tuple(said)
 
