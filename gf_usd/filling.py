@@ -15,6 +15,7 @@ from gf_usd.body_plan import encounters, plan_bodies, start_velocities
 from gf_usd.choices import Choices, clip_length, parse_only
 from gf_usd.errors import UsageError
 from gf_usd.estimate import frame_bytes
+from gf_usd.mending import mend
 from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pinning import make_pins
@@ -46,17 +47,18 @@ def fill(
     known : what `diagnose` said of its surfaces, if it was asked already.
     """
     from gf_usd.geometry.diagnosis import diagnose, tolerated
-    from gf_usd.geometry.repair import notes, repair_asset
+    from gf_usd.geometry.repair import notes
     from gf_usd.geometry.sampling import sample_solid, sample_surface
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
     from gf_usd.topology import signed_volume
 
     mended: tuple[str, ...] = ()
+    filled = asset
     if repair:
-        asset, repairs = repair_asset(asset)
+        asset, filled, repairs = mend(asset, request, words)
         mended = notes(repairs)
-    solid = build_solid(asset)
+    solid = build_solid(filled, repaired=repair)
     if not repair:
         by_path = {seen.path: seen for seen in known}
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
@@ -95,7 +97,9 @@ def fill(
             bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
         )  # fmt: skip
     floor, normal = parse_floor(request.floor, asset.facts.up, unit)
-    lowest = min(float((s.points @ normal).min()) for s in asset.surfaces)
+    # a sheet that was thickened reaches below what is drawn
+    every_surface = (*asset.surfaces, *solid.surfaces)
+    lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     settings = resolve(request, asset.facts, radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)

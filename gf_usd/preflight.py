@@ -16,6 +16,7 @@ from gf_usd.body_materials import Authored, look_name
 from gf_usd.errors import InputError, UsageError
 from gf_usd.filling import fill
 from gf_usd.isolation import Limits, try_asset
+from gf_usd.mending import mend
 from gf_usd.model import Asset
 from gf_usd.output_files import (
     USD,
@@ -158,7 +159,6 @@ def inspect(
     from gf_usd.assets import read_asset
     from gf_usd.estimate import estimate
     from gf_usd.geometry.parts import poor_parts
-    from gf_usd.geometry.repair import repair_asset
     from gf_usd.inspection import implausible_size, look_at, lost_volume
 
     check_unit(meters_per_unit)
@@ -175,7 +175,7 @@ def inspect(
     asset = _hulled(asset)
     usd = source.suffix.lower() in USD
     asset, words, looks = _stage(asset, source, prims, request, looks, usd)
-    seen = look_at(asset, repair_asset(asset)[1] if repair else ())
+    seen = look_at(asset, mend(asset, request, words)[2] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:
         plan, solid = fill(
@@ -184,7 +184,7 @@ def inspect(
         )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
-        if not repair and _would_fill(repair_asset(asset)[0]):
+        if not repair and _would_fill(mend(asset, request, words)[1]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     seen = replace(seen, plan=plan, cost=estimate(plan))

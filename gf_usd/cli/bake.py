@@ -103,8 +103,8 @@ def bake(
         bool,
         typer.Option(
             "--repair",
-            help="For the fill, close small holes, unify winding, drop duplicate and collapsed"
-            " faces; the mesh itself stays as it is.",
+            help="For the fill, close small holes, unify winding, drop faces that bound nothing,"
+            " give sheets thickness; the mesh itself stays as it is.",
         ),
     ] = False,
     filter_rate: Annotated[

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.geometry import winding
+from gf_usd.geometry.doubled import SINGLE, authored_faces, doubled
 from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
-from gf_usd.geometry.faces import doubled, slivers
+from gf_usd.geometry.faces import slivers
 from gf_usd.model import Floats, Ints, Surface
 from gf_usd.topology import proper, shells, weld
 
@@ -120,9 +121,13 @@ def diagnose(surface: Surface) -> Diagnosis:
         loose_edges=loose,
         collapsed=int((~sound).sum()),
         slivers=int(slivers(surface.points, triangles).sum()),
-        duplicates=int(doubled(triangles).sum()) if len(triangles) else 0,
+        duplicates=_duplicates(triangles, authored_faces(surface)[sound]),
         crowded_edges=edges.crowded,
     )
+
+
+def _duplicates(triangles: Ints, face: Ints) -> int:
+    return int((doubled(triangles, face) != SINGLE).sum())
 
 
 def _shells(points: Floats, triangles: Ints, edges: Edges) -> tuple[tuple[Shell, ...], int]:

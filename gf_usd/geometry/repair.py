@@ -15,8 +15,10 @@ import numpy as np
 
 from gf_usd.geometry import winding
 from gf_usd.geometry.diagnosis import HOLE_LIMIT
+from gf_usd.geometry.doubled import DUPLICATE, OTHER_SIDE, SINGLE, WALL, authored_faces, doubled
 from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
-from gf_usd.geometry.faces import doubled, idle, slivers
+from gf_usd.geometry.faces import idle, slivers
+from gf_usd.geometry.overlaps import overlapping
 from gf_usd.model import Asset, Floats, Ints, Surface
 from gf_usd.topology import proper, shells, triangulate, weld
 
@@ -28,24 +30,30 @@ class Repairs:
     path: str
     collapsed: int = 0  # dropped: two corners in one place
     slivers: int = 0  # dropped: without area
-    duplicates: int = 0  # dropped: there twice, or back to back
+    duplicates: int = 0  # dropped: another one faces the same way
+    walls: int = 0  # dropped: back to back inside others or on them, bounding nothing
+    other_sides: int = 0  # dropped: the second side of a surface that was modelled with both
     turned: int = 0  # faced against their neighbours
     turned_parts: int = 0  # whole parts that faced the wrong way
     cavities: int = 0  # parts inside others that face inward, kept so
     inner: int = 0  # parts dropped: inside others, where there is flesh anyway
+    overlapping: int = 0  # parts that reach into others, kept: what they share is filled once
     holes_closed: int = 0  # holes
     caps: int = 0  # added to close them
     largest_closed: float = 0.0  # share of the closed area
     holes_left: int = 0  # holes above the limit
     largest_left: float = 0.0  # share of the closed area
     loose_edges: int = 0  # boundary edges in no closed loop, left open
+    thickened: int = 0  # thin parts that were given one spacing of flesh
+    thickness: float = 0.0  # [m] of theirs
+    thin_left: int = 0  # sheets left as they are: too small, or without two sides
 
     @property
     def changed(self) -> bool:
         """Whether anything was altered."""
         return bool(
-            self.collapsed + self.slivers + self.duplicates
-            + self.turned + self.turned_parts + self.inner + self.holes_closed
+            self.collapsed + self.slivers + self.duplicates + self.walls + self.other_sides
+            + self.turned + self.turned_parts + self.inner + self.holes_closed + self.thickened
         )  # fmt: skip
 
     def words(self) -> tuple[str, ...]:
@@ -56,6 +64,8 @@ class Repairs:
                 (self.collapsed, "collapsed"),
                 (self.slivers, "without area"),
                 (self.duplicates, "duplicate"),
+                (self.walls, "back to back in walls without thickness"),
+                (self.other_sides, "of the second side of surfaces that have both"),
             )
             if n
         ]
@@ -73,6 +83,11 @@ class Repairs:
                 f"left {_count(self.cavities, 'part')} that lie inside others and face inward:"
                 " cavities"
             )
+        if self.overlapping:
+            said.append(
+                f"left {_count(self.overlapping, 'part')} that reach into others: what they"
+                " share is filled once"
+            )
         if self.holes_closed:
             said.append(
                 f"closed {_count(self.holes_closed, 'hole')} with {_count(self.caps, 'triangle')},"
@@ -87,6 +102,16 @@ class Repairs:
         if self.loose_edges:
             said.append(
                 f"left {_count(self.loose_edges, 'boundary edge')} that make no closed loop"
+            )
+        if self.thickened:
+            said.append(
+                f"made {_count(self.thickened, 'thin part')} {self.thickness:.3g} m thick, one"
+                " spacing, for the simulation"
+            )
+        if self.thin_left:
+            said.append(
+                f"left {_count(self.thin_left, 'sheet')} without flesh: too small for a body of"
+                " particles, or one-sided"
             )
         return tuple(said)
 
@@ -111,10 +136,10 @@ def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
 def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """A surface whose triangles bound a solid as well as they can, and what was done.
 
-    In this order: drop collapsed triangles, those without area that hold no seam together, and
-    duplicates; make neighbours agree; face every part outward, cavities aside; drop parts inside
-    others, which bound nothing; close holes up to `HOLE_LIMIT`.  Nothing but the triangles and what
-    hangs on their corners changes.
+    In this order: drop collapsed triangles, those without area that hold no seam together,
+    duplicates, walls back to back and second sides; make neighbours agree; face every part outward,
+    cavities aside; drop parts inside others, which bound nothing; close holes up to `HOLE_LIMIT`.
+    Nothing but the triangles and what hangs on their corners changes.
     """
     points = surface.points
     vertex = weld(points)[0][surface.triangles].reshape(-1)
@@ -124,8 +149,8 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     slots = slots[sound]
     flat = idle(slivers(points, vertex[slots]), Edges.of(vertex[slots]))
     slots = slots[~flat]
-    double = doubled(vertex[slots]) if len(slots) else np.zeros(0, bool)
-    slots = slots[~double]
+    double = doubled(vertex[slots], authored_faces(surface)[slots[:, 0] // 3])
+    slots = slots[double == SINGLE]
     if len(slots) == 0:
         return surface, Repairs(path=surface.path)
 
@@ -133,7 +158,9 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     slots = winding.turned(slots, patch.against)
     facing = winding.facing(points, vertex[slots], patch.label)
     slots = winding.turned(slots, facing.wrong[patch.label])
-    slots = slots[~facing.inner[patch.label]]
+    kept = ~facing.inner[patch.label]
+    slots, label = slots[kept], np.unique(patch.label[kept], return_inverse=True)[1]
+    shared = overlapping(points, vertex[slots], label)
     caps, closing = _close(points, vertex, slots)
     slots = np.concatenate([slots, caps])
 
@@ -141,11 +168,14 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
         path=surface.path,
         collapsed=int((~sound).sum()),
         slivers=int(flat.sum()),
-        duplicates=int(double.sum()),
+        duplicates=int((double == DUPLICATE).sum()),
+        walls=int((double == WALL).sum()),
+        other_sides=int((double == OTHER_SIDE).sum()),
         turned=int(patch.against.sum()),
         turned_parts=int((facing.wrong & ~facing.inner).sum()),
         inner=int(facing.inner.sum()),
         cavities=int((facing.goal == -1).sum()),
+        overlapping=int(shared.sum()),
         caps=len(caps),
         **closing,
     )

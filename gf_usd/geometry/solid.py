@@ -90,8 +90,10 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
     return float(fan / (area + fan))
 
 
-def build_solid(asset: Asset) -> Solid:
+def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     """Sort an asset's surfaces into those that bound a solid and those that ride on it.
+
+    repaired : --repair was asked for, so that no hint names it.
 
     Raises InputError where none bounds a solid.
     """
@@ -108,7 +110,8 @@ def build_solid(asset: Asset) -> Solid:
         listed = "\n".join(f"  {path}: {reason}" for path, reason in riders)
         raise InputError(
             f"{asset.facts.path}: no mesh encloses a volume: nothing can be filled:\n{listed}",
-            "close the holes or give the mesh thickness; cloth and single sheets cannot be baked",
+            "close the holes or give the mesh thickness"
+            + ("" if repaired else "; --repair gives open and flat sheets that of one spacing"),
         )
     points = np.concatenate([s.points for s in kept])
     low, high = points.min(0), points.max(0)
@@ -116,7 +119,7 @@ def build_solid(asset: Asset) -> Solid:
         surfaces=tuple(kept), triangles=tuple(triangles), sources=tuple(sources), volume=0.0,
         low=low, high=high, riders=tuple(riders),
     )  # fmt: skip
-    return Solid(**{**partial.__dict__, "volume": _volume(partial, asset)})
+    return Solid(**{**partial.__dict__, "volume": _volume(partial, asset, repaired)})
 
 
 def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
@@ -146,7 +149,7 @@ def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
     return welded, source, ""
 
 
-def _volume(solid: Solid, asset: Asset) -> float:
+def _volume(solid: Solid, asset: Asset, repaired: bool) -> float:
     """Volume of the union: the divergence theorem for one closed shell, else a count."""
     if len(solid.surfaces) == 1:
         points, triangles = solid.surfaces[0].points, solid.triangles[0]
@@ -162,6 +165,7 @@ def _volume(solid: Solid, asset: Asset) -> float:
         raise InputError(
             f"{asset.facts.path}: none of {len(X)} points probed lies inside its"
             f" {len(solid.surfaces)} surfaces",
-            "the walls are thinner than a hundredth of the asset; give the mesh thickness",
+            "the walls are thinner than a hundredth of the asset; give the mesh thickness"
+            + ("" if repaired else ", or add --repair"),
         )
     return volume

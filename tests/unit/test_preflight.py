@@ -119,8 +119,14 @@ def test_cloth_is_refused_in_the_words_of_bake(stage, tmp_path, monkeypatch):
     assert (out["bakeable"], out["body"], out["materials"]) == (False, None, [])
     assert out["refusal"]["message"] == refused.value.message
     assert out["meshes"][0]["fill"] == "refused"
-    # No repair makes a solid of it, so none is recommended.
-    assert seen.warnings == ()
+    assert seen.warnings == ("with --repair it can be baked",)
+    mended = inspect(path, repair=True, **FEW).as_json()
+    assert mended["bakeable"] is True
+    repairs = mended["meshes"][0]["repairs"]
+    assert (repairs["thickened"], repairs["thickness"]) == (
+        1,
+        pytest.approx(0.97 * mended["body"]["spacing"], rel=0.1),
+    )
 
 
 def test_cloth_on_a_body_rides_along_and_says_why(stage):

@@ -75,7 +75,7 @@ def test_a_body_modelled_with_both_sides_keeps_one():
     with pytest.raises(InputError, match="flat"):
         build_solid(asset(body))
     mended, (done,) = repair_asset(asset(body))
-    assert done.duplicates == len(whole.triangles)
+    assert done.other_sides == len(whole.triangles)
     assert build_solid(mended).volume == pytest.approx(volume(whole), rel=1e-12)
 
 
@@ -84,7 +84,7 @@ def test_a_flap_without_thickness_is_dropped():
     points = np.concatenate([whole.points, [[2.0, 2.0, 2.0]]])
     flap = np.array([[1, 3, 8], [3, 1, 8]])
     mended, done = repair_surface(surface(points, np.concatenate([whole.triangles, flap])))
-    assert done.duplicates == 2
+    assert done.walls == 2
     np.testing.assert_array_equal(mended.triangles, whole.triangles)
 
 

@@ -1,0 +1,166 @@
+"""Sheets get one spacing of flesh, for the simulation; the asset is drawn as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.geometry import winding
+from gf_usd.geometry.edges import Edges
+from gf_usd.geometry.repair import Repairs
+from gf_usd.geometry.sheets import Shells, choose, look_at
+from gf_usd.model import Asset, Floats, Ints, Surface
+from gf_usd.topology import signed_volume
+
+MITRE = 2.0  # offsets: how far a corner may go to move all its faces by 1
+SHARP = 0.1  # of the greatest eigenvalue: directions in which a corner has hardly any face
+LAYER = 0.97  # spacings: a flat sheet lies in one layer of strata, in spite of rounding
+POOR = 0.25  # of the volume asked for: less, and the sheet has no two sides to offset
+
+
+def thicken_asset(
+    asset: Asset, repairs: Sequence[Repairs], *, spacing: float | None, particles: int
+) -> tuple[Asset, tuple[Repairs, ...]]:
+    """The asset as it is filled, and its repairs with what was thickened.
+
+    Open or flat shells, and closed ones with less than `parts.THIN` of a spacing between their
+    sides, become one spacing thick (`LAYER`).  asset : mended by `repair_asset`, with its repairs.
+    spacing : [m]; None: that at which so many particles fill all.
+    """
+    mine = [k for k, s in enumerate(asset.surfaces) if s.splats is None and len(s.triangles)]
+    seen = [look_at(asset.surfaces[k]) for k in mine]
+    a, chosen = choose(seen, spacing, particles)
+    surfaces, done = list(asset.surfaces), list(repairs)
+    for k, one, which in zip(mine, seen, chosen):
+        surfaces[k], thick = _thicken(surfaces[k], one, which, LAYER * a)
+        left = int((one.sheet * (1 - one.held)).sum()) - int(one.sheet @ thick)
+        done[k] = replace(
+            done[k],
+            thickened=int(thick.sum()),
+            thickness=LAYER * a if thick.any() else 0.0,
+            thin_left=left,
+        )
+    return replace(asset, surfaces=tuple(surfaces)), tuple(done)
+
+
+def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Surface, Ints]:
+    """The surface with some of its shells a [m] thick, and (K,) 1 for those that could be."""
+    done = np.zeros(len(which), int)
+    if not which.any():
+        return surface, done
+    points, triangles, slots = [surface.points], [], []
+    first = len(surface.points)
+    corner = 3 * seen.source[:, None] + np.arange(3)  # slots of Surface.triangles, counted through
+    patch = winding.patches(surface.points, seen.triangles, Edges.of(seen.triangles))
+    rows_of = winding.rows_of(seen.label)
+    for k in np.flatnonzero(which):
+        made = _shell(surface.points, seen, rows_of[k], patch, a)
+        done[k] = len(made) > 0
+        for X, faces, at in made:
+            points.append(X)
+            triangles.append(first + faces)
+            slots.append(corner.reshape(-1)[at])
+            first += len(X)
+    kept = done[seen.label] == 0
+    triangles.append(seen.triangles[kept])
+    slots.append(corner[kept])
+    slot = np.concatenate(slots)
+    made_of = replace(
+        surface, points=np.concatenate(points), triangles=np.concatenate(triangles),
+        triangle_corners=surface.triangle_corners.reshape(-1)[slot],
+    )  # fmt: skip
+    colours, uvs, bound = (
+        surface.triangle_colours, surface.triangle_uvs, surface.triangle_materials,
+    )  # fmt: skip
+    return replace(
+        made_of,
+        triangle_colours=None if colours is None else colours.reshape(-1, 3)[slot],
+        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[slot],
+        triangle_materials=None if bound is None else bound[slot[:, 0] // 3],
+    ), done
+
+
+def _shell(
+    points: Floats, seen: Shells, rows: Ints, patch: winding.Patches, a: float
+) -> list[tuple[Floats, Ints, Ints]]:
+    """Points, triangles and the slots (of `seen.triangles`) of a shell a [m] thick, in pieces.
+
+    Empty where it has no two sides, or where offsets along its normals make no flesh of it.
+    """
+    k = int(seen.label[rows[0]])
+    if seen.sheet[k] and seen.rim[k]:
+        if patch.one_sided[rows].any():
+            return []
+        # Where more than two triangles meet, each patch is a sheet of its own; they overlap.
+        label = patch.label[rows]
+        made = [_both_ways(points, seen, rows[label == p], a) for p in np.unique(label)]
+    else:
+        way = float(np.sign(seen.volume[k]))
+        grow = 0.5 * way * (a - float(seen.thickness[k]))
+        made = [_outward(points, seen, rows, grow)]
+    volume = sum(abs(signed_volume(X, faces)) for X, faces, _ in made)
+    return made if volume >= POOR * float(seen.extent[k]) * a else []
+
+
+def _both_ways(points: Floats, seen: Shells, rows: Ints, a: float) -> tuple[Floats, Ints, Ints]:
+    """A sheet between its two offsets by a / 2, closed along its rim."""
+    used, local = np.unique(seen.triangles[rows], return_inverse=True)
+    local, n = local.reshape(-1, 3), len(used)
+    offset = 0.5 * a * offsets(points[used], local)
+    slot = 3 * rows[:, None] + np.arange(3)
+    edges = Edges.of(local)
+    here = np.flatnonzero(edges.uses[edges.id] != 2)
+    there = here - here % 3 + (here + 1) % 3
+    at, to = local.reshape(-1)[here], local.reshape(-1)[there]
+    at_slot, to_slot = slot.reshape(-1)[here], slot.reshape(-1)[there]
+    return (
+        np.concatenate([points[used] + offset, points[used] - offset]),
+        np.concatenate(
+            [
+                local,
+                n + local[:, ::-1],
+                np.stack([to, at, n + at], 1),
+                np.stack([to, n + at, n + to], 1),
+            ]
+        ),
+        np.concatenate(
+            [
+                slot,
+                slot[:, ::-1],
+                np.stack([to_slot, at_slot, at_slot], 1),
+                np.stack([to_slot, at_slot, to_slot], 1),
+            ]
+        ),
+    )
+
+
+def _outward(points: Floats, seen: Shells, rows: Ints, grow: float) -> tuple[Floats, Ints, Ints]:
+    """A closed shell with its faces moved along their normals by about grow [m]."""
+    used, local = np.unique(seen.triangles[rows], return_inverse=True)
+    local = local.reshape(-1, 3)
+    X = points[used] + grow * offsets(points[used], local)
+    return X, local, 3 * rows[:, None] + np.arange(3)
+
+
+def offsets(points: Floats, triangles: Ints) -> Floats:
+    """(V, 3) o that moves every face about a vertex by 1 along its normal, as well as it can.
+
+    Least squares over the faces, n . o = 1, weighted by their areas: o = M^+ r with M = sum A n n^T
+    and r = sum A n, in the directions that faces look in (`SHARP`); no longer than `MITRE`.
+    """
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    cross = np.cross(b - a, c - a)
+    size = np.linalg.norm(cross, axis=1)
+    unit = cross / np.where(size > 0.0, size, 1.0)[:, None]
+    M, r = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for k in range(3):
+        np.add.at(M, triangles[:, k], np.einsum("ti,tj->tij", cross, unit))
+        np.add.at(r, triangles[:, k], cross)
+    value, axis = np.linalg.eigh(M)
+    real = (value > SHARP * value[:, -1:]) & (value > 0.0)
+    along = np.einsum("vij,vi->vj", axis, r)
+    o = np.einsum("vij,vj->vi", axis, np.where(real, along / np.where(real, value, 1.0), 0.0))
+    length = np.linalg.norm(o, axis=1, keepdims=True)
+    return o * np.minimum(1.0, MITRE / np.where(length > 0.0, length, 1.0))
