@@ -21,6 +21,7 @@ from gf_usd.physics.holds import interpolation
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
 FIT_NEIGHBOURS = 24  # free nodes in an affine fit
 FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
+TIE = 1e-9  # distances that differ by less are equal
 FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 
 
@@ -35,24 +36,49 @@ def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
-    k = min(FIT_NEIGHBOURS, len(free))
     tree = cKDTree(free)
-    gap, closest = tree.query(ijk)
-    # From afar the nearest nodes may all lie in one flat face: take those around the nearest one.
-    around = np.where((gap > FIT_REACH)[:, None], free[closest], ijk)
-    distance, near = tree.query(around, k=k)
-    distance, near = distance.reshape(len(ijk), k), near.reshape(len(ijk), k)
+    # From afar the nearest nodes may all lie in one flat face: take those around the nearest ones.
+    around = np.array(ijk, float)
+    far = np.flatnonzero(tree.query(ijk)[0] > FIT_REACH)
+    if len(far):
+        gap, closest = nearest(tree, ijk[far], 1)
+        tied = np.isfinite(gap)
+        around[far] = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
+    distance, near = nearest(tree, around, FIT_NEIGHBOURS)
     # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
     B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
+    B[np.isinf(distance)] = 0.0
     B /= B.sum(1, keepdims=True)
     centre = np.einsum("nk,nka->na", B, free[near])
     P = free[near] - centre[:, None, :]
     M = np.einsum("nka,nk,nkb->nab", P, B, P)
     slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
     e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
+    row, column = np.nonzero(B)
     return sparse.csr_matrix(
-        (e.ravel(), (np.repeat(np.arange(len(ijk)), k), near.ravel())), shape=(len(ijk), len(free))
+        (e[row, column], (row, near[row, column])), shape=(len(ijk), len(free))
     )
+
+
+def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
+    """Distances (n, k) and nodes of the `count` nearest, and of all that are as near as the last.
+
+    Which of them come first is the order of the axes: a choice among them would depend on it.  Rows
+    are filled up with distances inf.
+    """
+    count = min(count, tree.n)
+    k = min(count + count // 4 + 2, tree.n)
+    distance, near = tree.query(X, k=np.arange(1, k + 1))
+    reach = distance[:, count - 1 : count] * (1.0 + TIE)
+    while k < tree.n and len(rows := np.flatnonzero(distance[:, -1] <= reach[:, 0])):
+        more = min(2 * k, tree.n) - k
+        distance = np.pad(distance, ((0, 0), (0, more)), constant_values=np.inf)
+        near = np.pad(near, ((0, 0), (0, more)))
+        k += more
+        distance[rows], near[rows] = tree.query(X[rows], k=np.arange(1, k + 1))
+    beyond = distance > reach
+    width = int((~beyond).sum(1).max())
+    return np.where(beyond, np.inf, distance)[:, :width], near[:, :width]
 
 
 def split_nodes(

@@ -188,6 +188,19 @@ def test_a_fit_to_nodes_in_a_plane_keeps_what_it_can():
     np.testing.assert_allclose(e @ field, [6.0, 10.0], atol=1e-9)
 
 
+def test_a_fit_does_not_know_the_order_of_the_axes():
+    """Many nodes of a lattice are equally near; to those far out even the nearest are."""
+    free = np.stack(np.meshgrid(*[np.arange(7)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    free = free[free.sum(1) < 12]
+    others = np.array([[7, 3, 2], [7, 7, 3], [-1, -2, 3], [6, 6, 4], [12, 12, 3], [3, -6, 3]])
+    e = affine_fit(others, free).toarray()
+    np.testing.assert_allclose(e @ free, others, atol=FIT_ROUNDING * 12)
+    for order in ([0, 2, 1], [1, 2, 0], [2, 1, 0]):
+        turned = free[:, order] * [1, -1, 1]
+        same = affine_fit(others[:, order] * [1, -1, 1], turned).toarray()
+        np.testing.assert_allclose(same, e, atol=FIT_ROUNDING)
+
+
 def test_a_node_that_its_followers_would_pull_under_the_bound_follows_too():
     # Four light nodes at the end of a line hang on the next ones: extrapolation gives those that
     # are just heavy enough to be free shares below 0, in sum -.55 kg on the sixth.
