@@ -35,8 +35,8 @@ def test_a_wrong_number_of_children(tmp_path: Path) -> None:
         refusal = error
     else:
         pytest.skip("this usd-core refuses the file itself: docs/upstream.md can go")
-    # it writes past its memory: what notices first, the kernel or malloc, differs
-    assert re.search(r"made its reader crash \(signal (11, SIGSEGV|6, SIGABRT)\)", refusal.message)
+    # it reads bytes of other things as tokens: how that ends depends on what lies there
+    assert re.search("made its reader (crash|fail)|took longer|asked for more", refusal.message)
 
 
 @pytest.mark.slow
