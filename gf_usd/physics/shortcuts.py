@@ -84,7 +84,7 @@ class Shortcuts:
         if flying.any():
             if not self._flies or _near(solver, near, len(flying))[flying].any():
                 return None
-            if not all(self._rigid(solver, int(k)) for k in np.flatnonzero(flying)):
+            if not self._rigid(solver, flying):
                 return None
         if solver.meeting and solver.meeting.imminent(solver, sleeping):
             return None
@@ -98,15 +98,16 @@ class Shortcuts:
             sleeping=int(sleeping.sum()),
         )
 
-    def _rigid(self, solver: TotalLagrangian, body: int) -> bool:
+    def _rigid(self, solver: TotalLagrangian, flying: Ints) -> bool:
         u, v = solver.state()
-        mine = solver.stencil.node_body[: len(v)] == body
-        if np.abs(v[mine] - v[mine].mean(0)).max() > FLIGHT * self._wave:
-            return False
-        rows = solver.rows
+        nodes = solver.stencil.node_body[: len(v)]
+        for body in np.flatnonzero(flying):
+            mine = v[nodes == body]
+            if np.abs(mine - mine.mean(0)).max() > FLIGHT * self._wave:
+                return False
         of = solver.particles.body
-        which = slice(None) if of is None else np.flatnonzero(of == body)
-        return all(np.abs((G @ u)[which]).max() <= FLIGHT for G in rows.G)
+        which = slice(None) if of is None else flying[of]
+        return all(np.abs((G @ u)[which]).max() <= FLIGHT for G in solver.rows.G)
 
     def _move(self, solver: TotalLagrangian, flying: Ints) -> None:
         time = solver.frame_time
