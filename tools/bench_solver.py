@@ -10,7 +10,8 @@ from bench_median import Sample, median
 
 from gf_usd.materials import LOOKS
 from gf_usd.model import Floats, Particles, Settings
-from gf_usd.physics import launch, solver
+from gf_usd.physics import crew, solver
+from gf_usd.runtime import cores
 
 SIZES = (120, 1_000, 10_000, 100_000)
 SUBSTEPS = 200  # a frame: what the duck takes at 24 fps, to a tenth or so
@@ -42,19 +43,16 @@ def twist(X: Floats) -> Floats:
     return np.stack([-turn * X[:, 1], turn * X[:, 0], np.zeros(len(X))], -1)
 
 
-def solver_speed(n: int, path: str, runs: int) -> tuple[int, Sample]:
-    """Particles, and seconds per particle-substep of rubber in free flight, frames read out.
-
-    path : "serial", a frame in one launch on one thread, or "parallel".
-    """
+def solver_speed(n: int, threads: int, runs: int) -> tuple[int, Sample]:
+    """Particles, and seconds per particle-substep of rubber in free flight, frames read out."""
     particles = ball(n)
     rubber = LOOKS["rubber"].material(particles.radius)
-    launch.SERIAL_BELOW = 0 if path == "parallel" else 10**9
 
     def made(fps: float, count: int) -> solver.TotalLagrangian:
         settings = Settings(
             frames=count, fps=fps, time_codes_per_second=fps, start=1.0, gravity=(0.0, 0.0, 0.0),
             up=(0.0, 1.0, 0.0), floor=None, filter_rate=10.0 * np.sqrt(9.81 / particles.radius),
+            threads=threads,
         )  # fmt: skip
         return solver.TotalLagrangian(particles, [rubber], settings, velocity=twist)
 
@@ -80,24 +78,24 @@ def solver_speed(n: int, path: str, runs: int) -> tuple[int, Sample]:
 
 
 def solver_table(runs: int, seconds: float) -> list[str]:
-    """Particle-substeps per second for sizes and paths; no row is begun after `seconds`."""
+    """Particle-substeps per second for sizes and threads; no row is begun after `seconds`."""
     end = time.perf_counter() + seconds
     lines = [
-        "| particles | path | million a second, wall | million a CPU second | spread |",
-        "|---:|---|---:|---:|---:|",
+        "| particles | threads | million a second, wall | million a CPU second | spread |",
+        "|---:|---:|---:|---:|---:|",
     ]
-    default = launch.SERIAL_BELOW
     for n in SIZES:
-        for path in ("serial", "parallel"):
-            if time.perf_counter() > end:
-                lines.append(f"| {n} | {path}: no time left | | | |")
+        for threads in sorted({1, cores()}):
+            # A body of few particles takes fewer threads than it is given.
+            if threads > 1 and n < threads * crew.FEW:
                 continue
-            count, s = solver_speed(n, path, runs)
-            used = " (default)" if (path == "serial") == (count < default) else ""
+            if time.perf_counter() > end:
+                lines.append(f"| {n} | {threads}: no time left | | | |")
+                continue
+            count, s = solver_speed(n, threads, runs)
             lines.append(
-                f"| {count} | {path}{used} | {1e-6 / s.wall:.2f} | {1e-6 / s.cpu:.2f}"
+                f"| {count} | {threads} | {1e-6 / s.wall:.2f} | {1e-6 / s.cpu:.2f}"
                 f" | {100 * s.spread:.0f} % |"
             )
             print(f"  {lines[-1]}", file=sys.stderr, flush=True)
-    launch.SERIAL_BELOW = default
     return lines

@@ -14,7 +14,7 @@ from gf_usd.room import free_memory, system_file
 
 CPU_LIMIT = "/sys/fs/cgroup/cpu.max"
 # Bodies under that many particles are computed by one thread.
-ONE_THREAD = 12_000
+ONE_THREAD = 3_000
 # over the process and the particles, for vertices and textures: with 8000 particles the peak was
 # 1.02 of those two for the duck, 1.01 for 5000 vertices of OBJ, 1.17 for a chair of 9200
 MARGIN = 1.5

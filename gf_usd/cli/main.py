@@ -6,6 +6,7 @@ warnings under --strict, 5 a slice is done, 130 and 143 interrupted (docs/guide.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import Annotated, NoReturn
@@ -72,6 +73,10 @@ def _main(
 
 def run() -> NoReturn:
     """Run the command line; an expected error ends in words on stderr, never in a traceback."""
+    # The products here are too small for threads of BLAS, which spin for 25 ms after each, and
+    # sums that threads share depend on their number.
+    for library in ("OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for number in STOPPED:
         signal.signal(number, _stop)
     end_with_parent()

@@ -35,7 +35,7 @@ from gf_usd.physics.node_kernel import (
     follower_share,
     move_node,
 )  # fmt: skip
-from gf_usd.physics.options import PLAIN, Options
+from gf_usd.physics.options import CONVERGED, PER_H, PLAIN, Options
 from gf_usd.physics.pair_kernel import pair_contact, pair_total, sample_motion
 from gf_usd.physics.plain_kernel import (
     node_force,
@@ -45,10 +45,20 @@ from gf_usd.physics.plain_kernel import (
     particle_velocity,
     particle_von_mises,
 )
+from gf_usd.physics.relay_kernel import SPAN, clear, finish, piece, pieces_of, take, wait
+from gf_usd.physics.stages import (
+    CLOSES,
+    FILTERING,
+    FOLLOWERS,
+    FREE,
+    GROUPS,
+    NODES,
+    OPENING,
+    OPENS,
+    stages,
+)
 
-# Taichi gives a CPU thread at least 512 iterations, and calls a function for each: groups, which
-# are few, act on every 32nd, and nodes go 32 in a row, so that addresses are fetched once for all.
-STRIDE = 32
+STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: groups, which are few, are spread
 
 
 @cache
@@ -64,14 +74,14 @@ def pack_type(real, epoch: int):
         *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
         *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
-        *("limits", "pair"),
+        *("numbers", "pair"),
     )
     ints = (
         *("group_batch", "group_nodes", "node_slot_start", "node_slot"),
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
-        *("clamped", "stress_capped", "links"),
+        *("touched", "links", "gate"),
     )
     vector = ti.types.vector(LANES, real)
     members = {name: ti.types.ndarray(dtype=vector, ndim=1) for name in lanes}
@@ -85,126 +95,132 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
     """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
-    row = 1 if options.plain else STRIDE  # of nodes or contact samples that one thread takes
+
+    table = stages(options.plain, options.meets)
+
+    @ti.func
+    def size(part: ti.template(), groups, free, followers, active):
+        """Items of a part."""
+        count = active
+        if ti.static(part.items == FREE):
+            count = free
+        elif ti.static(part.items == FOLLOWERS):
+            count = followers
+        elif ti.static(part.items == NODES):
+            count = free + followers
+        elif ti.static(part.items == GROUPS):
+            count = groups
+        return count
+
+    @ti.func
+    def due(stage: ti.template(), s, ends, every, phase):
+        """1 where a stage is part of substep s of a launch, else 0."""
+        on = 1
+        if ti.static(stage.when == OPENING):
+            on = int(s == 0 and ends & OPENS > 0)
+        if ti.static(stage.when == FILTERING):
+            on = int(every > 0 and (s + phase) % every == 0)
+        return on
+
+    @ti.func
+    def act(
+        part: ti.template(), body: ti.template(), n, free, nodes, active, alpha, g, up, lift, dt,
+        drift, keep,
+    ):  # fmt: skip
+        """One part of a substep, done to its item n."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
+        if ti.static(part.name == "open"):
+            drift_node(body, n, 0.5 * dt)
+        elif ti.static(part.name == "open followers"):
+            follow(body, n, free, 0.5 * dt)
+        elif ti.static(part.name == "momentum" and options.plain):
+            particle_velocity(body, n, nodes)
+        elif ti.static(part.name == "momentum"):
+            filter_group(body, n)
+        elif ti.static(part.name == "node momentum"):
+            node_momentum(body, n, nodes)
+        elif ti.static(part.name == "loss"):
+            follower_loss(body, n, free, options.plain)
+        elif ti.static(part.name == "filter"):
+            filter_node(body, n, alpha, options.plain)
+        elif ti.static(part.name == "filtered followers"):
+            follow(body, n, free, 0.0 * dt)
+        elif ti.static(part.name == "stress" and options.plain):
+            particle_stress(body, n, nodes, law, damped, ih, converged, options)
+        elif ti.static(part.name == "stress"):
+            stress_group(body, n, law, damped, ih, converged, options)
+        elif ti.static(part.name == "node force"):
+            node_force(body, n, nodes, ih)
+        elif ti.static(part.name == "sample motion"):
+            sample_motion(body, body.sample_active[n], dt)
+        elif ti.static(part.name == "contact"):
+            sample_contact(body, body.sample_active[n], up, lift, dt)
+        elif ti.static(part.name == "pair contact"):
+            pair_contact(body, body.sample_active[n], dt)
+        elif ti.static(part.name == "pair total"):
+            pair_total(body, body.sample_active[n])
+        elif ti.static(part.name == "share"):
+            follower_share(body, n, free, dt, options.plain)
+        elif ti.static(part.name == "move"):
+            move_node(body, n, active, g, dt, drift, keep, options.plain)
+        elif ti.static(part.name == "follow"):
+            follow(body, n, free, drift)
 
     @ti.kernel
-    def serial(
+    def relay(
         body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
-        substeps: ti.i32, every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real,
-        dt: real, keep: real, ih: real, converged: real,
+        threads: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
+        g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
-        """All substeps of a frame in one launch on one thread: small bodies are all launch cost."""
-        ti.loop_config(serialize=True)
-        for s in range(substeps):
-            if s == 0:
-                for n in range(free):
-                    drift_node(body, n, 0.5 * dt)
-                for n in range(followers):
-                    follow(body, n, free, 0.5 * dt)
-            drift = dt
-            if s == substeps - 1:
-                drift = 0.5 * dt
-            if every > 0 and (s + phase) % every == 0:
-                if ti.static(options.plain):
-                    for p in range(groups):
-                        particle_velocity(body, p, free + followers)
-                    for n in range(free + followers):
-                        node_momentum(body, n, free + followers)
-                else:
-                    for k in range(groups):
-                        filter_group(body, k)
-                for n in range(followers):
-                    follower_loss(body, n, free, options.plain)
-                for n in range(free):
-                    filter_node(body, n, alpha, options.plain)
-                for n in range(followers):
-                    follow(body, n, free, 0.0 * dt)
-            if ti.static(options.plain):
-                for p in range(groups):
-                    particle_stress(body, p, free + followers, law, damped, ih, converged, options)
-                for n in range(free + followers):
-                    node_force(body, n, free + followers, ih)
-            else:
-                for k in range(groups):
-                    stress_group(body, k, law, damped, ih, converged, options)
-            if ti.static(options.meets):
-                for k in range(active):
-                    sample_motion(body, body.sample_active[k], dt)
-            for k in range(active):
-                sample_contact(body, body.sample_active[k], up, lift, dt)
-            if ti.static(options.meets):
-                for k in range(active):
-                    pair_contact(body, body.sample_active[k], dt)
-                for k in range(active):
-                    pair_total(body, body.sample_active[k])
-            for n in range(followers):
-                follower_share(body, n, free, dt, options.plain)
-            for n in range(free):
-                move_node(body, n, active, g, dt, drift, keep, options.plain)
-            for n in range(followers):
-                follow(body, n, free, drift)
+        """So many substeps in one launch, whose threads draw tickets: see `relay_kernel`.
+
+        every, phase : the filter acts where s + phase is a multiple of every; 0: never.
+        """
+        clear(body.gate)
+        for z in range(threads * SPAN):
+            if z % SPAN == 0:
+                before = 0
+                ticket = take(body.gate)
+                for s in range(substeps):
+                    drift = dt
+                    if s == substeps - 1 and ends & CLOSES > 0:
+                        drift = 0.5 * dt
+                    for stage in ti.static(table):
+                        count = size(stage.parts[0], groups, free, followers, active)
+                        pieces = pieces_of(stage.parts[0], count, threads)
+                        pieces *= due(stage, s, ends, every, phase)
+                        while ticket < before + pieces:
+                            wait(body.gate, before)
+                            for part in ti.static(stage.parts):
+                                many = size(part, groups, free, followers, active)
+                                first, behind = piece(many, ticket - before, pieces)
+                                for n in range(first, behind):
+                                    act(
+                                        part, body, n, free, free + followers, active, alpha, g,
+                                        up, lift, dt, drift, keep,
+                                    )  # fmt: skip
+                            finish(body.gate)
+                            ticket = take(body.gate)
+                        before += pieces
 
     @ti.kernel
     def parallel(
-        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
-        filtered: ti.i32, alpha: real, g: vec, up: vec, lift: real,
-        dt: real, keep: real, ih: real, converged: real, drift: real,
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32, ends: ti.i32,
+        every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real, dt: real,
+        keep: real,
     ):  # fmt: skip
-        """One substep over all threads."""
-        if ti.static(options.plain):
-            for p in range(groups * filtered):
-                particle_velocity(body, p, free + followers)
-            for n in range((free + followers) * filtered):
-                node_momentum(body, n, free + followers)
-        else:
-            for z in range(groups * STRIDE * filtered):
-                if z % STRIDE == 0:
-                    filter_group(body, z // STRIDE)
-        for n in range(followers * filtered):
-            follower_loss(body, n, free, options.plain)
-        for z in range(free * filtered):
-            if z % row == 0:
-                for n in range(z, ti.min(z + row, free)):
-                    filter_node(body, n, alpha, options.plain)
-        for n in range(followers * filtered):
-            follow(body, n, free, 0.0 * dt)
-        if ti.static(options.plain):
-            for p in range(groups):
-                particle_stress(body, p, free + followers, law, damped, ih, converged, options)
-            for n in range(free + followers):
-                node_force(body, n, free + followers, ih)
-        else:
-            for z in range(groups * STRIDE):
-                if z % STRIDE == 0:
-                    stress_group(body, z // STRIDE, law, damped, ih, converged, options)
-        if ti.static(options.meets):
-            for k in range(active):
-                sample_motion(body, body.sample_active[k], dt)
-        for z in range(active):
-            if z % row == 0:
-                for k in range(z, ti.min(z + row, active)):
-                    sample_contact(body, body.sample_active[k], up, lift, dt)
-        if ti.static(options.meets):
-            for k in range(active):
-                pair_contact(body, body.sample_active[k], dt)
-            for k in range(active):
-                pair_total(body, body.sample_active[k])
-        for n in range(followers):
-            follower_share(body, n, free, dt, options.plain)
-        for z in range(free):
-            if z % row == 0:
-                for n in range(z, ti.min(z + row, free)):
-                    move_node(body, n, active, g, dt, drift, keep, options.plain)
-        for n in range(followers):
-            follow(body, n, free, drift)
-
-    @ti.kernel
-    def start(body: Body, free: ti.i32, followers: ti.i32, drift: real):
-        """u += drift v: the half step that opens a frame of `parallel` substeps."""
-        for n in range(free):
-            drift_node(body, n, drift)
-        for n in range(followers):
-            follow(body, n, free, drift)
+        """One substep, a thread an item: for GPUs."""
+        closing = (ends & CLOSES) // CLOSES
+        for stage in ti.static(table):
+            for part in ti.static(stage.parts):
+                for n in range(
+                    size(part, groups, free, followers, active) * due(stage, 0, ends, every, phase)
+                ):
+                    act(
+                        part, body, n, free, free + followers, active, alpha, g, up, lift, dt,
+                        dt - 0.5 * dt * closing, keep,
+                    )  # fmt: skip
 
     @ti.kernel
     def energy(
@@ -234,6 +250,4 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
                 if z % STRIDE == 0:
                     group_von_mises(body, z // STRIDE, out, law, ih, converged, options)
 
-    return SimpleNamespace(
-        serial=serial, parallel=parallel, start=start, energy=energy, stress=stress
-    )
+    return SimpleNamespace(relay=relay, parallel=parallel, energy=energy, stress=stress)

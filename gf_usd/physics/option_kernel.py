@@ -3,6 +3,13 @@
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES, cofactor, determinant, double_dot
+from gf_usd.physics.options import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
+
+
+@ti.func
+def touch(body: ti.template(), lane, how):
+    """Note that a particle was clipped or cut; see `options.touched`."""
+    body.touched[lane] = body.touched[lane] | how
 
 
 @ti.func
@@ -11,8 +18,8 @@ def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
 
     Signs as in `lanes.rotation`: an inverted particle is seen as one of the least stretch allowed.
     """
-    low = body.limits[0]
-    high = body.limits[1]
+    low = body.numbers[LOW]
+    high = body.numbers[HIGH]
     square = double_dot(F, F)
     # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
     J = determinant(F, cofactor(F))
@@ -39,7 +46,7 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
     B, outside = clipped_matrix(A, low, high)
     if outside > 0:
         if ti.static(counted):
-            body.clamped[b * LANES + lane] = 1
+            touch(body, b * LANES + lane, CLAMPED)
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
                 body.clip_room[9 * b + 3 * a + c][lane] = B[a, c]
@@ -63,8 +70,8 @@ def clipped_matrix(A, low, high):
 
 @ti.func
 def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
-    """Scale P of batch b down to |P| <= limits[2], in place."""
-    cap = body.limits[2]
+    """Scale P of batch b down to |P| <= numbers[CAP], in place."""
+    cap = body.numbers[CAP]
     size = ti.sqrt(double_dot(P, P))
     scale = ti.min(cap / ti.max(size, 1e-30), 1.0)
     for a in ti.static(range(9)):
@@ -72,4 +79,4 @@ def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
     if ti.static(counted):
         for lane in ti.static(range(LANES)):
             if size[lane] > cap:
-                body.stress_capped[b * LANES + lane] = 1
+                touch(body, b * LANES + lane, STRESS_CAPPED)

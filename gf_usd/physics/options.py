@@ -22,6 +22,9 @@ from gf_usd.physics import host
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
+LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
+CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
+
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
@@ -48,38 +51,41 @@ def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> 
     )
 
 
-def arrays(batches: layout.Batches, settings: Settings) -> dict[str, Floats]:
-    """The options' part of the pack; of what is off, one number."""
+def arrays(
+    batches: layout.Batches, settings: Settings, h: float, converged: float
+) -> dict[str, Floats]:
+    """The options' part of the pack, and two numbers of the body; of what is off, one number.
+
+    h : [m] of a cell; converged : change of a rotation that ends its iteration.
+    """
     asked, lanes = options_of(settings), batches.source.size
     low, high = settings.clamp or (0.0, 0.0)
     return {
         "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
-        "limits": np.array([low, high, settings.stress_cap or 0.0]),
+        "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
         "clip_room": np.zeros((9 * len(batches.source) if asked.clamped else 1, layout.LANES)),
-        "clamped": np.zeros(lanes if asked.clamped else 1, int),
-        "stress_capped": np.zeros(lanes if asked.capped else 1, int),
+        "touched": np.zeros(lanes if asked.clamped or asked.capped else 1, int),
     }
 
 
 def clear(solver: TotalLagrangian) -> None:
     """Count from zero."""
-    for name, on in _counted(solver.options):
-        if on:
-            host.clear(solver.arrays[name])
+    if solver.options.clamped or solver.options.capped:
+        host.clear(solver.arrays["touched"])
 
 
 def touched(solver: TotalLagrangian) -> dict[str, Floats]:
     """(N,) bool for "clamped" and "stress_capped": particles touched since `clear`."""
     out = {}
-    for name, on in _counted(solver.options):
+    asked = solver.options
+    for name, bit, on in (
+        ("clamped", CLAMPED, asked.clamped),
+        ("stress_capped", STRESS_CAPPED, asked.capped),
+    ):
         out[name] = np.zeros(len(solver.particles), bool)
         if on:
             # A filler repeats a neighbour, so that what it says is that particle's own.
-            lanes = host.values(solver.arrays[name]) > 0
+            lanes = host.values(solver.arrays["touched"]) & bit > 0
             out[name][solver.batches.source.ravel()[lanes]] = True
             out[name] &= solver.m > 0.0  # what a pin holds has no stress
     return out
-
-
-def _counted(options: Options) -> tuple[tuple[str, bool], ...]:
-    return ("clamped", options.clamped), ("stress_capped", options.capped)

@@ -15,7 +15,8 @@ vectors of one lane.
 import taichi as ti
 
 from gf_usd.physics.lanes import LANE_BITS, LANES, von_mises
-from gf_usd.physics.option_kernel import clipped_matrix
+from gf_usd.physics.option_kernel import clipped_matrix, touch
+from gf_usd.physics.options import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
 
 
 @ti.func
@@ -87,9 +88,9 @@ def particle_strain(body: ti.template(), p, ih, options: ti.template()):
         else:
             F[a, a] += 1.0
     if ti.static(options.clamped):
-        F, outside = clipped_matrix(F, body.limits[0], body.limits[1])
+        F, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
         if outside > 0:
-            body.clamped[p] = 1
+            touch(body, p, CLAMPED)
     return F
 
 
@@ -119,11 +120,11 @@ def particle_pk1(body: ti.template(), p, F, law: ti.template(), converged):
 
 @ti.func
 def cut_matrix(body: ti.template(), p, P):
-    """P scaled down to |P| <= limits[2]."""
+    """P scaled down to |P| <= numbers[CAP]."""
     size = ti.sqrt((P * P).sum())
-    cap = body.limits[2]
+    cap = body.numbers[CAP]
     if size > cap:
-        body.stress_capped[p] = 1
+        touch(body, p, STRESS_CAPPED)
     return ti.min(cap / ti.max(size, 1e-30), 1.0) * P
 
 

@@ -14,6 +14,7 @@ from gf_usd.physics import host, options
 from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.holds import held_by
+from gf_usd.physics.stages import GATE
 from gf_usd.physics.stencil import Stencil
 from gf_usd.physics.timestep import StableStep, stable_step
 from gf_usd.pins import Pin
@@ -136,6 +137,7 @@ def arrays(
     per: dict[str, Floats],
     velocity: Floats,
     acceleration: Floats,
+    converged: float,
 ) -> dict[str, Floats]:
     """Every array of the kernels' pack, flat.
 
@@ -166,7 +168,8 @@ def arrays(
         **batches.arrays(stencil),
         **layout.follower_arrays(stencil),
         **layout.contact_arrays(contact, height, stencil.free_count),
-        **options.arrays(batches, settings),
+        "gate": np.zeros(GATE, int),
+        **options.arrays(batches, settings, stencil.h, converged),
     }
 
 

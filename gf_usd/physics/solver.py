@@ -27,8 +27,7 @@ from gf_usd.physics.followers import FREE_MASS
 from gf_usd.physics.guard import Guard
 from gf_usd.physics.health import measure
 from gf_usd.physics.holds import Holder, held_by
-from gf_usd.physics.launch import LAUNCHED, run
-from gf_usd.physics.launcher import Launcher
+from gf_usd.physics.launch import Launches
 from gf_usd.physics.marching import Marcher, Passage
 from gf_usd.physics.meeting import CROWD, Meeting
 from gf_usd.physics.pair_layout import pack_arrays
@@ -138,7 +137,7 @@ class TotalLagrangian(Marcher):
         self.shortcuts = Shortcuts(self)
         values = setup.arrays(
             particles, self.stencil, self.batches, self.contact, settings, per, start,
-            self.acceleration,
+            self.acceleration, self.converged,
         ) | (self.meeting.arrays() if self.meeting else pack_arrays(0))  # fmt: skip
         self.arrays = setup.to_device(values | self.reanchor.start(self), real)
         self._start_kernels(materials, bool((per["damping_time"] > 0).any()))
@@ -154,7 +153,7 @@ class TotalLagrangian(Marcher):
         self.pack = pack_type(kind, epoch())(**self.arrays)
         self.law = law_of(materials)
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
-        self.launch = {name: Launcher(getattr(self.kernels, name), self.pack) for name in LAUNCHED}
+        self.launches = Launches(self)
         self._vec = ti.types.vector(3, kind)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
@@ -211,7 +210,7 @@ class TotalLagrangian(Marcher):
                 chunk = self.meeting.look(self, index, dt, (substeps - left), left)
                 watched = np.union1d(near, self.meeting.faced.active)
             active = max(active, attend(self, watched))
-            run(self, chunk, dt, len(watched))
+            self.launches.run(self, chunk, dt, len(watched))
             left -= chunk
         self.time += substeps * dt
         self._recentre()

@@ -20,7 +20,6 @@ from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.physics import host, setup, ul_setup
 from gf_usd.physics.guard import Guard
-from gf_usd.physics.launch import SERIAL_BELOW
 from gf_usd.physics.marching import Marcher, Passage, first_bad
 from gf_usd.physics.stencil import build_stencil
 from gf_usd.physics.stiffening import strained_step
@@ -31,6 +30,7 @@ from gf_usd.physics.ul_riding import board
 from gf_usd.physics.ul_step import strained_speed, world_stiffness
 from gf_usd.pins import Pin
 
+SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge, as for the Total Lagrangian solver
 LARGEST_BOX = 1 << 23  # nodes, or eight times the box at rest where that is more
 STATE = ("x", "v", "C", "F", "L")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from launching import WAYS, launched
 from meetings import half_space, meeting
 from solids import sphere
 
 from gf_usd.model import Health
-from gf_usd.physics import launch as module
 
 
 def falling(threads: int = 2, frames: int = 7):
@@ -27,8 +27,8 @@ def whole(solver) -> np.ndarray:
     return np.concatenate([*solver.state(), [solver.offset]])
 
 
-def march(threads: int) -> np.ndarray:
-    solver = falling(threads)
+def march(threads: int, way: str, monkeypatch) -> np.ndarray:
+    solver = launched(falling(threads), way, monkeypatch)
     health = [f.health for f in solver.frames()]
     assert solver.meeting is not None
     faced = solver.meeting.faced
@@ -38,12 +38,11 @@ def march(threads: int) -> np.ndarray:
     return whole(solver)
 
 
-@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
-def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below):
-    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
-    first = march(threads=2)
-    assert np.array_equal(first, march(threads=2))
-    assert np.array_equal(first, march(threads=1))
+@pytest.mark.parametrize("way", WAYS)
+def test_reruns_threads_and_launches_agree_to_the_bit(way, monkeypatch):
+    first = march(1, "alone", monkeypatch)
+    assert np.array_equal(first, march(2, way, monkeypatch))
+    assert np.array_equal(first, march(1, way, monkeypatch))
 
 
 def test_a_kept_state_goes_on_to_the_bit():

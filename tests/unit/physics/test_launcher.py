@@ -21,10 +21,9 @@ def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     for quick in (True, False):
         solver = made(real, velocity=lambda X: SPEED * np.sin(3.0 * X[:, [1, 2, 0]]))
         if not quick:
-            for name in solver.launch:
-                kernel = getattr(solver.kernels, name)
-                plain: Any = lambda *a, kernel=kernel, s=solver: kernel(s.pack, *a)  # noqa: E731
-                solver.launch[name] = plain
+            kernel, pack = solver.kernels.relay, solver.pack
+            plain: Any = lambda *a, kernel=kernel, pack=pack: kernel(pack, *a)  # noqa: E731
+            solver.launches._kernel = plain
         for index in (1, 2, 3):
             solver.advance(index, 2 + index)
         ends.append(host.values(solver.arrays["u"]))
@@ -45,4 +44,4 @@ def test_launchers_of_two_bodies_keep_to_their_own() -> None:
 def test_it_complains_as_taichi_does() -> None:
     solver = made()
     with pytest.raises(Exception, match="missing"):
-        Launcher(solver.kernels.start, solver.pack)(1)
+        Launcher(solver.kernels.relay, solver.pack)(1)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from launching import WAYS, launched
 from solids import ball, look, settings
 
 from gf_usd.materials import LOOKS
-from gf_usd.physics import launch
 from gf_usd.physics.solver import TotalLagrangian
 from gf_usd.physics.stencil import OFFSETS, weights
 
@@ -17,7 +17,7 @@ from gf_usd.physics.stencil import OFFSETS, weights
 EXACT = {"rtol": 1e-9, "atol": 1e-10}
 
 
-def drop(plain, real=np.float64, threads=2, **said):
+def drop(plain, real=np.float64, threads=2, launching=lambda solver: solver, **said):
     """A ball that meets the floor, turned and thrown, with a filter: everything a substep has."""
     body, samples = ball(400, radius=0.1)
     options = {
@@ -29,7 +29,7 @@ def drop(plain, real=np.float64, threads=2, **said):
         body, [look("rubber", body, law=law)], settings(**options), samples=samples,
         velocity=(0.3, -2.0, 0.1), real=real, plain=plain,
     )  # fmt: skip
-    frames = list(solver.frames())
+    frames = list(launching(solver).frames())
     return solver, frames
 
 
@@ -72,12 +72,15 @@ def test_single_precision_stays_near_double():
     np.testing.assert_allclose(single, exact, atol=2e-4)
 
 
-@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
-def test_threads_and_reruns_change_no_bit(monkeypatch, serial_below):
-    monkeypatch.setattr(launch, "SERIAL_BELOW", serial_below)
-    first = state(drop(True, real=np.float32))
-    assert np.array_equal(first, state(drop(True, real=np.float32)))
-    assert np.array_equal(first, state(drop(True, real=np.float32, threads=1)))
+@pytest.mark.parametrize("way", WAYS)
+def test_threads_launches_and_reruns_change_no_bit(way, monkeypatch):
+    def run(way, **said):
+        launching = lambda solver: launched(solver, way, monkeypatch)  # noqa: E731
+        return state(drop(True, real=np.float32, launching=launching, **said))
+
+    first = run("alone")
+    assert np.array_equal(first, run(way))
+    assert np.array_equal(first, run(way, threads=1))
 
 
 def corotated(F, mu, lam):

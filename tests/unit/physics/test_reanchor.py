@@ -144,7 +144,7 @@ def test_a_body_that_is_pinned_has_no_shape_correction():
 def test_off_they_leave_no_trace():
     solver = made()
     assert solver.options == PLAIN == options_of(settings())
-    for name in ("F0", "clip_room", "clamped", "stress_capped"):
+    for name in ("F0", "clip_room", "touched"):
         assert solver.arrays[name].shape == (1,)
     assert "F0" not in solver.save()
     passage = solver.advance(1, 2)

@@ -1,0 +1,71 @@
+"""What a substep consists of, in order: stages that wait for each other, and their parts.
+
+The parts of a stage do not wait for each other, and neither do the items of a part: they write to
+what is their own.  `kernels` says what a part does with an item.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Of what a part has an item each.
+FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
+
+# When a stage is due: in every substep, where a frame opens, where the filter acts.
+ALWAYS, OPENING, FILTERING = "always", "opening", "filtering"
+
+APART = 32  # numbers between the two counters of a launch: they share no cache line
+GATE = 2 * APART  # numbers of the array that they stand in
+
+OPENS, CLOSES = 1, 2  # bits: a launch begins a frame, ends one
+
+# Items that are worth a piece of their own: a group is eight cells, some 64 particles.
+GRAIN = 256
+GROUP_GRAIN = 4
+
+
+@dataclass(frozen=True)
+class Part:
+    """One thing that is done to each item."""
+
+    name: str
+    items: str
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Parts that may be done at once."""
+
+    parts: tuple[Part, ...]
+    when: str = ALWAYS
+
+
+def stages(plain: bool, meets: bool) -> tuple[Stage, ...]:
+    """The stages of a substep; `groups` are particles where plain.
+
+    meets : bodies meet each other or obstacles.
+    """
+
+    def stage(*parts: tuple[str, str], when: str = ALWAYS) -> Stage:
+        return Stage(tuple(Part(*part) for part in parts), when)
+
+    summed = [stage(("node force", NODES))] if plain else []
+    gathered = [stage(("node momentum", NODES), when=FILTERING)] if plain else []
+    motion = [("sample motion", SAMPLES)] if meets else []
+    pairs = [("pair contact", SAMPLES)] if meets else []
+    totals = [stage(("pair total", SAMPLES))] if meets else []
+    return (
+        stage(("open", FREE), when=OPENING),
+        stage(("open followers", FOLLOWERS), when=OPENING),
+        stage(("momentum", GROUPS), when=FILTERING),
+        *gathered,
+        stage(("loss", FOLLOWERS), when=FILTERING),
+        stage(("filter", FREE), when=FILTERING),
+        stage(("filtered followers", FOLLOWERS), when=FILTERING),
+        stage(("stress", GROUPS), *motion, ("contact", SAMPLES)),
+        *summed,
+        stage(("share", FOLLOWERS), *pairs),
+        *totals,
+        stage(("move", FREE)),
+        stage(("follow", FOLLOWERS)),
+    )
