@@ -5,7 +5,7 @@ A look is made for a body's own size, so that bodies of several sizes have as ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -211,7 +211,7 @@ def _alike(one: Material, other: Material) -> bool:
     return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
 
 
-def stated_spacing(words: StageWords, volumes: dict[str, float]) -> tuple[float | None, str]:
+def stated_spacing(words: StageWords, volumes: Mapping[str, float]) -> tuple[float | None, str]:
     """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
 
     volumes : [m^3] of each surface, by prim path.

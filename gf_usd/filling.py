@@ -20,7 +20,8 @@ from gf_usd.model import Asset, Material, Settings, SurfaceSamples
 from gf_usd.output_files import Outputs
 from gf_usd.pinning import make_pins
 from gf_usd.plan import Plan
-from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request, parse_floor, resolve
+from gf_usd.planning import Request, parse_floor, resolve
+from gf_usd.resolution import resolution
 from gf_usd.stage_reading import StageWords, one_said, read_motion
 from gf_usd.timeline import sampled, written
 
@@ -66,19 +67,15 @@ def fill(
     request, stated = _with_stage(request, words, asset)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
-    spacing = request.spacing * unit if request.spacing else None
-    spaced = ""
-    if spacing is None and request.particles is None and not paper:
-        volumes = {
-            s.path: abs(signed_volume(s.points, t)) for s, t in zip(solid.surfaces, solid.triangles)
-        }
-        spacing, spaced = body_materials.stated_spacing(words, volumes)
+    closed = zip(solid.surfaces, solid.triangles, strict=True)
+    asked = resolution(
+        request, words, unit,
+        lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
+    )  # fmt: skip
     particles = sample_solid(
         solid,
-        particles=(request.particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES))
-        if spacing is None
-        else None,
-        spacing=spacing,
+        particles=asked.particles if asked.spacing is None else None,
+        spacing=asked.spacing,
         seed=request.seed or 0,
         uniform=paper,
         up=asset.facts.up_axis,
@@ -157,7 +154,7 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([spaced] if spaced else ()), *bodies.notes,
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
             *regional, *own, *physics.notes, *ridden, *left, *skin,
             *_options(made, each), *split,
         ),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gf_usd import body_materials
 from gf_usd.model import Asset
-from gf_usd.planning import DEFAULT_PARTICLES, PAPER_PARTICLES, Request
+from gf_usd.planning import Request
+from gf_usd.resolution import resolution
 from gf_usd.stage_reading import StageWords
 
 if TYPE_CHECKING:
@@ -24,12 +24,12 @@ def mend(
     from gf_usd.geometry.thicken import thicken_asset
     from gf_usd.topology import signed_volume
 
-    paper = request.preset == "paper"
-    particles = request.particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES)
     mended, repairs = repair_asset(asset)
-    spacing = request.spacing * asset.facts.units.length if request.spacing else None
-    if spacing is None and request.particles is None and not paper:
-        volumes = {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces}
-        spacing, _ = body_materials.stated_spacing(words, volumes)
-    filled, repairs = thicken_asset(mended, repairs, spacing=spacing, particles=particles)
+    asked = resolution(
+        request, words, asset.facts.units.length,
+        lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
+    )  # fmt: skip
+    filled, repairs = thicken_asset(
+        mended, repairs, spacing=asked.spacing, particles=asked.particles
+    )
     return mended, filled, repairs
