@@ -6,6 +6,7 @@ warnings under --strict, 5 a slice is done, 130 and 143 interrupted (docs/guide.
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from typing import Annotated, NoReturn
@@ -17,6 +18,7 @@ from gf_usd.cli import remains
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.ending import leave, prepare_to_leave
 from gf_usd.cli.inputs import inputs
 from gf_usd.cli.inspect import inspect
 from gf_usd.cli.materials import materials
@@ -72,16 +74,23 @@ def _main(
 
 def run() -> NoReturn:
     """Run the command line; an expected error ends in words on stderr, never in a traceback."""
+    prepare_to_leave()
     for number in STOPPED:
         signal.signal(number, _stop)
     end_with_parent()
+    # Nearly all that a command makes lives as long as it: less often looked through for cycles.
+    gc.set_threshold(20_000, 20, 20)
     try:
         app(standalone_mode=True)
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)
-        sys.exit(error.exit_status)
-    sys.exit(0)
+        leave(error.exit_status)
+    except SystemExit as end:
+        if isinstance(end.code, int):
+            leave(end.code)
+        raise
+    leave(0)
 
 
 def _stop(number: int, frame: object) -> NoReturn:

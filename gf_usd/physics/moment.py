@@ -52,8 +52,8 @@ class Moment:
         X, nodes = self._solver.particles.X, self._solver.stencil.free_X
         worst = int(np.linalg.norm(X - nodes[np.argmax(bad)], axis=1).argmin())
         return worst, (
-            f"{int(bad.sum())} of {len(bad)} grid nodes are no longer finite, first near particle"
-            f" {worst} at rest position {X[worst].round(4).tolist()} m"
+            f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, first near"
+            f" particle {worst} at rest position {X[worst].round(4).tolist()} m"
         )
 
     @property
