@@ -17,10 +17,14 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from types import ModuleType
 from typing import Any
+
+VERSION_CHECK = "taichi._version_check"
 
 
 class _Whole:
@@ -35,7 +39,10 @@ class _Whole:
 
 @contextlib.contextmanager
 def frames_without_source() -> Iterator[None]:
-    """While Taichi is imported: no search for the source of frames that have none."""
+    """While Taichi is imported: no search for the source of frames that have none.
+
+    Nor is its version check imported where it is switched off: that loads what talks to a network.
+    """
     complete = inspect.getframeinfo
 
     def quick(frame: Any, context: int = 1) -> Any:
@@ -45,10 +52,17 @@ def frames_without_source() -> Iterator[None]:
         return complete(frame, context)
 
     inspect.getframeinfo = quick
+    unchecked = os.environ.get("TI_SKIP_VERSION_CHECK") == "ON" and VERSION_CHECK not in sys.modules
+    if unchecked:
+        nothing = ModuleType(VERSION_CHECK)
+        nothing.start_version_check_thread = lambda: None
+        sys.modules[VERSION_CHECK] = nothing
     try:
         yield
     finally:
         inspect.getframeinfo = complete
+        if unchecked:
+            del sys.modules[VERSION_CHECK]
 
 
 def quicken() -> None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-from typing import Annotated, NoReturn
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -33,27 +34,20 @@ from gf_usd.errors import GfUsdError, Unfinished
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-app = typer.Typer(
-    name="gf-usd",
-    help="Make any USD or mesh asset soft, without touching it.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command()(bake)
-app.command()(batch)
-app.command()(inspect)
-app.command()(inputs)
-app.command()(preview)
-app.command()(report)
-app.command()(view)
-app.command()(check)
-app.command()(verify)
-app.command()(materials)
-app.command(name="schema-path")(schema_path)
-app.command(hidden=True)(thumbnails)
+COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
+    "bake": (bake, {}),
+    "batch": (batch, {}),
+    "inspect": (inspect, {}),
+    "inputs": (inputs, {}),
+    "preview": (preview, {}),
+    "report": (report, {}),
+    "view": (view, {}),
+    "check": (check, {}),
+    "verify": (verify, {}),
+    "materials": (materials, {}),
+    "schema-path": (schema_path, {}),
+    "thumbnails": (thumbnails, {"hidden": True}),
+}
 
 
 def _show_version(wanted: bool) -> None:
@@ -62,7 +56,6 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _main(
     version: Annotated[
         bool,
@@ -70,6 +63,27 @@ def _main(
     ] = False,
 ) -> None:
     pass
+
+
+def program(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """The command line with these commands."""
+    made = typer.Typer(
+        name="gf-usd",
+        help="Make any USD or mesh asset soft, without touching it.",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    made.callback()(_main)
+    for name in names:
+        function, settings = COMMANDS[name]
+        made.command(name=name, **settings)(function)
+    return made
+
+
+app = program()
 
 
 def run() -> NoReturn:
@@ -80,8 +94,11 @@ def run() -> NoReturn:
     end_with_parent()
     # Nearly all that a command makes lives as long as it: less often looked through for cycles.
     gc.set_threshold(20_000, 20, 20)
+    asked = sys.argv[1:2]
+    # Typer goes through the options of all the commands it knows before it runs one.
+    chosen = program(asked) if asked and asked[0] in COMMANDS else app
     try:
-        app(standalone_mode=True)
+        chosen(standalone_mode=True)
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)

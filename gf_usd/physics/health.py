@@ -8,20 +8,21 @@ from gf_usd.model import Floats, Health
 from gf_usd.physics.probes import pair_energy, strain_energy
 
 if TYPE_CHECKING:
+    from gf_usd.physics.moment import Moment
     from gf_usd.physics.solver import TotalLagrangian
 
 
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
 
 
-def measure(solver: TotalLagrangian, stretch: Floats, J: Floats) -> Health:
+def measure(solver: TotalLagrangian, now: Moment, stretch: Floats, J: Floats) -> Health:
     """Energies, momenta and stretches of one frame, in float64; see `stretches`.
 
     Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
     which the solver conserves; angular momentum is sum m_i x_i x v_i about the world's origin.
     """
-    m, now = solver.stencil.mass, solver.moment()
-    x, v, whole = now.x, now.v, m.sum()
+    m, x, v = solver.stencil.mass, now.x, now.v
+    whole = m.sum()
     return Health(
         kinetic=float(0.5 * m @ (v * v).sum(1)),
         elastic=strain_energy(solver, stretch, J),

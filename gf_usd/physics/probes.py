@@ -10,6 +10,7 @@ from gf_usd.model import Floats
 from gf_usd.physics import host
 
 if TYPE_CHECKING:
+    from gf_usd.physics.moment import Moment
     from gf_usd.physics.solver import TotalLagrangian
 
 
@@ -59,9 +60,8 @@ def kinetic_energies(solver: TotalLagrangian, bodies: int) -> Floats:
     return np.bincount(solver.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
 
 
-def stored_energy(solver: TotalLagrangian, stretch: Floats, J: Floats) -> float:
-    """Elastic, potential and contact energy [J] of the present state; see `strain_energy`."""
-    now = solver.moment()
+def stored_energy(solver: TotalLagrangian, now: Moment, stretch: Floats, J: Floats) -> float:
+    """Elastic, potential and contact energy [J] of a state; see `strain_energy`."""
     return strain_energy(solver, stretch, J) + now.potential + now.contact
 
 

@@ -150,15 +150,17 @@ class Reanchor:
         A state that is no longer finite is left as it is, for the guard to see.
         """
         none = np.zeros(len(solver.particles), bool)
-        if not self.acts or solver.not_finite()[1]:
+        if not self.acts or (now := solver.moment()).not_finite()[1]:
             return none, 0.0
-        before = stored_energy(solver, *strains(solver.gradients(index)))
+        before = stored_energy(solver, now, *strains(solver.gradients(now, index)))
         if self.alpha > 0.0:
             self._correct(solver)
+            now = solver.moment()
         if self.gradient is None:
-            return none, stored_energy(solver, *strains(solver.gradients(index))) - before
-        clipped, strain = self._recompute(solver, solver.particle_pose(index))
-        return clipped, stored_energy(solver, *strain) - before
+            after = strains(solver.gradients(now, index))
+            return none, stored_energy(solver, now, *after) - before
+        clipped, strain = self._recompute(solver, solver.pose_at(now, index))
+        return clipped, stored_energy(solver, now, *strain) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
         u = host.values(solver.arrays["u"]).astype(float).reshape(-1, 3)

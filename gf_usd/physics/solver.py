@@ -18,7 +18,7 @@ from gf_usd.encounters import Encounters
 from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.physics import host, options, setup
-from gf_usd.physics.anchoring import anchor, node_motion
+from gf_usd.physics.anchoring import anchor
 from gf_usd.physics.approach import attend, watch
 from gf_usd.physics.bodies import fastest, start_velocity
 from gf_usd.physics.body import batch_particles
@@ -262,7 +262,8 @@ class TotalLagrangian(Marcher):
 
     def read(self, index: int) -> Frame:
         """See `Marcher`."""
-        particles, nodes = self.particle_pose(index), node_motion(self)
+        now = self.moment()
+        particles = self.pose_at(now, index)
         stretch, J = strains(particles.F)
         self.strained = strained_substeps(self, stretch, J)
         return Frame(
@@ -270,27 +271,30 @@ class TotalLagrangian(Marcher):
             time=self.time,
             particles=particles,
             riders={
-                n: self._held(n, rows, pose(rows, *nodes, self.offset), index)
+                n: self._held(n, rows, pose(rows, *now.nodes, self.offset), index)
                 for n, rows in self.riders.items()
             },
             stress=von_mises(self) if self.settings.stress else None,
-            health=measure(self, stretch, J),
+            health=measure(self, now, stretch, J),
         )
 
     def particle_pose(self, index: int) -> Pose:
         """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
-        free = self.moment().particles
-        free = Pose(x=free.x, v=free.v, F=self.reanchor.anchored(free.F))
+        return self.pose_at(self.moment(), index)
+
+    def pose_at(self, now: Moment, index: int) -> Pose:
+        """`particle_pose` of a state."""
+        free = replace(now.particles, F=self.reanchor.anchored(now.F))
         return self._held("", self.rows, free, index)
 
-    def gradients(self, index: int) -> Floats:
-        """F (N, 3, 3) of `particle_pose`."""
+    def gradients(self, now: Moment, index: int) -> Floats:
+        """F (N, 3, 3) of `pose_at`."""
         if self.holder is None:
-            return self.reanchor.anchored(self.moment().F)
-        return self.particle_pose(index).F
+            return self.reanchor.anchored(now.F)
+        return self.pose_at(now, index).F
 
     def _held(self, name: str, rows: Rows, free: Pose, index: int) -> Pose:
         if self.holder is None:
             return free
-        held = self.held[name]
-        return self.holder.override(held, rows.X, free, index, self.frame_time, self.offset)
+        of, offset = self.held[name], self.offset
+        return self.holder.override(of, rows.X, free, index, self.frame_time, offset)
