@@ -6,7 +6,8 @@ builds the same, to the bit of the key, and says the same where Taichi complains
 - it words the position of every expression it meets, some 50,000 where loops are unrolled, and
   breaks the lines at 80 columns: here a position is worded once, and a line stays whole;
 - it asks for the source of the frame in which a function is announced, which at the level of a
-  module is the import system: that has none, and looking for it goes through all modules loaded;
+  module is the import system, and looking for it goes through all modules loaded: here it is one
+  line of one file, or of none;
 - it reads a function's source anew for every call of it in a kernel.
 
 Where a version of Taichi has no such part, that part is left alone.
@@ -17,7 +18,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import linecache
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -78,7 +81,8 @@ def quicken() -> None:
         if hasattr(kernels, name):
             setattr(kernels, name, cache(getattr(kernels, name)))
     if hasattr(kernels, "_inside_class"):
-        kernels._inside_class = _asked_of_files(kernels._inside_class)
+        words = tuple(getattr(kernels, "_KERNEL_CLASS_STACKFRAME_STMT_RES", ()))
+        kernels._inside_class = _asked_of_files(kernels._inside_class, words)
 
 
 def _once_worded(word: Callable[[Any, Any], str]) -> Callable[[Any, Any], str]:
@@ -97,8 +101,14 @@ def _once_worded(word: Callable[[Any, Any], str]) -> Callable[[Any, Any], str]:
     return position
 
 
-def _asked_of_files(inside: Callable[[int], bool]) -> Callable[[int], bool]:
-    """`inside(level)`, False at once where the frame is of no file."""
+def _asked_of_files(
+    inside: Callable[[int], bool], words: tuple[re.Pattern[str], ...]
+) -> Callable[[int], bool]:
+    """`inside(level)`, whether the line that a frame is at begins with one of these words.
+
+    False at once where the frame is of no file; else the line is looked up by the file's name,
+    where `inside` looks for the module, and the files of all other modules on the way.
+    """
 
     def inside_class(level_of_class_stackframe: int) -> bool:
         try:
@@ -107,6 +117,9 @@ def _asked_of_files(inside: Callable[[int], bool]) -> Callable[[int], bool]:
             return False
         if frame.f_code.co_filename.startswith("<"):
             return False
+        line = linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
+        if line and words:
+            return any(word.match(line) for word in words)
         return inside(level_of_class_stackframe + 1)
 
     return inside_class

@@ -65,8 +65,17 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
 def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     kernels = sys.modules["taichi.lang.kernel_impl"]
     asked: list[int] = []
-    inside = frontend._asked_of_files(lambda level: bool(asked.append(level)))
+    words = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    inside = frontend._asked_of_files(lambda level: bool(asked.append(level)), words)
+
+    class Here:
+        found = inside(2)  # from the body of a class to what is at its first line
+
+    assert Here.found
     assert not inside(0)
+    assert asked == []
+    unknown = frontend._asked_of_files(lambda level: bool(asked.append(level)), ())
+    assert not unknown(0)
     assert asked == [1], "this frame is of a file, one level further up for the one who looks"
     code = compile("found = inside(1)", "<nowhere>", "exec")
     exec(code, space := {"inside": inside})
