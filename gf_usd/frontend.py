@@ -6,7 +6,8 @@ builds the same, to the bit of the key, and says the same where Taichi complains
 - it words the position of every expression it meets, some 50,000 where loops are unrolled, and
   breaks the lines at 80 columns: here a position is worded once, and a line stays whole;
 - it asks for the source of the frame in which a function is announced, which at the level of a
-  module is the import system: that has none, and looking for it goes through all modules loaded;
+  module is the import system, and looking for it goes through all modules loaded: here it is one
+  line of one file, or of none;
 - it reads a function's source anew for every call of it in a kernel.
 
 Where a version of Taichi has no such part, that part is left alone.
@@ -17,10 +18,16 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import linecache
+import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from types import ModuleType
 from typing import Any
+
+VERSION_CHECK = "taichi._version_check"
 
 
 class _Whole:
@@ -35,7 +42,10 @@ class _Whole:
 
 @contextlib.contextmanager
 def frames_without_source() -> Iterator[None]:
-    """While Taichi is imported: no search for the source of frames that have none."""
+    """While Taichi is imported: no search for the source of frames that have none.
+
+    Nor is its version check imported where it is switched off: that loads what talks to a network.
+    """
     complete = inspect.getframeinfo
 
     def quick(frame: Any, context: int = 1) -> Any:
@@ -45,10 +55,17 @@ def frames_without_source() -> Iterator[None]:
         return complete(frame, context)
 
     inspect.getframeinfo = quick
+    unchecked = os.environ.get("TI_SKIP_VERSION_CHECK") == "ON" and VERSION_CHECK not in sys.modules
+    if unchecked:
+        nothing = ModuleType(VERSION_CHECK)
+        nothing.start_version_check_thread = lambda: None
+        sys.modules[VERSION_CHECK] = nothing
     try:
         yield
     finally:
         inspect.getframeinfo = complete
+        if unchecked:
+            del sys.modules[VERSION_CHECK]
 
 
 def quicken() -> None:
@@ -64,7 +81,8 @@ def quicken() -> None:
         if hasattr(kernels, name):
             setattr(kernels, name, cache(getattr(kernels, name)))
     if hasattr(kernels, "_inside_class"):
-        kernels._inside_class = _asked_of_files(kernels._inside_class)
+        words = tuple(getattr(kernels, "_KERNEL_CLASS_STACKFRAME_STMT_RES", ()))
+        kernels._inside_class = _asked_of_files(kernels._inside_class, words)
 
 
 def _once_worded(word: Callable[[Any, Any], str]) -> Callable[[Any, Any], str]:
@@ -83,8 +101,14 @@ def _once_worded(word: Callable[[Any, Any], str]) -> Callable[[Any, Any], str]:
     return position
 
 
-def _asked_of_files(inside: Callable[[int], bool]) -> Callable[[int], bool]:
-    """`inside(level)`, False at once where the frame is of no file."""
+def _asked_of_files(
+    inside: Callable[[int], bool], words: tuple[re.Pattern[str], ...]
+) -> Callable[[int], bool]:
+    """`inside(level)`, whether the line that a frame is at begins with one of these words.
+
+    False at once where the frame is of no file; else the line is looked up by the file's name,
+    where `inside` looks for the module, and the files of all other modules on the way.
+    """
 
     def inside_class(level_of_class_stackframe: int) -> bool:
         try:
@@ -93,6 +117,9 @@ def _asked_of_files(inside: Callable[[int], bool]) -> Callable[[int], bool]:
             return False
         if frame.f_code.co_filename.startswith("<"):
             return False
+        line = linecache.getline(frame.f_code.co_filename, frame.f_lineno).strip()
+        if line and words:
+            return any(word.match(line) for word in words)
         return inside(level_of_class_stackframe + 1)
 
     return inside_class

@@ -26,14 +26,12 @@ DISK_HINT = "free some space, choose another -o, or write less: --frames, --half
 def free_memory() -> float:
     """[bytes] that are free, for this process's control group where it has a limit."""
     system = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    for line in system_file("/proc/meminfo").splitlines():
-        if line.startswith("MemAvailable:"):
-            system = float(line.split()[1]) * 1024.0
-    limit, used = (
-        system_file("/sys/fs/cgroup/memory.max"),
-        system_file("/sys/fs/cgroup/memory.current"),
-    )
-    if limit.isdigit() and used.isdigit():
+    system = _of_system("MemAvailable:", system)
+    limit = system_file("/sys/fs/cgroup/memory.max")
+    if not limit.isdigit():
+        return system
+    used = system_file("/sys/fs/cgroup/memory.current")
+    if used.isdigit():
         # what files left in the cache of the system is given back when it is wanted
         rows = (line.split() for line in system_file("/sys/fs/cgroup/memory.stat").splitlines())
         kept = sum(float(n) for name, n in rows if name in ("inactive_file", "active_file"))
@@ -43,10 +41,14 @@ def free_memory() -> float:
 
 def free_disk(folder: Path) -> float:
     """[bytes] free for this user where a folder is, or will be."""
-    folder = folder.absolute()
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return float(shutil.disk_usage(folder).free)
+    while True:
+        try:
+            return float(shutil.disk_usage(folder).free)
+        except FileNotFoundError:
+            folder = folder.absolute()
+            if folder == folder.parent:
+                raise
+            folder = folder.parent
 
 
 def require_room(plan: Plan) -> None:
@@ -113,8 +115,8 @@ class RoomWatch:
                 f"free some space; {again}",
                 frame=index,
             )
-        left = free_memory() + _swap()
-        if left < LEAST_MEMORY:
+        left = free_memory()
+        if left < LEAST_MEMORY and (left := left + _swap()) < LEAST_MEMORY:
             raise OutOfRoom(
                 f"{left / 1e6:.3g} MB of memory are left on this machine",
                 f"end other programs, or take fewer --particles; {again}",
@@ -126,15 +128,19 @@ def _swap() -> float:
     """[bytes] of free swap; none is counted under the limit of a control group."""
     if system_file("/sys/fs/cgroup/memory.max").isdigit():
         return 0.0
-    for line in system_file("/proc/meminfo").splitlines():
-        if line.startswith("SwapFree:"):
-            return float(line.split()[1]) * 1024.0
-    return 0.0
+    return _of_system("SwapFree:", 0.0)
+
+
+def _of_system(name: str, unknown: float) -> float:
+    """[bytes] that the system says of a kind of memory."""
+    found = system_file("/proc/meminfo").partition(name)[2].split(maxsplit=1)
+    return float(found[0]) * 1024.0 if found else unknown
 
 
 def system_file(path: str) -> str:
     """What a file of the kernel says; "" where there is none."""
     try:
-        return Path(path).read_text(encoding="ascii").strip()
+        with open(path, "rb", buffering=0) as file:  # asked for at every sample
+            return file.readall().decode("ascii").strip()
     except OSError:
         return ""

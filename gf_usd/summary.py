@@ -116,7 +116,7 @@ class HealthLog:
         return [
             {
                 "time_code": self._settings.time_code(i),
-                **asdict(f),
+                **vars(f),
                 "energy": total[i],
                 "energy_gain": gains[i],
             }

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdShade
 
 from gf_usd.assets.notes import Notes
-from gf_usd.assets.usd_texture import Unreadable, load_texture
 from gf_usd.model import Texture
 from gf_usd.surface_material import SurfaceMaterial
 
@@ -111,6 +110,8 @@ class Looks:
     def _textured(
         self, path: str, node: UsdShade.Shader, output: str, colour: tuple[float, float, float]
     ) -> Look:
+        from gf_usd.assets.usd_texture import Unreadable, load_texture  # many assets have none
+
         authored = self._input(node, "fallback")
         constant = SurfaceMaterial(path=path, colour=_triple(authored, colour))
         asset = self._input(node, "file")

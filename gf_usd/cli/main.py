@@ -6,10 +6,12 @@ warnings under --strict, 5 a slice is done, 130 and 143 interrupted (docs/guide.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
-from typing import Annotated, NoReturn
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -18,6 +20,7 @@ from gf_usd.cli import remains
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.ending import leave, prepare_to_leave
 from gf_usd.cli.inputs import inputs
 from gf_usd.cli.inspect import inspect
 from gf_usd.cli.materials import materials
@@ -32,27 +35,20 @@ from gf_usd.errors import GfUsdError, Unfinished
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-app = typer.Typer(
-    name="gf-usd",
-    help="Make any USD or mesh asset soft, without touching it.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.command()(bake)
-app.command()(batch)
-app.command()(inspect)
-app.command()(inputs)
-app.command()(preview)
-app.command()(report)
-app.command()(view)
-app.command()(check)
-app.command()(verify)
-app.command()(materials)
-app.command(name="schema-path")(schema_path)
-app.command(hidden=True)(thumbnails)
+COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
+    "bake": (bake, {}),
+    "batch": (batch, {}),
+    "inspect": (inspect, {}),
+    "inputs": (inputs, {}),
+    "preview": (preview, {}),
+    "report": (report, {}),
+    "view": (view, {}),
+    "check": (check, {}),
+    "verify": (verify, {}),
+    "materials": (materials, {}),
+    "schema-path": (schema_path, {}),
+    "thumbnails": (thumbnails, {"hidden": True}),
+}
 
 
 def _show_version(wanted: bool) -> None:
@@ -61,7 +57,6 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _main(
     version: Annotated[
         bool,
@@ -71,22 +66,53 @@ def _main(
     pass
 
 
+def program(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """The command line with these commands."""
+    made = typer.Typer(
+        name="gf-usd",
+        help="Make any USD or mesh asset soft, without touching it.",
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    made.callback()(_main)
+    for name in names:
+        function, settings = COMMANDS[name]
+        made.command(name=name, **settings)(function)
+    return made
+
+
+app = program()
+
+
 def run() -> NoReturn:
     """Run the command line; an expected error ends in words on stderr, never in a traceback."""
     # The products here are too small for threads of BLAS, which spin for 25 ms after each, and
     # sums that threads share depend on their number.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    prepare_to_leave()
     for number in STOPPED:
         signal.signal(number, _stop)
     end_with_parent()
+    # Nearly all that a command makes lives as long as it: less often looked through for cycles.
+    gc.set_threshold(20_000, 20, 20)
+    asked = sys.argv[1:2]
+    # Typer goes through the options of all the commands it knows before it runs one.
+    chosen = program(asked) if asked and asked[0] in COMMANDS else app
     try:
-        app(standalone_mode=True)
+        chosen(standalone_mode=True)
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)
-        sys.exit(error.exit_status)
-    sys.exit(0)
+        leave(error.exit_status)
+    except SystemExit as end:
+        if isinstance(end.code, int):
+            leave(end.code)
+        raise
+    leave(0)
 
 
 def _stop(number: int, frame: object) -> NoReturn:

@@ -123,14 +123,17 @@ class MeshSkin:
 
     def __init__(self, name: str, points: Mapping[str, Floats], particles: Floats) -> None:
         self.paths = tuple(points)
-        self.ends = np.cumsum([len(X) for X in points.values()])[:-1]
+        ends = np.cumsum([len(X) for X in points.values()])
+        self.rows = tuple(slice(end - len(X), end) for X, end in zip(points.values(), ends))
         self.skin = make_skin(name, np.concatenate(list(points.values())), particles)
 
     def poses(self, particles: Pose) -> dict[str, Pose]:
         """The pose of each mesh, by prim path."""
         whole = self.skin.pose(particles)
-        parts = zip(*(np.split(values, self.ends) for values in (whole.x, whole.v, whole.F)))
-        return {path: Pose(x=x, v=v, F=F) for path, (x, v, F) in zip(self.paths, parts)}
+        return {
+            path: Pose(x=whole.x[rows], v=whole.v[rows], F=whole.F[rows])
+            for path, rows in zip(self.paths, self.rows)
+        }
 
 
 def inverse_distance(squared: Floats, power: float) -> Floats:
@@ -183,7 +186,8 @@ class CloudWeights:
         """(n, c) of values (N, c)."""
         out = np.empty((len(self.X), values.shape[1]))
         for k, chunk in enumerate(self.chunks):
-            out[chunk] = (self.kept[k] if self.kept else self._weights(chunk)) @ values
+            weights = self.kept[k] if self.kept else self._weights(chunk)
+            np.matmul(weights, values, out=out[chunk])
         return out
 
     def _weights(self, chunk: slice) -> Floats:
@@ -194,9 +198,11 @@ class CloudWeights:
 def blend(apply: Callable[[Floats], Floats], *fields: Floats) -> tuple[Floats, ...]:
     """Weighted sums of fields (N, ...) in one pass over the weights."""
     flat = [field.reshape(len(field), -1) for field in fields]
-    mixed = apply(np.concatenate(flat, 1))
-    parts = np.split(mixed, np.cumsum([f.shape[1] for f in flat])[:-1], axis=1)
-    return tuple(part.reshape(-1, *field.shape[1:]) for part, field in zip(parts, fields))
+    mixed, end, out = apply(np.concatenate(flat, 1)), 0, []
+    for field, columns in zip(fields, flat):
+        start, end = end, end + columns.shape[1]
+        out.append(mixed[:, start:end].reshape(-1, *field.shape[1:]))
+    return tuple(out)
 
 
 def turn(T: Floats, offset: Floats) -> Floats:
@@ -234,7 +240,10 @@ def rest_gradient(
 
 def deformation_rate(gradient: tuple[sparse.csr_matrix, ...], v: Floats) -> Floats:
     """dF/dt = dv/dX at the particles, (N, 3, 3) [1/s]."""
-    return np.stack([D @ v for D in gradient], -1)
+    rate = np.empty((len(v), 3, 3))
+    for axis, D in enumerate(gradient):
+        rate[:, :, axis] = D @ v
+    return rate
 
 
 def stretch(F: Floats, rate: Floats) -> tuple[Floats, Floats]:
@@ -251,5 +260,9 @@ def stretch(F: Floats, rate: Floats) -> tuple[Floats, Floats]:
     QT = np.swapaxes(Q, -1, -2)
     both = s[..., :, None] + s[..., None, :]
     lost = both <= 1e-7 * s[..., -1:, None]  # the square root halves the digits of eigh
-    local = np.where(lost, 0.0, (QT @ dC @ Q) / np.where(lost, 1.0, both))
+    local = QT @ dC @ Q
+    if lost.any():
+        local = np.where(lost, 0.0, local / np.where(lost, 1.0, both))
+    else:
+        local /= both
     return (Q * s[..., None, :]) @ QT, Q @ local @ QT

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from gf_usd.model import Floats
 from gf_usd.physics import host
 
@@ -25,11 +23,7 @@ def constants(solver: TotalLagrangian) -> tuple[Floats, Floats]:
 
 def node_motion(solver: TotalLagrangian) -> tuple[Floats, Floats]:
     """u and v as `Rows` stack them: with pins, the followers' constants too."""
-    u, v = solver.state()
-    if solver.holder is None:
-        return u, v
-    c, rate = constants(solver)
-    return np.concatenate([u, c]), np.concatenate([v, rate])
+    return solver.moment().nodes
 
 
 def anchor(solver: TotalLagrangian, index: int) -> None:

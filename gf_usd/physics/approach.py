@@ -47,12 +47,15 @@ def attend(solver: TotalLagrangian, samples: Ints) -> int:
     """
     if solver.contact is None:
         return 0
+    host.clear(solver.arrays["sample_force"])
+    if np.array_equal(samples, solver.attended):
+        return len(samples)
+    solver.attended = samples
     of_nodes = solver.contact.rows.W[samples].T.tocsr()  # in order: it is sorted by counting
     _head(solver, "sample_active", samples)
     _head(solver, "node_sample", samples[of_nodes.indices])
     _head(solver, "node_sample_weight", of_nodes.data)
     host.put(solver.arrays["node_sample_start"], of_nodes.indptr)
-    host.clear(solver.arrays["sample_force"])
     return len(samples)
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.model import Floats, Ints, Pose
+from gf_usd.physics.cofactor import cofactors, entries
 from gf_usd.physics.stencil import Rows
+from gf_usd.rows import lengths
 
 
 def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
@@ -13,9 +15,16 @@ def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
-    F = np.stack([G @ u for G in rows.G], -1)
+    return Pose(x=rows.X + offset + rows.W @ u, v=rows.W @ v, F=gradient(rows, u))
+
+
+def gradient(rows: Rows, u: Floats) -> Floats:
+    """F = I + sum_i u_i (x) grad w_i, (n, 3, 3)."""
+    F = np.empty((len(rows.X), 3, 3))
+    for axis, G in enumerate(rows.G):
+        F[:, :, axis] = G @ u
     F += np.eye(3)
-    return Pose(x=rows.X + offset + rows.W @ u, v=rows.W @ v, F=F)
+    return F
 
 
 def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
@@ -23,12 +32,9 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
 
     normals : (K, 3) at rest; points : (K,) the point that carries each; F : (V, 3, 3).
     """
-    n = np.einsum("kab,kb->ka", cofactor(F)[points], normals)
-    length = np.linalg.norm(n, axis=-1, keepdims=True)
+    turned = cofactors(entries(F)).T[points].reshape(-1, 3, 3)
+    n = np.einsum("kab,kb->ka", turned, normals)
+    length = lengths(n)[:, None]
+    if length.all():
+        return np.divide(n, length, out=n)
     return np.where(length > 0.0, n / np.where(length > 0.0, length, 1.0), normals)
-
-
-def cofactor(F: Floats) -> Floats:
-    """cof F = J F^-T, (..., 3, 3)."""
-    a, b, c = F[..., 0, :], F[..., 1, :], F[..., 2, :]
-    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -2)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.model import Floats, GaussianPose, Pose
+from gf_usd.physics.cofactor import cofactors, entries
 
 CHUNK = 4096  # particles at once: what is made on the way stays in a core's cache
 NEWTON = 12  # steps of the polar iteration, enough for stretches of 1/100 to 100
@@ -85,24 +86,20 @@ def nearest_rotation(F: Floats) -> NDArray[np.float64]:
 
 def _newton(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Iterates (n, 3, 3), and which of them (n,) are rotations to rounding."""
-    q = np.ascontiguousarray(F.reshape(-1, 9).T)
+    q = entries(F)
     upright = done = np.linalg.det(F) > 0.0
+    hopeless = ~upright
     with np.errstate(all="ignore"):  # what comes to nothing goes to the SVD
         for _ in range(NEWTON):
-            a, b, c, d, e, f, g, h, i = q
-            cof = np.stack(
-                [
-                    *(e * i - f * h, f * g - d * i, d * h - e * g),
-                    *(c * h - b * i, a * i - c * g, b * g - a * h),
-                    *(b * f - c * e, c * d - a * f, a * e - b * d),
-                ]
-            )
-            J = a * cof[0] + b * cof[1] + c * cof[2]
-            new = 0.5 * (q + cof / J)
+            new = cofactors(q)
+            new /= q[0] * new[0] + q[1] * new[1] + q[2] * new[2]
+            new += q
+            new *= 0.5
             # The error of an iterate is the square of its change.
-            done = np.abs(new - q).max(0) < SETTLED
+            q -= new
+            done = np.abs(q, out=q).max(0) < SETTLED
             q = new
-            if (done | ~upright).all():
+            if (done | hopeless).all():
                 break
     return q.T.reshape(-1, 3, 3), done & upright
 
@@ -116,7 +113,9 @@ def _signed_svd(F: Floats) -> NDArray[np.float64]:
 def jacobi(S: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Diagonalise symmetric S (N, 3, 3): returns Q^T S Q and Q, det Q = 1, Q near the identity."""
     S = np.array(S, float)
-    Q = np.broadcast_to(np.eye(3), S.shape).copy()
+    identity = np.zeros(S.shape)
+    identity.reshape(-1, 9)[:, ::4] = 1.0
+    Q = identity
     # Below rounding an off-diagonal says nothing, and turning by it would be noise.
     scale = 1e-14 * np.maximum(np.einsum("naa->n", S), 1e-300)
     for _ in range(SWEEPS):
@@ -126,15 +125,15 @@ def jacobi(S: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             if not active.any():
                 continue
             moved = True
-            off = np.where(active, S[:, p, q], 1.0)
-            tau = (S[:, q, q] - S[:, p, p]) / (2.0 * off)
+            tau = (S[:, q, q] - S[:, p, p]) / (2.0 * np.where(active, S[:, p, q], 1.0))
             t = np.where(tau >= 0.0, 1.0, -1.0) / (np.abs(tau) + np.sqrt(1.0 + tau * tau))
             t = np.where(active, t, 0.0)
             c = 1.0 / np.sqrt(1.0 + t * t)
-            J = np.broadcast_to(np.eye(3), S.shape).copy()
+            J = identity.copy()
             J[:, p, p] = J[:, q, q] = c
-            J[:, p, q], J[:, q, p] = t * c, -t * c
-            S = np.swapaxes(J, 1, 2) @ S @ J
+            J[:, p, q] = s = t * c
+            J[:, q, p] = -s
+            S = J.swapaxes(1, 2) @ S @ J
             Q = Q @ J
         if not moved:
             break
@@ -156,26 +155,16 @@ def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
 
 def quaternion_from_matrix(R: Floats) -> NDArray[np.float64]:
     """(N, 4) unit quaternion (w, x, y, z) of rotations (N, 3, 3)."""
-    a, b, c = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
-    # The largest of four squared components is at least a quarter: divide by that one.
-    squares = 0.25 * np.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], 1)
-    products = 0.25 * np.stack(
-        [
-            R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1],
-            R[:, 1, 0] + R[:, 0, 1], R[:, 0, 2] + R[:, 2, 0], R[:, 2, 1] + R[:, 1, 2],
-        ],
-        1,
-    )  # fmt: skip
-    wx, wy, wz, xy, xz, yz = products.T
-    w2, x2, y2, z2 = squares.T
-    rows = np.stack(
-        [
-            np.stack([w2, wx, wy, wz], 1),
-            np.stack([wx, x2, xy, xz], 1),
-            np.stack([wy, xy, y2, yz], 1),
-            np.stack([wz, xz, yz, z2], 1),
-        ],
-        1,
-    )
-    q = rows[np.arange(len(R)), np.argmax(squares, 1)]
+    r = entries(R)
+    a, b, c = r[::4]
+    # 4 q q^T.  The largest of four squared components is at least a quarter: divide by that one.
+    products = np.empty((4, 4, len(R)))
+    for k, square in enumerate((1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c)):
+        products[k, k] = square
+    products[0, 1:] = products[1:, 0] = r[[7, 2, 3]] - r[[5, 6, 1]]
+    products[1, 2:] = products[2:, 1] = r[[3, 2]] + r[[1, 6]]
+    products[2, 3] = products[3, 2] = r[7] + r[5]
+    products *= 0.25
+    largest = products.reshape(16, -1)[::5].argmax(0)
+    q = products[largest, :, np.arange(len(R))]
     return q / np.linalg.norm(q, axis=1, keepdims=True)

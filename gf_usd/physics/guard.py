@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.model import Floats, Health, Ints, Pose
+from gf_usd.rows import corners
 
 RETRIES = 6  # halvings of the step before giving up
 CALM_FRAMES = 4  # good frames before a halved step is doubled again
@@ -49,12 +50,15 @@ class Guard:
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
                 f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"
             )
-        far = self._distances(particles.x)
-        if far.max() > ESCAPE * self._reach:
-            return int(far.argmax()), (
-                f"a particle is {far.max():.4g} m from the others, the body is"
-                f" {self._reach:.3g} m long at rest"
-            )
+        # A particle is no further from the middle of its body than the box around all is long.
+        low, high = corners(particles.x)
+        if not np.linalg.norm(high - low) <= ESCAPE * self._reach:
+            far = self._distances(particles.x)
+            if far.max() > ESCAPE * self._reach:
+                return int(far.argmax()), (
+                    f"a particle is {far.max():.4g} m from the others, the body is"
+                    f" {self._reach:.3g} m long at rest"
+                )
         return self._judge_inversion(last, now, particles)
 
     def _distances(self, x: Floats) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -132,7 +132,7 @@ class Marcher(ABC):
             if not fault:
                 frame = self.read(index)
                 done = 0 if passage.flying or passage.sleeping else substeps
-                health = replace(frame.health, substeps=done, rollbacks=attempt, **asdict(passage))
+                health = replace(frame.health, substeps=done, rollbacks=attempt, **vars(passage))
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:
                     self.guard.passed()

@@ -8,10 +8,9 @@ import numpy as np
 
 from gf_usd.model import Floats
 from gf_usd.physics import host
-from gf_usd.physics.anchoring import constants
-from gf_usd.physics.stretches import strains
 
 if TYPE_CHECKING:
+    from gf_usd.physics.moment import Moment
     from gf_usd.physics.solver import TotalLagrangian
 
 
@@ -21,8 +20,10 @@ def strain_energy(solver: TotalLagrangian, stretch: Floats, J: Floats) -> float:
     With a clamp it is that of the clipped F, of which the stress is taken.  No kernel: what a frame
     says of itself costs a small body more in launches and kernels than in arithmetic.
     """
-    s, clamp = stretch.copy(), solver.settings.clamp
-    s[:, 0] *= np.where(J < 0.0, -1.0, 1.0)
+    s, clamp = stretch, solver.settings.clamp
+    if (J < 0.0).any():
+        s = s.copy()
+        s[:, 0] *= np.where(J < 0.0, -1.0, 1.0)
     if clamp is not None:
         s = np.clip(s, *clamp)
         J = s.prod(1)
@@ -59,33 +60,9 @@ def kinetic_energies(solver: TotalLagrangian, bodies: int) -> Floats:
     return np.bincount(solver.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
 
 
-def potential_energy(solver: TotalLagrangian, u: Floats) -> float:
-    """-sum_i m_i x_i . (g + b) [J], heights over the floor; u (M, 3) without the offset."""
-    s, m = solver.settings, solver.stencil.mass
-    x = solver.stencil.free_X + solver.offset + u
-    datum = s.floor if s.floor is not None else 0.0
-    height = x - datum * np.asarray(s.up)
-    return float(-(m @ (height @ np.asarray(s.gravity) + (x * solver.acceleration).sum(1))))
-
-
-def stored_energy(solver: TotalLagrangian, F: Floats) -> float:
-    """Elastic, potential and contact energy [J] of the present state; F (N, 3, 3)."""
-    u = solver.state()[0]
-    elastic = strain_energy(solver, *strains(F))
-    return elastic + potential_energy(solver, u) + contact_energy(solver, u)
-
-
-def contact_energy(solver: TotalLagrangian, u: Floats) -> float:
-    """sum_s k d^2 / 2 [J] stored in the floor's springs; u (M, 3) without the offset."""
-    if solver.contact is None or solver.settings.floor is None:
-        return 0.0
-    rows = solver.contact.rows
-    x = rows.X + solver.offset + rows.W @ u
-    if solver.contact.constants is not None:
-        x = x + solver.contact.constants @ constants(solver)[0]
-    height = x @ solver.normal - solver.settings.floor
-    depth = np.maximum(0.0, -height)
-    return float(0.5 * solver.contact.stiffness @ depth**2)
+def stored_energy(solver: TotalLagrangian, now: Moment, stretch: Floats, J: Floats) -> float:
+    """Elastic, potential and contact energy [J] of a state; see `strain_energy`."""
+    return strain_energy(solver, stretch, J) + now.potential + now.contact
 
 
 def pair_energy(solver: TotalLagrangian) -> float:

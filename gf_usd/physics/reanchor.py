@@ -32,7 +32,7 @@ from gf_usd.model import Floats, Pose
 from gf_usd.physics import body as layout
 from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
-from gf_usd.physics.stretches import singular_values
+from gf_usd.physics.stretches import strains
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -77,15 +77,17 @@ def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
 
     Where J < 0 the smallest singular value counts as negative, as in `option_kernel.clip`.
     """
-    s = singular_values(F)
-    # Wide of what the closed form may be off by: only these are worth an SVD.
-    slack = CLOSE * s[:, 2]
-    near = (s[:, 0] < low + slack) | (s[:, 2] > high - slack)
-    near |= np.linalg.det(F) < 0.0
+    near = to_be_clipped(*strains(F), low, high)
     out, changed = np.array(F), np.zeros(len(F), bool)
     if near.any():
         out[near], changed[near] = _clipped(F[near], low, high)
     return out, changed
+
+
+def to_be_clipped(s: Floats, J: Floats, low: float, high: float) -> Floats:
+    """(N,) bool: which of these strains may lie outside, and are worth an SVD."""
+    slack = CLOSE * s[:, 2]  # wide of what the closed form may be off by
+    return (s[:, 0] < low + slack) | (s[:, 2] > high - slack) | (J < 0.0)
 
 
 def _clipped(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
@@ -119,20 +121,20 @@ class Reanchor:
         self.gradient = wls_gradient(X, WIDTH * solver.particles.radius) if s.wls else None
         # In the kernels' precision, so that what is saved is what they see.
         self.F0 = np.tile(np.eye(3, dtype=solver.real), (len(X), 1, 1))
+        self._ahead = np.zeros((len(X), 3, 3))  # F0 - I
 
     @property
     def acts(self) -> bool:
         return self.alpha > 0.0 or self.gradient is not None
 
-    def anchored(self, pose: Pose) -> Pose:
-        """The particles' pose with F = F0 + G u in place of I + G u."""
-        if self.gradient is None:
-            return pose
-        return Pose(x=pose.x, v=pose.v, F=pose.F + (self.F0.astype(float) - np.eye(3)))
+    def anchored(self, F: Floats) -> Floats:
+        """F0 + G u of particles (N, 3, 3) in place of F = I + G u."""
+        return F if self.gradient is None else F + self._ahead
 
     def put(self, solver: TotalLagrangian, F0: Floats) -> None:
         """Set F0 (N, 3, 3), here and for the kernels."""
         self.F0 = np.asarray(F0, solver.real)
+        self._ahead = self.F0.astype(float) - np.eye(3)
         flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
         host.put(solver.arrays["F0"], flat.astype(solver.real))
 
@@ -140,8 +142,7 @@ class Reanchor:
         """The kernels' array of F0, at rest."""
         if self.gradient is None:
             return {}
-        flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
-        return {"F0": flat}
+        return {"F0": layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)}
 
     def frame(self, solver: TotalLagrangian, index: int) -> tuple[Floats, float]:
         """Act at the end of frame `index`: particles (N,) bool that were clipped, energy [J] given.
@@ -149,17 +150,17 @@ class Reanchor:
         A state that is no longer finite is left as it is, for the guard to see.
         """
         none = np.zeros(len(solver.particles), bool)
-        if not self.acts or solver.not_finite()[1]:
+        if not self.acts or (now := solver.moment()).not_finite()[1]:
             return none, 0.0
-        pose = solver.particle_pose(index)
-        before = stored_energy(solver, pose.F)
+        before = stored_energy(solver, now, *strains(solver.gradients(now, index)))
         if self.alpha > 0.0:
             self._correct(solver)
-            pose = solver.particle_pose(index)
-        F, clipped = pose.F, none
-        if self.gradient is not None:
-            F, clipped = self._recompute(solver, pose)
-        return clipped, stored_energy(solver, F) - before
+            now = solver.moment()
+        if self.gradient is None:
+            after = strains(solver.gradients(now, index))
+            return none, stored_energy(solver, now, *after) - before
+        clipped, strain = self._recompute(solver, solver.pose_at(now, index))
+        return clipped, stored_energy(solver, now, *strain) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
         u = host.values(solver.arrays["u"]).astype(float).reshape(-1, 3)
@@ -168,13 +169,19 @@ class Reanchor:
         u += self.alpha * (mean - u)
         host.put(solver.arrays["u"], u.astype(solver.real).ravel())
 
-    def _recompute(self, solver: TotalLagrangian, pose: Pose) -> tuple[Floats, Floats]:
-        """F (N, 3, 3) anew, put where the kernels see it, and the particles that were clipped."""
+    def _recompute(
+        self, solver: TotalLagrangian, pose: Pose
+    ) -> tuple[Floats, tuple[Floats, Floats]]:
+        """Put F anew where the kernels see it: which particles were clipped, and its strains."""
         assert self.gradient is not None
         moved = pose.x - solver.particles.X - solver.offset
-        F = np.eye(3) + np.stack([D @ moved for D in self.gradient], -1)
-        clipped = np.zeros(len(F), bool)
-        if self.clamp is not None:
+        F = np.empty(pose.F.shape)
+        for axis, D in enumerate(self.gradient):
+            F[:, :, axis] = D @ moved
+        F += np.eye(3)
+        clipped, strain = np.zeros(len(F), bool), strains(F)
+        if self.clamp is not None and to_be_clipped(*strain, *self.clamp).any():
             F, clipped = clip_stretches(F, *self.clamp)
+            strain = strains(F)
         self.put(solver, F - (pose.F - self.F0.astype(float)))
-        return F, clipped
+        return clipped, strain

@@ -18,7 +18,7 @@ from gf_usd.encounters import Encounters
 from gf_usd.materials import G0
 from gf_usd.model import Floats, Frame, Material, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.physics import host, options, setup
-from gf_usd.physics.anchoring import anchor, node_motion
+from gf_usd.physics.anchoring import anchor
 from gf_usd.physics.approach import attend, watch
 from gf_usd.physics.bodies import fastest, start_velocity
 from gf_usd.physics.body import batch_particles
@@ -29,14 +29,15 @@ from gf_usd.physics.health import measure
 from gf_usd.physics.holds import Holder, held_by
 from gf_usd.physics.launch import Launches
 from gf_usd.physics.marching import Marcher, Passage
-from gf_usd.physics.meeting import CROWD, Meeting
+from gf_usd.physics.meeting import Meeting
+from gf_usd.physics.moment import Moment, given
 from gf_usd.physics.pair_layout import pack_arrays
 from gf_usd.physics.plain import single_particles
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
 from gf_usd.physics.shortcuts import Shortcuts
 from gf_usd.physics.stencil import Rows, build_stencil
-from gf_usd.physics.stiffening import stiffness, strained_step, wave_speed
+from gf_usd.physics.stiffening import strained_substeps
 from gf_usd.physics.stretches import strains
 from gf_usd.pins import Pin
 
@@ -127,6 +128,9 @@ class TotalLagrangian(Marcher):
         self.done = 0  # substeps since the start
         b = np.zeros((self.stencil.free_count, 3))
         self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
+        self.accelerated = bool(self.acceleration.any())
+        self._moment: Moment | None = None
+        self.attended: Any = None  # contact samples that the kernels look at, see `attend`
         plain = settings.device != "cpu" if plain is None else plain
         self.batches = single_particles(self.stencil) if plain else batch_particles(self.stencil)
         self.meeting = None
@@ -182,22 +186,14 @@ class TotalLagrangian(Marcher):
 
     def not_finite(self) -> tuple[int, str]:
         """See `Marcher`."""
-        u, v = self.state()
-        bad = ~(np.isfinite(u).all(1) & np.isfinite(v).all(1))
-        if not bad.any():
-            return -1, ""
-        gap = np.linalg.norm(self.particles.X - self.stencil.free_X[np.argmax(bad)], axis=1)
-        worst = int(gap.argmin())
-        return worst, (
-            f"{int(bad.sum())} of {len(u)} grid nodes are no longer finite, first near particle"
-            f" {worst} at rest position {self.particles.X[worst].round(4).tolist()} m"
-        )
+        return self.moment().not_finite()
 
     def advance(self, index: int, substeps: int) -> Passage:
         """Move by a frame; `index` is the frame that this leads to."""
         anchor(self, index)
         options.clear(self)
         near = watch(self, float(self.offset @ self.normal))
+        self._moment = None  # no room for it during the substeps of a large body
         if (passage := self.shortcuts.take(self, near, substeps)) is not None:
             return passage
         if self.meeting:
@@ -253,46 +249,51 @@ class TotalLagrangian(Marcher):
 
     def state(self) -> tuple[Floats, Floats]:
         """Displacement (without the offset) and velocity of the free nodes, (free, 3), float64."""
-        u, v = (host.values(self.arrays[name]).astype(float).reshape(-1, 3) for name in "uv")
-        return u[: self.stencil.free_count], v[: self.stencil.free_count]
+        now = self.moment()
+        return now.u, now.v
+
+    def moment(self) -> Moment:
+        """The present state, with what was found out about it so far."""
+        found = given(self)
+        if self._moment is None or not self._moment.stands(found):
+            self._moment = Moment(self, found)
+        return self._moment
 
     def read(self, index: int) -> Frame:
         """See `Marcher`."""
-        u, v = self.state()
-        particles, nodes = self.particle_pose(index), node_motion(self)
+        now = self.moment()
+        particles = self.pose_at(now, index)
         stretch, J = strains(particles.F)
-        self.strained = self._strained(stretch, J)
+        self.strained = strained_substeps(self, stretch, J)
         return Frame(
             index=index,
             time=self.time,
             particles=particles,
-            riders={n: self._pose(n, rows, nodes, index) for n, rows in self.riders.items()},
+            riders={
+                n: self._held(n, rows, pose(rows, *now.nodes, self.offset), index)
+                for n, rows in self.riders.items()
+            },
             stress=von_mises(self) if self.settings.stress else None,
-            health=measure(self, u, v, stretch, J),
+            health=measure(self, now, stretch, J),
         )
 
     def particle_pose(self, index: int) -> Pose:
         """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
-        return self._pose("", self.rows, node_motion(self), index)
+        return self.pose_at(self.moment(), index)
 
-    def _strained(self, stretch: Floats, J: Floats) -> int:
-        """Substeps a frame that the body as strained now asks for; none where they are given."""
-        if self.settings.substeps:
-            return 1
-        step = self.step
-        if self.meeting and self.meeting.imminent(self):
-            step = step.crowded(CROWD)
-        k = stiffness(self.law, stretch, J, self.per["signed_mu"], self.per["lam"])
-        nodes = self.stencil
-        speed = wave_speed(k, self.per["density"], nodes.order, nodes.cell_start)
-        dt = strained_step(step, speed, self.h, setup.per_cell(self.particles, self.h))
-        return int(np.ceil(self.frame_time / dt))
+    def pose_at(self, now: Moment, index: int) -> Pose:
+        """`particle_pose` of a state."""
+        free = replace(now.particles, F=self.reanchor.anchored(now.F))
+        return self._held("", self.rows, free, index)
 
-    def _pose(self, name: str, rows: Rows, nodes: tuple[Floats, Floats], index: int) -> Pose:
-        free = pose(rows, *nodes, self.offset)
-        if not name:
-            free = self.reanchor.anchored(free)
+    def gradients(self, now: Moment, index: int) -> Floats:
+        """F (N, 3, 3) of `pose_at`."""
+        if self.holder is None:
+            return self.reanchor.anchored(now.F)
+        return self.pose_at(now, index).F
+
+    def _held(self, name: str, rows: Rows, free: Pose, index: int) -> Pose:
         if self.holder is None:
             return free
-        held = self.held[name]
-        return self.holder.override(held, rows.X, free, index, self.frame_time, self.offset)
+        of, offset = self.held[name], self.offset
+        return self.holder.override(of, rows.X, free, index, self.frame_time, offset)

@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats
+from gf_usd.physics.meeting import CROWD
+from gf_usd.physics.setup import per_cell
 from gf_usd.physics.timestep import StableStep, grid_frequency
 
 if TYPE_CHECKING:
     from gf_usd.physics.laws import Law
+    from gf_usd.physics.solver import TotalLagrangian
 
 SMALLEST = 1e-3  # a stretch below this counts as this: the guard sees to what is flat
 
@@ -45,3 +48,17 @@ def strained_step(rest: StableStep, speed: float, h: float, per_cell: float) -> 
     elastic = grid_frequency(per_cell) * speed / h
     strained = replace(rest, elastic=max(elastic, rest.elastic))
     return strained.limit
+
+
+def strained_substeps(solver: TotalLagrangian, stretch: Floats, J: Floats) -> int:
+    """Substeps a frame that a body as strained now asks for; 1 where they are given."""
+    if solver.settings.substeps:
+        return 1
+    step = solver.step
+    if solver.meeting and solver.meeting.imminent(solver):
+        step = step.crowded(CROWD)
+    k = stiffness(solver.law, stretch, J, solver.per["signed_mu"], solver.per["lam"])
+    nodes = solver.stencil
+    speed = wave_speed(k, solver.per["density"], nodes.order, nodes.cell_start)
+    dt = strained_step(step, speed, solver.h, per_cell(solver.particles, solver.h))
+    return int(np.ceil(solver.frame_time / dt))

@@ -19,11 +19,16 @@ def singular_values(F: Floats) -> Floats:
     batched SVD and exact to about 1e-8 of the largest.
     """
     C = np.einsum("nba,nbc->nac", F, F)
-    q = np.trace(C, axis1=1, axis2=2) / 3.0
-    D = C - q[:, None, None] * np.eye(3)
-    p = np.sqrt(np.einsum("nab,nab->n", D, D) / 6.0)
-    safe = np.where(p > 0.0, p, 1.0)
-    angle = np.arccos(np.clip(np.linalg.det(D / safe[:, None, None]) / 2.0, -1.0, 1.0)) / 3.0
-    high = q + 2.0 * p * np.cos(angle)
-    low = q + 2.0 * p * np.cos(angle + 2.0 * np.pi / 3.0)
-    return np.sqrt(np.maximum(np.stack([low, 3.0 * q - high - low, high], -1), 0.0))
+    diagonal = C.reshape(-1, 9)[:, ::4]
+    q = (diagonal[:, 0] + diagonal[:, 1] + diagonal[:, 2]) / 3.0
+    diagonal -= q[:, None]
+    p = np.sqrt(np.einsum("nab,nab->n", C, C) / 6.0)
+    C /= np.where(p > 0.0, p, 1.0)[:, None, None]
+    cosine = np.linalg.det(C) / 2.0
+    angle = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0)) / 3.0
+    p *= 2.0
+    high = q + p * np.cos(angle)
+    low = q + p * np.cos(angle + 2.0 * np.pi / 3.0)
+    squares = np.empty((len(F), 3))
+    squares[:, 0], squares[:, 1], squares[:, 2] = low, 3.0 * q - high - low, high
+    return np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)

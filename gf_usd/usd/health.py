@@ -90,6 +90,7 @@ class HealthTrack:
     """
 
     def __init__(self, cache: Usd.Stage, path: Sdf.Path, units: StageUnits) -> None:
+        self._cache, self._layer = cache, None
         prim = cache.OverridePrim(path)
         prim.ApplyAPI(schema.HEALTH_API)
         sizes = _sizes(units)
@@ -97,11 +98,21 @@ class HealthTrack:
             (prim.CreateAttribute(PREFIX + name, kind, False), field, sizes[unit])
             for name, (kind, field, unit) in FRAME.items()
         ]
+        self._paths = [attribute.GetPath() for attribute, _, _ in self._rows]
 
     def write(self, health: Health, time_code: float) -> None:
         """Author one frame."""
-        for attribute, field, size in self._rows:
-            attribute.Set(_value(getattr(health, field), size), time_code)
+        layer = self._cache.GetEditTarget().GetLayer()
+        if layer != self._layer:
+            # Here the attributes get their specs, if they have none in this layer.
+            for attribute, field, size in self._rows:
+                attribute.Set(_value(getattr(health, field), size), time_code)
+            self._layer = layer
+            return
+        # A stage takes several times as long for a number, and there are two dozen of them.
+        with Sdf.ChangeBlock():
+            for path, (_, field, size) in zip(self._paths, self._rows):
+                layer.SetTimeSample(path, time_code, _value(getattr(health, field), size))
 
 
 def author_totals(

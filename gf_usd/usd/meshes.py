@@ -7,6 +7,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.errors import BakeError
 from gf_usd.model import Floats, MeshPose, Surface
+from gf_usd.rows import corners
 from gf_usd.usd.elements import hold_elements
 from gf_usd.usd.shading import CornerNormals
 from gf_usd.usd.space import Space
@@ -72,7 +73,7 @@ class MeshTrack:
         check(pose.velocities, expected, f"velocities of <{self.path}>", time_code)
         points = self.space.points(pose.points, time_code).astype(np.float32)
         velocities = self.space.velocities(pose.points, pose.velocities, time_code)
-        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        self.low, self.high = corners(points)
         extent = np.stack([self.low, self.high])
         self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
         self._extent.Set(Vt.Vec3fArray.FromNumpy(extent), time_code)
@@ -142,8 +143,9 @@ def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -
             f"{what} at time code {time_code:g} have shape {np.shape(values)}, not {shape}.",
             "this is a fault of the bake, not of the asset: please report it",
         )
-    bad = np.size(values) - int(np.isfinite(values).sum())
-    if bad:
+    finite = np.isfinite(values)
+    if not finite.all():
+        bad = int((~finite).sum())
         raise BakeError(
             f"{what} at time code {time_code:g} hold {bad} numbers that are not finite.",
             "the simulation went astray: try a smaller --spacing or a softer --material",

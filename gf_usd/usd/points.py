@@ -6,6 +6,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.model import Floats, Particles
+from gf_usd.rows import corners
 from gf_usd.usd.values import box, f32
 
 
@@ -43,5 +44,5 @@ class PointsTrack:
         self._points.Set(Vt.Vec3fArray.FromNumpy(single), time_code)
         self._velocities.Set(velocities, time_code)
         half = self._widths[:, None] * np.float32(0.5)
-        self.low, self.high = (single - half).min(axis=0), (single + half).max(axis=0)
+        self.low, self.high = corners(single - half)[0], corners(single + half)[1]
         self._extent.Set(box(self.low, self.high), time_code)

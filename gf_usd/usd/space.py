@@ -16,6 +16,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.errors import InputError
 from gf_usd.model import Floats
+from gf_usd.rows import lengths
 from gf_usd.usd.stage import Clock
 
 Matrix = NDArray[np.float64]
@@ -43,6 +44,7 @@ class Space:
         self._unit = meters_per_unit
         self.animated = _moves(prim)
         self._still = None if self.animated else self._inverse(clock.start)
+        self._forward = None if self._still is None else np.linalg.inv(self._still[:3, :3])
 
     def from_world(self, time_code: float) -> Matrix:
         """W (4, 4) at a time code of the bake, for row vectors in stage units.
@@ -75,9 +77,11 @@ class Space:
 
     def normals(self, n: Floats, time_code: float) -> Matrix:
         """World unit normals (k, 3) as local unit normals: covectors, n_l ~ n (W^-1)^T."""
-        forward = np.linalg.inv(self.from_world(time_code)[:3, :3])
+        forward = self._forward
+        if forward is None:
+            forward = np.linalg.inv(self.from_world(time_code)[:3, :3])
         local = np.asarray(n, np.float64) @ forward.T
-        length = np.linalg.norm(local, axis=1, keepdims=True)
+        length = lengths(local)[:, None]
         return np.divide(local, length, out=np.zeros_like(local), where=length > 0)
 
     def _inverse(self, time_code: float) -> Matrix:

@@ -8,6 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdVol, Vt
 
 from gf_usd.model import Floats, GaussianPose, Particles, Settings
+from gf_usd.rows import corners
 from gf_usd.units import StageUnits
 from gf_usd.usd.meshes import check
 from gf_usd.usd.precision import NUMBERS, QUATERNIONS, VECTORS, Track, halves_do
@@ -97,8 +98,8 @@ class SplatTrack:
             stress = np.asarray(pose.stress) / self._units.pressure
             self._stress.Set(Vt.FloatArray.FromNumpy(f32(stress)), time_code)
         reach = SUPPORT * np.sqrt(_variances(pose.orientations, scales))
-        self.low = (positions - reach).min(axis=0)
-        self.high = (positions + reach).max(axis=0)
+        self.low = corners(positions - reach)[0]
+        self.high = corners(positions + reach)[1]
         self._extent.Set(box(self.low, self.high), time_code)
 
     @property

@@ -65,11 +65,40 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
 def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     kernels = sys.modules["taichi.lang.kernel_impl"]
     asked: list[int] = []
-    inside = frontend._asked_of_files(lambda level: bool(asked.append(level)))
+    words = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    inside = frontend._asked_of_files(lambda level: bool(asked.append(level)), words)
+
+    class Here:
+        found = inside(2)  # from the body of a class to what is at its first line
+
+    assert Here.found
     assert not inside(0)
+    assert asked == []
+    unknown = frontend._asked_of_files(lambda level: bool(asked.append(level)), ())
+    assert not unknown(0)
     assert asked == [1], "this frame is of a file, one level further up for the one who looks"
     code = compile("found = inside(1)", "<nowhere>", "exec")
     exec(code, space := {"inside": inside})
     assert space["found"] is False
     assert asked == [1]
     assert kernels._inside_class.__name__ == "inside_class"
+
+
+def test_the_version_check_that_is_off_loads_nothing_that_talks_to_a_network() -> None:
+    code = "import sys; from gf_usd.runtime import import_taichi; import_taichi(); "
+    code += "print([m for m in ('ssl', 'taichi._version_check') if m in sys.modules])"
+
+    def loaded(switch: str) -> str:
+        environment = {**os.environ, "TI_SKIP_VERSION_CHECK": switch}
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.strip()
+
+    assert loaded("ON") == "[]"
+    # One who wants the check has it, as Taichi made it.
+    assert loaded("OFF") == "['ssl', 'taichi._version_check']"

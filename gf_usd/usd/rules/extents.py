@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from gf_usd.rows import corners
 from gf_usd.usd.rules.base import Finding, about, once, rule
 from gf_usd.usd.rules.read import (
     Array,
@@ -57,17 +58,17 @@ def _outside(
     prim: Usd.Prim, position: Usd.Attribute, box: Usd.Attribute
 ) -> Iterator[tuple[Usd.TimeCode, str]]:
     for time in times(position, box):
-        points, corners = vectors(position, time), vectors(box, time)
-        if points is None or corners is None or not len(points):
+        points, ends = vectors(position, time), vectors(box, time)
+        if points is None or ends is None or not len(points):
             continue
-        if len(corners) != 2:
-            yield time, f"has {len(corners)} corners instead of 2"
+        if len(ends) != 2:
+            yield time, f"has {len(ends)} corners instead of 2"
             continue
         radius = _radius(prim, time, len(points))
-        low, high = (points - radius).min(axis=0), (points + radius).max(axis=0)
+        low, high = corners(points - radius)[0], corners(points + radius)[1]
         # NaN is named by the rule ``finite``
         slack = ROUNDING * max(np.abs(low).max(), np.abs(high).max())
-        box_low, box_high = corners.astype(np.float64)
+        box_low, box_high = ends.astype(np.float64)
         out = np.maximum(box_low - low, high - box_high).max()
         if out > slack:
             yield time, f"leaves points up to {out:.3g} outside"

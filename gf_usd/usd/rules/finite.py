@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isfinite
 
 import numpy as np
 from pxr import Usd
 
 from gf_usd.usd.rules.base import Finding, about, once, rule
-from gf_usd.usd.rules.read import prims, samples
+from gf_usd.usd.rules.read import array_of, prims, times
 
 NAMES = frozenset(
     (
@@ -58,13 +59,17 @@ def finite(stage: Usd.Stage) -> Iterator[Finding]:
 
 
 def _problems(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
-    for time, array in samples(attribute):
+    for time in times(attribute):
+        value = attribute.Get(time)
+        if isinstance(value, float) and isfinite(value):
+            continue
+        array = array_of(value)
+        if array is None:
+            continue
         if array.dtype.kind != "f":
             return
-        # the sum is finite unless an element is not, or it overflows: cheap enough for every sample
-        with np.errstate(over="ignore", invalid="ignore"):
-            if np.isfinite(array.sum()):
-                continue
+        if np.isfinite(array).all():
+            continue
         elements = array.reshape(len(array), -1) if array.ndim > 1 else array.reshape(-1, 1)
         bad = np.flatnonzero(~np.isfinite(elements).all(axis=1))
         if len(bad):

@@ -22,11 +22,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdVol
 
+from gf_usd.rows import columns
 from gf_usd.usd.rules.base import Verdict, about, rule
 from gf_usd.usd.rules.read import authored, position_attribute, prims, vectors
 
@@ -45,11 +48,19 @@ FEWEST = 8
 # A window counts where this share of what moves in it is smooth.
 MAJORITY = 0.5
 WINDOW = 5
+MIDDLE = WINDOW // 2
 # A factor is wrong where windows of this share of the smooth places lie on its side of 1.
 AGREE = 0.9
 
 Vectors = NDArray[np.floating]
-Sample = tuple[float, Vectors, Vectors | None]
+
+
+class Sample(NamedTuple):
+    """Positions at one time."""
+
+    code: float
+    x: Vectors  # (3 n,) float64, by columns
+    rounding: float  # of the numbers as they were read, relative
 
 
 @dataclass
@@ -63,22 +74,24 @@ class Tally:
     weights: list[int] = field(default_factory=list)  # and its smooth places
 
     def add(self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float) -> None:
-        """Count the points of one window.
+        """Count the points of one window; v, v2 and v4 are (3, n).
 
         Nothing counts as moving below the speed ``floor``; positions that move at less than
         ``noise``, their rounding per sample, stand still.
         """
-        speed, said = np.linalg.norm(v4, axis=1), np.linalg.norm(v, axis=1)
+        squares = (v4 * v4).sum(0)
+        speed, said = np.sqrt(squares), np.sqrt((v * v).sum(0))
         moving = np.maximum(speed, said) > floor
-        smooth = moving & (np.linalg.norm(v2 - v4, axis=1) <= SMOOTH * np.maximum(speed, floor))
+        off = np.sqrt(((v2 - v4) ** 2).sum(0))
+        smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
         self.moving += int(moving.sum())
         if smooth.sum() < MAJORITY * moving.sum():
             return
         self.smooth += int(smooth.sum())
         self.frozen += int((smooth & (speed <= noise)).sum())
-        square = float((v4[smooth] ** 2).sum())
+        square = float(squares[smooth].sum())
         if square > 0.0:
-            self.factors.append(float((v[smooth] * v4[smooth]).sum()) / square)
+            self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
             self.weights.append(int(smooth.sum()))
 
     @property
@@ -151,46 +164,43 @@ def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> T
     tally = Tally()
     window: deque[Sample] = deque(maxlen=WINDOW)
     for code in position.GetTimeSamples():
-        time = Usd.TimeCode(code)
-        x = vectors(position, time)
-        if x is None or (window and len(window[-1][1]) != len(x)):
+        x = vectors(position, Usd.TimeCode(code))
+        if x is None or (window and len(window[-1].x) != x.size):
             window.clear()
         if x is None or not len(x):
             continue
-        window.append((code / rate, x, vectors(velocity, time)))
+        window.append(Sample(code, columns(x).astype(np.float64).ravel(), np.finfo(x.dtype).eps))
         if len(window) == WINDOW:
-            _judge(tally, window)
+            _judge(tally, window, vectors(velocity, Usd.TimeCode(window[MIDDLE].code)), rate)
     return tally
 
 
-def _judge(tally: Tally, window: deque[Sample]) -> None:
-    seconds = np.array([sample[0] for sample in window])
-    middle = WINDOW // 2
-    x, v = window[middle][1], window[middle][2]
-    if v is None or len(v) != len(x):
+def _judge(tally: Tally, window: deque[Sample], v: Vectors | None, rate: float) -> None:
+    codes, x = [sample.code for sample in window], window[MIDDLE].x.reshape(3, -1)
+    if v is None or len(v) != x.shape[1]:
         return
-    size = float(np.linalg.norm(np.ptp(x, axis=0)))
+    size = float(np.linalg.norm(x.max(1) - x.min(1)))
     reach = float(np.abs(x).max())
     if not np.isfinite(size + reach) or not np.isfinite(v).all():
         return
-    step = (seconds[-1] - seconds[0]) / (WINDOW - 1)
-    noise = 100.0 * np.finfo(x.dtype).eps * reach / step
-    inner = range(middle - 1, middle + 2)
-    v2 = _derivative(window, seconds, inner)
-    v4 = _derivative(window, seconds, range(WINDOW))
-    tally.add(v, v2, v4, max(STILL * size / step, noise), noise)
+    step = (codes[-1] - codes[0]) / (rate * (WINDOW - 1))
+    noise = 100.0 * window[MIDDLE].rounding * reach / step
+    weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
+    v2, v4 = (weights @ np.array([sample.x for sample in window])).reshape(2, 3, -1)
+    tally.add(columns(v), v2, v4, max(STILL * size / step, noise), noise)
 
 
-def _derivative(window: deque[Sample], seconds: Vectors, rows: range) -> Vectors:
-    """Derivative at the middle sample of the polynomial through the samples in ``rows``.
+@cache
+def _derivatives(offsets: tuple[float, ...]) -> Vectors:
+    """(2, WINDOW) weights of samples at these times from the middle one, for v2 and v4.
 
-    The weights w solve sum_k w_k (t_k - t)^n = [n = 1] for n below the number of samples.
+    A derivative at the middle is that of the polynomial through some of the samples: its weights w
+    solve sum_k w_k t_k^n = [n = 1] for n below their number.
     """
-    offset = seconds[list(rows)] - seconds[WINDOW // 2]
-    scale = float(np.abs(offset).max())
-    powers = np.vander(offset / scale, increasing=True).T
-    weights = np.linalg.solve(powers, np.eye(len(offset))[1]) / scale
-    total = np.zeros(window[0][1].shape)
-    for weight, row in zip(weights, rows):
-        total += weight * window[row][1]
-    return total
+    out = np.zeros((2, WINDOW))
+    for row, some in zip(out, (slice(MIDDLE - 1, MIDDLE + 2), slice(WINDOW))):
+        times = np.array(offsets[some])
+        scale = float(np.abs(times).max())
+        powers = np.vander(times / scale, increasing=True).T
+        row[some] = np.linalg.solve(powers, np.eye(len(times))[1]) / scale
+    return out

@@ -77,9 +77,11 @@ def _has_default(attribute: Usd.Attribute) -> bool:
 
 def numbers(attribute: Usd.Attribute | None, time: Usd.TimeCode) -> Array | None:
     """The value as an array of numbers, halves widened; None where it is no such thing."""
-    if attribute is None:
-        return None
-    value = attribute.Get(time)
+    return None if attribute is None else array_of(attribute.Get(time))
+
+
+def array_of(value: Any) -> Array | None:
+    """What an attribute returned as an array of numbers, as `numbers` does."""
     if value is None:
         return None
     if hasattr(value, "GetImaginary"):

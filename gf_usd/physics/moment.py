@@ -1,0 +1,115 @@
+"""One state of a Total Lagrangian body, and what several questions of a frame have in common.
+
+The shape correction wants the energy of a state before and after it, the report of the frame wants
+it again, and each of them where the nodes and particles are.  What was answered of a state once is
+kept for as long as the state stands: a small body spends more on such calls than on substeps.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.model import Floats, Pose
+from gf_usd.physics import host
+from gf_usd.physics.embedding import gradient
+
+if TYPE_CHECKING:
+    from gf_usd.physics.solver import TotalLagrangian
+
+Given = tuple[Floats, ...]
+
+
+def given(solver: TotalLagrangian) -> Given:
+    """Copies of all that a moment follows from: u, v, the offset, and with pins the constants."""
+    names = ("u", "v") if solver.holder is None else ("u", "v", "anchor", "anchor_rate")
+    return (*(host.values(solver.arrays[name]) for name in names), solver.offset.copy())
+
+
+class Moment:
+    """A solver's state as it stands.
+
+    u, v : (free, 3) [m], [m/s] of the free nodes, u without the offset; float64, not to be changed.
+    """
+
+    def __init__(self, solver: TotalLagrangian, given: Given) -> None:
+        self._solver, self._given = solver, given
+        free = solver.stencil.free_count
+        self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
+        self.u.flags.writeable = self.v.flags.writeable = False
+
+    def stands(self, given: Given) -> bool:
+        """Whether it is still the state; never where something is no number."""
+        return all((then == now).all() for then, now in zip(self._given, given))
+
+    def not_finite(self) -> tuple[int, str]:
+        """The particle nearest to what is no number, and the fault; (-1, "") where all is sound."""
+        if np.isfinite(self.u).all() and np.isfinite(self.v).all():
+            return -1, ""
+        bad = ~(np.isfinite(self.u).all(1) & np.isfinite(self.v).all(1))
+        X, nodes = self._solver.particles.X, self._solver.stencil.free_X
+        worst = int(np.linalg.norm(X - nodes[np.argmax(bad)], axis=1).argmin())
+        return worst, (
+            f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, first near"
+            f" particle {worst} at rest position {X[worst].round(4).tolist()} m"
+        )
+
+    @property
+    def constants(self) -> tuple[Floats, Floats]:
+        """c (followers, 3) [m] of held nodes, and its rate [m/s]."""
+        nodes = self._solver.stencil
+        count = nodes.node_count - nodes.free_count
+        c, rate = (a.astype(float).reshape(-1, 3)[:count] for a in self._given[2:4])
+        return c, rate
+
+    @cached_property
+    def nodes(self) -> tuple[Floats, Floats]:
+        """u and v as `Rows` stack them: with pins, the followers' constants too."""
+        if self._solver.holder is None:
+            return self.u, self.v
+        c, rate = self.constants
+        return np.concatenate([self.u, c]), np.concatenate([self.v, rate])
+
+    @cached_property
+    def x(self) -> Floats:
+        """(free, 3) [m] where the free nodes are."""
+        return self._solver.stencil.free_X + self._given[-1] + self.u
+
+    @cached_property
+    def F(self) -> Floats:
+        """(N, 3, 3) I + G u of the particles."""
+        return gradient(self._solver.rows, self.nodes[0])
+
+    @cached_property
+    def particles(self) -> Pose:
+        """Where the particles are, but for what holds them."""
+        rows, (u, v) = self._solver.rows, self.nodes
+        return Pose(x=rows.X + self._given[-1] + rows.W @ u, v=rows.W @ v, F=self.F)
+
+    @cached_property
+    def potential(self) -> float:
+        """-sum_i m_i x_i . (g + b) [J], heights over the floor."""
+        solver = self._solver
+        s, m = solver.settings, solver.stencil.mass
+        datum = s.floor if s.floor is not None else 0.0
+        height = self.x - datum * np.asarray(s.up)
+        work = height @ np.asarray(s.gravity)
+        if solver.accelerated:
+            work = work + (self.x * solver.acceleration).sum(1)
+        return float(-(m @ work))
+
+    @cached_property
+    def contact(self) -> float:
+        """sum_s k d^2 / 2 [J] stored in the floor's springs."""
+        solver = self._solver
+        if solver.contact is None or solver.settings.floor is None:
+            return 0.0
+        rows = solver.contact.rows
+        x = rows.X + self._given[-1] + rows.W @ self.u
+        if solver.contact.constants is not None:
+            x = x + solver.contact.constants @ self.constants[0]
+        height = x @ solver.normal - solver.settings.floor
+        depth = np.maximum(0.0, -height)
+        return float(0.5 * solver.contact.stiffness @ depth**2)

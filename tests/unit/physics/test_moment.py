@@ -1,0 +1,56 @@
+"""What is kept of a state is kept only as long as the state stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.physics import host
+from gf_usd.physics.solver import TotalLagrangian
+
+
+@pytest.fixture
+def solver():
+    particles, _ = ball(120)
+    return TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+
+
+def test_the_same_state_is_one_moment(solver):
+    assert solver.moment() is solver.moment()
+
+
+@pytest.mark.parametrize("name", ["u", "v"])
+def test_another_state_is_another_moment(solver, name):
+    before = solver.moment()
+    _ = before.particles, before.potential
+    changed = host.values(solver.arrays[name])
+    changed[1::3] += 0.5
+    host.put(solver.arrays[name], changed)
+    after = solver.moment()
+    moved, faster = (0.5, 0.0) if name == "u" else (0.0, 0.5)
+    # Single precision of the state, and weights that add up to 1.
+    for was, now, by in (
+        (before.particles.x, after.particles.x, moved),
+        (before.particles.v, after.particles.v, faster),
+    ):
+        np.testing.assert_allclose(now - was, np.tile([0.0, by, 0.0], (len(was), 1)), atol=1e-6)
+
+
+def test_the_offset_is_part_of_it(solver):
+    before = solver.moment()
+    solver.offset = solver.offset + [0.0, 2.0, 0.0]
+    np.testing.assert_allclose(solver.moment().x - before.x, [[0.0, 2.0, 0.0]] * len(before.x))
+
+
+def test_a_state_that_is_no_number_is_never_the_same(solver):
+    bad = host.values(solver.arrays["u"])
+    bad[0] = np.nan
+    host.put(solver.arrays["u"], bad)
+    assert solver.moment() is not solver.moment()
+    assert "no longer finite" in solver.not_finite()[1]
+
+
+def test_what_is_handed_out_cannot_be_changed(solver):
+    with pytest.raises(ValueError, match="read-only"):
+        solver.state()[0][0] = 1.0
