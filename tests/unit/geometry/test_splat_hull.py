@@ -126,6 +126,21 @@ def test_what_is_open_below_is_closed_flat():
     assert volume(surface) == pytest.approx(np.pi * 0.4**2 * 0.9, rel=3 * cell / 0.4)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+@pytest.mark.parametrize("level", [0.35, 0.45])
+def test_a_missing_side_is_closed_flat(axis, end, level):
+    """A ball that stood on a table, or of which no camera saw one side."""
+    rest = ball(5000)
+    kept = np.flatnonzero(end * rest.positions[:, axis] < level)
+    surface, notes = hull(rest.take(kept), up=1)
+    high = 0.5 - level
+    cap = np.pi * high**2 * (1.5 - high) / 3.0
+    # from flat to the whole ball, and half a cell of an area of 3.1 all around, as above
+    assert BALL - cap - 3 * NEAR < volume(surface) < BALL * (1 + 3 * NEAR / 0.5)
+    assert any("a side of it is missing and is closed flat" in note for note in notes)
+
+
 def test_what_is_no_part_of_the_body_is_set_aside():
     rest = ball(2000)
     far = replace(rest.take(np.arange(3)), positions=np.array([[9, 0, 0], [0, 9, 0], [0, 0, -9.0]]))
