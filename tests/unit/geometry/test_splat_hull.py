@@ -10,6 +10,7 @@ import pytest
 
 from gf_usd.colour import srgb_to_linear
 from gf_usd.errors import InputError
+from gf_usd.geometry import splat_field
 from gf_usd.geometry.diagnosis import diagnose
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.splat_field import RESOLUTION
@@ -179,6 +180,22 @@ def test_an_asset_gets_one_for_each_capture():
     assert off(asset.surfaces[1]).max() < 2 * NEAR
     assert [n.split(":")[0] for n in asset.facts.notes] == ["/ball", "/other"]
     assert build_solid(asset).volume == pytest.approx(BALL, rel=0.1)
+
+
+def test_cells_grow_where_too_many_would_be_looked_at(monkeypatch):
+    rest = ball(800)
+    few = 2_000_000
+    monkeypatch.setattr(splat_field, "PAIRS", few)
+    grid, rho = splat_field.field(rest.points, rest.axes, rest.opacities, 0.03)
+    assert grid.h > 1.0 / RESOLUTION
+    longest = rest.scales.max()
+    reach = np.ceil(splat_field.REACH * np.hypot(longest, 0.5 * grid.h) / grid.h)
+    assert 800 * (2 * reach + 1) ** 3 <= few
+    assert rho.shape == grid.shape
+    surface, _ = hull(rest, up=1)
+    assert volume(surface) == pytest.approx(
+        BALL, rel=3 * 0.5 * grid.h / 0.5
+    )  # half a cell, as above
 
 
 def test_too_few_are_refused():
