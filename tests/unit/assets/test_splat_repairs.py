@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -45,3 +46,25 @@ def test_coefficients_that_half_precision_cannot_hold_are_clipped_and_told(tmp_p
     assert said in asset.facts.notes
     harmonics[4, 2, 1] = 0.0
     np.testing.assert_array_equal(np.where(np.abs(held) < BRIGHTEST, held, 0.0), harmonics)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("scale_1", 200.0, "1 of 20 Gaussians are not finite: left out"),
+        ("scale_1", -200.0, "1 of 20 Gaussians have a scale of 0 or less: left out"),
+        ("x", 3e38, "1 of 20 Gaussians are not finite: left out"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_what_single_precision_cannot_hold_is_left_out_and_told(tmp_path, column, value, said):
+    """USD holds floats, and an extent of three standard deviations around them."""
+    data = bytearray(ply_bytes(ball(20)))
+    start = data.index(b"end_header\n") + 11
+    names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1"]
+    struct.pack_into("<f", data, start + 5 * 4 * 14 + 4 * names.index(column), value)
+    path = tmp_path / "ball.ply"
+    path.write_bytes(data)
+    asset = read_asset(path)
+    assert len(asset.splats[0]) == 19
+    assert said in asset.facts.notes
