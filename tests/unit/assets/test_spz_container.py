@@ -72,6 +72,10 @@ HUGE = gzip.compress(struct.pack("<IIIBBBB", MAGIC, 3, 2**32 - 1, 3, 12, 0, 0) +
         (streamed(spz_bytes(ball(60)), size=2**32 - 1), "take 85899345900 bytes, and .* not there"),
         (HUGE, "4294967295 Gaussians of degree 3 take 279172874175 bytes, which .* cannot hold"),
     ],
+    ids=[
+        *("header", "table", "fewer", "cut", "stream", "version", "gzip", "none", "degree", "many"),
+        "huge",
+    ],
 )
 def test_what_is_refused(tmp_path, data, message):
     with pytest.raises(InputError, match=message):
