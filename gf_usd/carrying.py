@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gf_usd.colour import linear_to_srgb
 from gf_usd.harmonics import Y_0
@@ -19,7 +20,13 @@ if TYPE_CHECKING:
     from gf_usd.checkpoint import Checkpoint
     from gf_usd.physics.carried import CarriedSplats
     from gf_usd.plan import Plan
+    from gf_usd.splat_sequence import SplatSequence
     from gf_usd.usd.space import Space
+
+# From the world to axes whose Y is up, for column vectors, by the world's up axis.
+UPRIGHT = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
+OWN, WORLD, STOOD = "own", "world", "stood"  # spaces of exported files; STOOD: world with Y up
+SAYS_UP = "spz"  # the files that say that Y is up
 
 TINY = 1e-12  # [stage units] a flattened particle still has a logarithm of its scale
 
@@ -37,10 +44,12 @@ class Carrier:
         self._unit = plan.asset.facts.units.length
         self._tracks: dict[str, CarriedSplats] = {}
         self._spaces: dict[str, Space] = {}
-        self._world: dict[str, CarriedSplats] = {}
+        self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[plan.asset.facts.up_axis]}
+        # The same Gaussians in spaces of files that are not their prims'.
+        self._elsewhere: dict[str, dict[str, CarriedSplats]] = {}
         self._riders: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
-        self._in_world: dict[str, SplatPose] = {}
+        self._there: dict[str, dict[str, SplatPose]] = {}
         if since is None:
             clear(self._files)
         ridden = [s for s in plan.asset.surfaces if s.path in plan.points]
@@ -57,8 +66,8 @@ class Carrier:
             prim = self._source.GetPrimAtPath(path)
             self._tracks[path] = CarriedSplats(splats)
             self._spaces[path] = Space(prim, time, self._unit)
-            if self._files and len(carried) > 1:
-                self._world[path] = CarriedSplats(splats)
+        for kind in sorted({self._space_of(one) for one in self._files} - {OWN}):
+            self._elsewhere[kind] = {path: CarriedSplats(splats) for path, splats in carried}
         if since:
             for name, track in self._named():
                 kept = since.track.items()
@@ -71,7 +80,11 @@ class Carrier:
 
     def _named(self) -> list[tuple[str, CarriedSplats]]:
         own = [(f"carried{k}_", one) for k, one in enumerate(self._tracks.values())]
-        return own + [(f"world{k}_", one) for k, one in enumerate(self._world.values())]
+        return own + [
+            (f"{kind}{k}_", one)
+            for kind, tracks in self._elsewhere.items()
+            for k, one in enumerate(tracks.values())
+        ]
 
     def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""
@@ -79,8 +92,9 @@ class Carrier:
         for path, track in self._tracks.items():
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
             self._now[path] = track.advance(riders[path], np.asarray(to_local))
-        for path, track in self._world.items():
-            self._in_world[path] = track.advance(riders[path], np.eye(3) / self._unit)
+        for kind, tracks in self._elsewhere.items():
+            to_there = self._turns[kind] / self._unit
+            self._there[kind] = {p: one.advance(riders[p], to_there) for p, one in tracks.items()}
         return dict(self._now)
 
     def held(self, frame: BakedFrame) -> BakedFrame:
@@ -94,30 +108,50 @@ class Carrier:
 
         One set of captured Gaussians stays in the space of its prim, which is that of the file
         where it came from one.  Several stand in the world, in stage units; so do the particles of
-        an asset that has none.
+        an asset that has none.  SPZ says that Y is up: there all stand in the world, with Y up.
         """
-        if not self._files:
-            return
-        if self._world:
-            sets = []
-            for path, pose in self._in_world.items():
-                at = np.asarray(pose.positions) / self._unit
-                sets.append(posed(self._world[path].splats, pose, at))
-            splats = joined(sets)
-        elif self._tracks:
+        made: dict[str, Splats] = {}
+        for sequence in self._files:
+            kind = self._space_of(sequence)
+            if kind not in made:
+                made[kind] = self._in(kind, frame)
+            sequence.write(made[kind], number)
+
+    def _space_of(self, sequence: SplatSequence) -> str:
+        """OWN, WORLD or STOOD."""
+        single = len(self._spaces) == 1
+        if sequence.suffix != SAYS_UP:
+            return OWN if single else WORLD
+        if single:
+            ((_, space),) = self._spaces.items()
+            stood = np.eye(4)
+            stood[:3, :3] = self._turns[STOOD].T
+            if not space.animated and np.allclose(space.from_world(0.0), stood, rtol=0, atol=1e-12):
+                return OWN
+        return STOOD
+
+    def _in(self, kind: str, frame: BakedFrame) -> Splats:
+        """What was asked for last, in one of the spaces of files."""
+        if kind == OWN:
             ((path, pose),) = self._now.items()
             at = self._spaces[path].points(pose.positions, frame.time_code)
-            splats = posed(self._tracks[path].splats, pose, at)
-        else:
-            splats = self._flesh(frame)
-        for sequence in self._files:
-            sequence.write(splats, number)
+            return posed(self._tracks[path].splats, pose, at)
+        turn = self._turns[kind]
+        if not self._tracks:
+            return self._flesh(frame, turn)
+        sets = []
+        for path, pose in self._there[kind].items():
+            at = np.asarray(pose.positions) / self._unit @ turn.T
+            sets.append(posed(self._elsewhere[kind][path].splats, pose, at))
+        return joined(sets)
 
-    def _flesh(self, frame: BakedFrame) -> Splats:
+    def _flesh(self, frame: BakedFrame, turn: Floats) -> Splats:
         p: Particles = self._plan.particles
+        quaternions = np.asarray(frame.gaussians.orientations, float)
+        turned = Rotation.from_matrix(turn) * Rotation.from_quat(quaternions[:, [1, 2, 3, 0]])
         return Splats(
-            positions=np.asarray(frame.gaussians.positions) / self._unit,
-            orientations=frame.gaussians.orientations,
+            positions=np.asarray(frame.gaussians.positions) / self._unit @ turn.T,
+            orientations=turned.as_quat()[:, [3, 0, 1, 2]],
             scales=np.maximum(np.asarray(frame.gaussians.scales) / self._unit, TINY),
             opacities=p.opacity,
             harmonics=((linear_to_srgb(p.colour) - 0.5) / Y_0)[:, None, :],

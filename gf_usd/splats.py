@@ -23,6 +23,9 @@ from gf_usd.harmonics import DEGREE, Y_0
 from gf_usd.model import Floats, Ints
 from gf_usd.scene import gaussian_axes
 
+LARGEST = 1e31  # of any number: single precision still holds a box around it
+BRIGHTEST = 1e4  # a coefficient is held to this: turned ones are written in half precision
+
 
 @dataclass(frozen=True, kw_only=True)
 class Splats:
@@ -106,8 +109,9 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
     norm = np.linalg.norm(np.asarray(splats.orientations, float), axis=1)
     finite = np.isfinite(norm) & np.isfinite(splats.opacities)
     for values in (splats.positions, splats.scales, splats.harmonics):
-        finite &= np.isfinite(values).reshape(len(splats), -1).all(axis=1)
-    sized = (np.asarray(splats.scales) > 0.0).all(axis=1)
+        held = np.abs(np.asarray(values, float)) <= LARGEST  # and is a number
+        finite &= held.all(axis=tuple(range(1, np.ndim(values))))
+    sized = (np.asarray(splats.scales) >= np.finfo(np.float32).tiny).all(axis=1)
     lost, flat = int((~finite).sum()), int((finite & ~sized).sum())
     if lost:
         note(f"{lost} of {len(splats)} Gaussians are not finite: left out")
@@ -131,12 +135,18 @@ def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
     most = (DEGREE + 1) ** 2
     if count > most:
         note(f"spherical harmonics above degree {DEGREE} are left out")
+    harmonics = splats.harmonics[:, :most]
+    bright = keep[:, None, None] & (np.abs(harmonics) > BRIGHTEST)
+    if bright.any():
+        many = int(bright.sum())
+        note(f"{many} spherical harmonics coefficients are beyond {BRIGHTEST:g}: clipped")
+        harmonics = np.clip(harmonics, -BRIGHTEST, BRIGHTEST)
     sound = Splats(
         positions=splats.positions,
         orientations=unit,
         scales=splats.scales,
         opacities=np.clip(splats.opacities, 0.0, 1.0),
-        harmonics=splats.harmonics[:, :most],
+        harmonics=harmonics,
         path=splats.path,
         to_world=splats.to_world,
         half=splats.half,

@@ -3,8 +3,9 @@
     python tools/bench_splats.py [--splats 150000] [--degree 3] [--frames 120]
 
 The capture is made here: discs on a wavy hollow ball, with random harmonics.  Printed are CPU and
-wall-clock seconds of the whole bake, the size of the cache, and the memory of the process that is
-no mapped file: its largest value, and its growth from the first tenth of the frames to the end.
+wall-clock seconds of the whole bake, the size of the cache with its clips, and the memory of the
+process that is no mapped file: its largest value, and its growth from the first tenth of the frames
+to the end.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def main() -> None:
             progress=lambda done, total: used.append(anonymous()),
         )
         wall, cpu = time.perf_counter() - began, time.process_time() - cpu
-        size = result.cache.stat().st_size
+        files = [result.cache, *(clip for bake in result.bakes for clip in bake.clips)]
+        size = sum(path.stat().st_size for path in files)
     early = max(used[: max(1, len(used) // 10)])
     print(
         f"{options.splats} Gaussians of degree {options.degree}, {result.frames} frames,"

@@ -20,6 +20,7 @@ from gf_usd.assets.trimesh_load import load_meshes
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints
 
+GAUSSIANS = "KHR_gaussian_splatting"
 TRIANGLES, STRIP = 4, 5
 # what a whole number stands for where its accessor is normalised: componentType -> largest
 WHOLE = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
@@ -51,6 +52,11 @@ def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive
         for p, primitive in enumerate(mesh.get("primitives", []))
         if _is_surface(primitive, m, notes)
     ]
+    if not rows and GAUSSIANS in gltf.tree.get("extensionsUsed", []):
+        raise InputError(
+            f"{gltf.path}: it holds Gaussians ({GAUSSIANS}), which are not read out of glTF",
+            "export them as PLY, SPZ or USD",
+        )
     if not rows:
         raise InputError(f"{gltf.path}: there is no mesh in it", "give a file with a mesh in it")
     tree = {

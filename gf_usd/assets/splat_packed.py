@@ -58,7 +58,7 @@ def unpack(path: Path, tables: dict[str, Table]) -> Splats:
     degree, rest = _rest(path, tables.get("sh", {}), count)
     harmonics = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     harmonics[:, 0] = (base - 0.5) / Y_0
-    harmonics[:, 1:] = np.swapaxes(rest.reshape(count, 3, -1), 1, 2)
+    harmonics[:, 1:] = rest.reshape(count, 3, (degree + 1) ** 2 - 1).swapaxes(1, 2)
     return Splats(
         positions=positions.astype(np.float32),
         orientations=_rotations(words["rotation"]),

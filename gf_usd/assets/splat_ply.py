@@ -59,7 +59,7 @@ def read_splat_ply(path: Path) -> Splats:
     harmonics = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     harmonics[:, 0] = _stack(vertex, ["f_dc_0", "f_dc_1", "f_dc_2"])
     if degree:
-        harmonics[:, 1:] = np.swapaxes(_stack(vertex, rest).reshape(count, 3, -1), 1, 2)
+        harmonics[:, 1:] = _stack(vertex, rest).reshape(count, 3, len(rest) // 3).swapaxes(1, 2)
     with np.errstate(over="ignore"):
         scales = np.exp(_stack(vertex, ["scale_0", "scale_1", "scale_2"]).astype(np.float64))
     return Splats(

@@ -1,12 +1,11 @@
-"""SPZ files (Niantic), versions 1 to 3: a gzip stream of 16 bytes of header and one block for each
-attribute.
+"""SPZ files (Niantic), versions 1 to 4: a block for each attribute; `spz_container` finds them.
 
     positions   3 signed 24-bit numbers, over 2^fractionalBits (half floats in version 1)
     alphas      a byte, over 255
     colors      3 bytes: f_dc = (b / 255 - 1/2) / 0.15
     scales      3 bytes: exp(b / 16 - 10)
-    rotations   x, y, z as bytes b / 127.5 - 1, w >= 0 (versions 1 and 2); in version 3 a word with
-                the index of the largest of (x, y, z, w) and the others as sign and 9 bits of
+    rotations   x, y, z as bytes b / 127.5 - 1, w >= 0 (versions 1 and 2); from version 3 on a word
+                with the index of the largest of (x, y, z, w) and the others as sign and 9 bits of
                 |q| sqrt(2)
     sh          a byte for each coefficient and colour: (b - 128) / 128, colours together
 
@@ -15,23 +14,15 @@ The axes are right, up, back: Y is up.
 
 from __future__ import annotations
 
-import gzip
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.assets.mesh_data import REPAIR, refuse_pointer
-from gf_usd.errors import InputError
+from gf_usd.assets.mesh_data import refuse_pointer
+from gf_usd.assets.spz_container import read_blocks
 from gf_usd.splats import Splats
 
-MAGIC = 0x5053474E
-GZIP = b"\x1f\x8b"
-VERSIONS = (1, 2, 3)
-DEGREES = 4
-EXTENSIONS = 0x2
 COLOUR = 0.15
 
 
@@ -42,85 +33,18 @@ def read_spz(path: Path) -> Splats:
     """
     data = path.read_bytes()
     refuse_pointer(path, data)
-    stream = _inflate(path, data)
-    if len(stream) < 16:
-        raise InputError(f"{path} ends within its header", REPAIR)
-    magic, version, count, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", stream)
-    if magic != MAGIC:
-        raise InputError(
-            f"{path} is not an SPZ file: it begins with 0x{magic:08x}, not 0x{MAGIC:08x}",
-            "check what the file really is",
-        )
-    _require(path, version, degree, bits, flags)
-    widths = (
-        6 if version == 1 else 9,
-        1,
-        3,
-        3,
-        4 if version == 3 else 3,
-        3 * degree * (degree + 2),
-    )
-    need = 16 + count * sum(widths)
-    if len(stream) < need or not count:
-        raise InputError(
-            f"{path}: {count} Gaussians of degree {degree} take {need} bytes, it holds "
-            f"{len(stream)}",
-            "it was cut off or altered, or holds nothing: " + REPAIR,
-        )
-    blocks, at = [], 16
-    for width in widths:
-        block = np.frombuffer(stream, np.uint8, count * width, at)
-        blocks.append(block.reshape(count, width))
-        at += count * width
+    header, blocks = read_blocks(path, data)
     places, alphas, colours, scales, rotations, rest = blocks
-    harmonics = np.empty((count, (degree + 1) ** 2, 3), np.float32)
+    turns = smallest_three if header.version >= 3 else _first_three
+    harmonics = np.empty((header.count, (header.degree + 1) ** 2, 3), np.float32)
     harmonics[:, 0] = (colours / 255.0 - 0.5) / COLOUR
-    harmonics[:, 1:] = ((rest - 128.0) / 128.0).reshape(count, -1, 3)
+    harmonics[:, 1:] = ((rest - 128.0) / 128.0).reshape(header.count, -1, 3)
     return Splats(
-        positions=_positions(places, version, bits),
-        orientations=smallest_three(rotations) if version == 3 else _first_three(rotations),
+        positions=_positions(places, header.version, header.bits),
+        orientations=turns(rotations),
         scales=np.exp(scales / 16.0 - 10.0),
         opacities=alphas[:, 0] / 255.0,
         harmonics=harmonics,
-    )
-
-
-def _inflate(path: Path, data: bytes) -> bytes:
-    """The stream inside the gzip file."""
-    if data[:4] == struct.pack("<I", MAGIC):
-        version = struct.unpack_from("<I", data, 4)[0] if len(data) >= 8 else 0
-        raise _unknown_version(path, version)
-    if not data.startswith(GZIP):
-        raise InputError(
-            f"{path} is not an SPZ file: it is not compressed with gzip",
-            "check what the file really is",
-        )
-    try:
-        return gzip.decompress(data)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path} is damaged: {error}", REPAIR) from error
-
-
-def _require(path: Path, version: int, degree: int, bits: int, flags: int) -> None:
-    if version not in VERSIONS:
-        raise _unknown_version(path, version)
-    if degree > DEGREES or bits > 31:
-        raise InputError(
-            f"{path}: its header names degree {degree} (at most {DEGREES}) and {bits} fractional "
-            "bits (at most 31)",
-            REPAIR,
-        )
-    if flags & EXTENSIONS:
-        raise InputError(
-            f"{path} has vendor extensions, which may change what its numbers mean",
-            "export it without extensions, or as PLY",
-        )
-
-
-def _unknown_version(path: Path, version: int) -> InputError:
-    return InputError(
-        f"{path} is SPZ version {version}; versions 1 to 3 are read",
-        "write it as PLY, or as SPZ version 3, for example with splat-transform",
     )
 
 

@@ -10,8 +10,10 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_implicit import IMPLICIT, tessellate
+from gf_usd.assets.usd_particles import SPLAT_TYPE, is_ours
 from gf_usd.assets.usd_place import LeftAlone, Placement
 from gf_usd.assets.usd_skel import Skins
+from gf_usd.framing import to_frame
 from gf_usd.scene import Bounds
 
 Floats = NDArray[np.float64]
@@ -86,9 +88,25 @@ def _world_points(
         values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
         if values is not None and len(values):
             local = np.asarray(values, dtype=np.float64).reshape(-1, 3)
+            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_ours(prim):
+                local = local[_of_the_object(prim, time, local)]
             reach = _reach(prim, time)
             return np.concatenate([place.points(local - reach), place.points(local + reach)])
     return np.zeros((0, 3))
+
+
+def _of_the_object(prim: Usd.Prim, time: Usd.TimeCode, local: Floats) -> NDArray[np.bool_]:
+    """(n,) which captured Gaussians at local (n, 3) are no strays."""
+    opacities = np.ones(len(local))
+    for name in ("opacities", "opacitiesh"):
+        values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
+        if values is not None and len(values) == len(local):
+            opacities = np.asarray(values, dtype=np.float64)
+            break
+    finite = np.isfinite(local).all(axis=1)
+    out = np.zeros(len(local), bool)
+    out[finite] = to_frame(local[finite], opacities[finite])
+    return out
 
 
 def _reach(prim: Usd.Prim, time: Usd.TimeCode) -> float:

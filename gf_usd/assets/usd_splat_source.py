@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.splat_ply import holds_splats
 from gf_usd.assets.usd_source import Folder, MeshSource, record_of
@@ -35,7 +37,8 @@ def read_splat_file(path: Path, notes: Notes) -> Splats:
     """
     module, function = PARSERS[path.suffix.lower()][1].split(":")
     try:
-        splats: Splats = getattr(import_module(module), function)(path)
+        with np.errstate(over="ignore", invalid="ignore"):  # `tidy` counts what comes of it
+            splats: Splats = getattr(import_module(module), function)(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of the file"

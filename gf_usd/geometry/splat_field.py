@@ -28,6 +28,7 @@ CHUNK = 4_000_000  # of them at once: bounds memory
 PER_SPACING = 4.0  # cells between neighbours, at most
 BRIDGES = (1.5, 3.0, 5.0, 8.0)  # [cells]
 CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells]
+PATCHED = 2.0  # [cells] where none of them closes it: a side is missing, and that is closed flat
 LEAK = 0.05  # share of the solid that may lie open and yet be blocked on all six sides
 BLUR = 1.0  # [cells] takes the steps off
 OUTER = 0.1  # share of the centres that end up outside
@@ -54,6 +55,7 @@ class Region:
     distance: NDArray[np.float64]  # [cells] positive inside, 0 on the surface
     closing: float  # [m] gaps up to twice this were closed
     capped: bool  # it was open below and was closed flat
+    flat: bool  # a side was missing, and it was closed flat there
 
 
 def field(
@@ -101,23 +103,19 @@ def field(
 
 def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     """The region that Gaussians around points (n, 3) [m] bound; up is the index of the up axis."""
-    solid = rho >= LEVEL
-    away = _distance(~solid)
-    best: tuple[float, float, NDArray[np.bool_]] | None = None
+    away = _distance(rho < LEVEL)
+    flat = False
     for closing in CLOSINGS:
         wall = away <= closing
         filled = _filled(wall)
-        leak = float((~filled & _blocked(wall, range(6))).sum() / filled.sum())
-        if best is None or leak < best[0]:
-            best = (leak, closing, filled)
-        if leak <= LEAK:
+        if (~filled & (_sides(wall) == 6)).sum() <= LEAK * filled.sum():
             break
-    assert best is not None
-    leak, closing, filled = best
-    wall = away <= closing
-    if leak > LEAK:
-        filled |= _blocked(wall, range(6))
-    covered = filled | _blocked(wall, [side for side in range(6) if side != 2 * up])
+    else:
+        closing, flat = PATCHED, True
+        wall = away <= closing
+        filled = _filled(wall) | (_sides(wall) >= 5)
+    above = np.logical_and.reduce([_blocked(wall, side) for side in range(6) if side != 2 * up])
+    covered = filled | above
     capped = bool(covered.sum() > 2 * filled.sum())
     if capped:
         filled = covered
@@ -126,7 +124,9 @@ def enclose(grid: Grid, rho: Floats, points: Floats, up: int) -> Region:
     at = ndimage.map_coordinates(smooth, grid.cells(points).T, order=1)
     # a surface that ate the whole body would be none: stay below the deepest cell
     level = min(float(np.quantile(at, OUTER)), 0.5 * float(smooth.max()))
-    return Region(grid=grid, distance=smooth - level, closing=closing * grid.h, capped=capped)
+    return Region(
+        grid=grid, distance=smooth - level, closing=closing * grid.h, capped=capped, flat=flat
+    )
 
 
 def islands(rho: Floats, cells: tuple[Ints, ...]) -> NDArray[np.int64]:
@@ -159,12 +159,17 @@ def _distance(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.asarray(ndimage.distance_transform_edt(mask), float)
 
 
-def _blocked(wall: NDArray[np.bool_], sides: range | list[int]) -> NDArray[np.bool_]:
-    """Cells that see the wall along each of the sides -x, +x, -y, +y, -z, +z (0 to 5)."""
-    out = np.ones_like(wall)
-    for side in sides:
-        axis, ahead = divmod(side, 2)
-        seen = np.flip(wall, axis) if ahead else wall
-        seen = np.logical_or.accumulate(seen, axis=axis)
-        out &= np.flip(seen, axis) if ahead else seen
+def _sides(wall: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Along how many of the six sides each cell sees the wall."""
+    out = np.zeros(wall.shape, np.int8)
+    for side in range(6):
+        out += _blocked(wall, side)
     return out
+
+
+def _blocked(wall: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
+    """Cells that see the wall along a side: -x, +x, -y, +y, -z, +z (0 to 5)."""
+    axis, ahead = divmod(side, 2)
+    seen = np.flip(wall, axis) if ahead else wall
+    seen = np.logical_or.accumulate(seen, axis=axis)
+    return np.flip(seen, axis) if ahead else seen

@@ -67,6 +67,7 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
         f"{region.grid.h:.3g} m: volume {abs(volume):.3g} m^3"
         + (f", gaps up to {2.0 * region.closing:.3g} m closed" if region.closing else "")
         + ("; it was open below and is closed flat there" if region.capped else "")
+        + ("; a side of it is missing and is closed flat" if region.flat else "")
     )
     _, near = cKDTree(splats.points[kept]).query(points, k=4)
     colours = srgb_to_linear(splats.colours[kept][near].mean(axis=1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gf_usd.framing import to_frame
 from gf_usd.model import Floats, Texture
 from gf_usd.scene import RenderEllipsoids, RenderMesh, RenderSplats, Scene
 from gf_usd.view.normals import corner_normals
@@ -44,14 +45,17 @@ class Packed:
 
 
 def content(scene: Scene) -> Floats:
-    """(K, 3) [m] points whose bounding box holds everything in the scene; (0, 3) where nothing."""
+    """(K, 3) [m] points whose bounding box holds everything in the scene but the strays of
+    captures; (0, 3) where nothing.
+    """
     parts: list[Floats] = [np.asarray(mesh.points, dtype=np.float64) for mesh in scene.meshes]
     for cloud in scene.ellipsoids:
         reach = np.linalg.norm(cloud.axes, axis=2)
         parts += [cloud.positions - reach, cloud.positions + reach]
     for splats in scene.splats:
-        reach = 2.0 * np.linalg.norm(splats.axes, axis=2)
-        parts += [splats.positions - reach, splats.positions + reach]
+        held = slice(None) if splats.lit else to_frame(splats.positions, splats.opacities)
+        reach = 2.0 * np.linalg.norm(splats.axes[held], axis=2)
+        parts += [splats.positions[held] - reach, splats.positions[held] + reach]
     return np.concatenate([np.zeros((0, 3)), *parts])
 
 

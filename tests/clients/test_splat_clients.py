@@ -96,10 +96,12 @@ def test_our_layer_is_theirs(folder, degree):
         np.testing.assert_allclose(getattr(theirs, name), getattr(ours, name), atol=SINGLE)
 
 
+@pytest.mark.parametrize("kind", ["gsply", "gsply4"])
 @pytest.mark.parametrize("degree", DEGREES)
-def test_we_read_their_spz(folder, degree):
-    ours = read_spz(folder / f"ball{degree}.gsply.spz")
-    same(ours, folder / f"ball{degree}.gsply.spz.gsply.npz", opacity=1e-4)
+def test_we_read_their_spz(folder, degree, kind):
+    """Versions 3 and 4."""
+    ours = read_spz(folder / f"ball{degree}.{kind}.spz")
+    same(ours, folder / f"ball{degree}.{kind}.spz.gsply.npz", opacity=1e-4)
 
 
 @pytest.mark.parametrize("degree", DEGREES)

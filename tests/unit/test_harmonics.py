@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from math import factorial
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import lpmv
 
 from gf_usd.harmonics import DIRECTIONS, band, basis, rotate
 from gf_usd.physics.harmonics_kernel import rotated
@@ -15,6 +18,27 @@ ROUNDING = 1e-13  # of sums of sixteen terms of size 1
 def directions(count, seed=0):
     d = np.random.default_rng(seed).normal(size=(count, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def test_the_basis_is_that_of_splat_files():
+    """Legendre functions with their phase (-1)^m: sqrt 2 times cos for m > 0, sin |m| for m < 0.
+
+    The order l^2 + l + m, and every sign, is that of the constants in 3D Gaussian splatting.
+    """
+    x, y, z = directions(30).T
+    around = np.arctan2(y, x)
+    expected = []
+    for degree in range(4):
+        for m in range(-degree, degree + 1):
+            size = factorial(degree - abs(m)) / factorial(degree + abs(m))
+            size = np.sqrt((2 * degree + 1) / (4 * np.pi) * size) * (np.sqrt(2) if m else 1.0)
+            wave = np.cos(m * around) if m >= 0 else np.sin(-m * around)
+            expected.append(size * lpmv(abs(m), degree, z) * wave)
+    np.testing.assert_allclose(basis(directions(30)).T, expected, atol=ROUNDING)
+    # the first constants of each degree there, at (x, y, z)
+    assert basis([[0.0, 1.0, 0.0]])[0, [1, 9]] == pytest.approx(
+        [-0.4886025119029199, 0.5900435899266435]
+    )
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])

@@ -4,8 +4,9 @@
 
 Of each NAME.ply and NAME.spz in the folder the numbers are written to NAME.KIND.PROGRAM.npz:
 positions, logarithms of scales, quaternions (w, x, y, z), logits of opacities, and coefficients
-(N, K, 3).  Of each NAME.ply gsply makes NAME.packed.ply and NAME.gsply.spz (version 3) as well, and
-reads them again; usd-convert-gsplat makes NAME.nvidia.usdc.
+(N, K, 3).  Of each NAME.ply gsply makes NAME.packed.ply, NAME.gsply.spz (version 3) and
+NAME.gsply4.spz (version 4) as well, and reads them again; usd-convert-gsplat makes
+NAME.nvidia.usdc.
 """
 
 import shutil
@@ -60,9 +61,11 @@ def convert(path):
     gsply.plywrite(made, data, compressed=True)  # names it made.compressed.ply
     written = [p for p in path.parent.glob(f"{path.stem}.made*") if p.is_file()]
     shutil.move(written[0], packed)
-    spz = path.with_name(f"{path.stem}.gsply.spz")
-    gsply.write_spz(spz, data, version=3)
-    return [packed, spz]
+    made = [packed]
+    for mark, version in (("", 3), ("4", 4)):
+        made.append(path.with_name(f"{path.stem}.gsply{mark}.spz"))
+        gsply.write_spz(made[-1], data, version=version)
+    return made
 
 
 folder = Path(sys.argv[1])

@@ -215,6 +215,12 @@ def no_mesh(maker: GltfMaker) -> None:
     maker.tree["nodes"].append({"name": "empty"})
 
 
+def gaussians(maker: GltfMaker) -> None:
+    points = maker.primitive(CORNERS, TRIANGLES)
+    maker.mesh({"attributes": points["attributes"], "mode": 0})
+    maker.tree["extensionsUsed"] = ["KHR_gaussian_splatting"]
+
+
 def wrong_type(maker: GltfMaker) -> None:
     maker.mesh(maker.primitive(CORNERS, TRIANGLES), translation=[0, None, 0])
 
@@ -239,6 +245,7 @@ def long_view(maker: GltfMaker) -> None:
         (strange_extension, "only be read with the extension EXT_meshopt_compression"),
         (below_itself, "node 0 stands below itself"),
         (no_mesh, "there is no mesh in it"),
+        (gaussians, "it holds Gaussians (KHR_gaussian_splatting), which are not read out of glTF"),
         (wrong_type, "nodes[0].translation is not a list of 3 numbers"),
         (few_normals, "NORMAL holds 5 rows of 3 for 8 points"),
         (long_view, "buffer view 0 wants bytes 0 to 1000000"),

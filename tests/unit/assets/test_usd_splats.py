@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
@@ -112,3 +114,12 @@ def test_a_prim_without_positions_is_left_alone(stage):
     asset = saved(stage)
     assert [s.path for s in asset.splats] == ["/World/Ball"]
     assert ("/World/Empty", "has no positions") in asset.skipped
+
+
+def test_halves_that_are_not_finite_are_refused(stage):
+    rest = ball(60)
+    positions = np.array(rest.positions)
+    positions[3, 1] = np.inf
+    define(stage, "/World/Ball", replace(rest, positions=positions), half=True)
+    with pytest.raises(InputError, match="1 of its 60 Gaussians are not finite"):
+        saved(stage)

@@ -10,6 +10,7 @@ import pytest
 
 from gf_usd.colour import srgb_to_linear
 from gf_usd.errors import InputError
+from gf_usd.geometry import splat_field
 from gf_usd.geometry.diagnosis import diagnose
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.splat_field import RESOLUTION
@@ -126,6 +127,21 @@ def test_what_is_open_below_is_closed_flat():
     assert volume(surface) == pytest.approx(np.pi * 0.4**2 * 0.9, rel=3 * cell / 0.4)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+@pytest.mark.parametrize("level", [0.35, 0.45])
+def test_a_missing_side_is_closed_flat(axis, end, level):
+    """A ball that stood on a table, or of which no camera saw one side."""
+    rest = ball(5000)
+    kept = np.flatnonzero(end * rest.positions[:, axis] < level)
+    surface, notes = hull(rest.take(kept), up=1)
+    high = 0.5 - level
+    cap = np.pi * high**2 * (1.5 - high) / 3.0
+    # from flat to the whole ball, and half a cell of an area of 3.1 all around, as above
+    assert BALL - cap - 3 * NEAR < volume(surface) < BALL * (1 + 3 * NEAR / 0.5)
+    assert any("a side of it is missing and is closed flat" in note for note in notes)
+
+
 def test_what_is_no_part_of_the_body_is_set_aside():
     rest = ball(2000)
     far = replace(rest.take(np.arange(3)), positions=np.array([[9, 0, 0], [0, 9, 0], [0, 0, -9.0]]))
@@ -164,6 +180,22 @@ def test_an_asset_gets_one_for_each_capture():
     assert off(asset.surfaces[1]).max() < 2 * NEAR
     assert [n.split(":")[0] for n in asset.facts.notes] == ["/ball", "/other"]
     assert build_solid(asset).volume == pytest.approx(BALL, rel=0.1)
+
+
+def test_cells_grow_where_too_many_would_be_looked_at(monkeypatch):
+    rest = ball(800)
+    few = 2_000_000
+    monkeypatch.setattr(splat_field, "PAIRS", few)
+    grid, rho = splat_field.field(rest.points, rest.axes, rest.opacities, 0.03)
+    assert grid.h > 1.0 / RESOLUTION
+    longest = rest.scales.max()
+    reach = np.ceil(splat_field.REACH * np.hypot(longest, 0.5 * grid.h) / grid.h)
+    assert 800 * (2 * reach + 1) ** 3 <= few
+    assert rho.shape == grid.shape
+    surface, _ = hull(rest, up=1)
+    assert volume(surface) == pytest.approx(
+        BALL, rel=3 * 0.5 * grid.h / 0.5
+    )  # half a cell, as above
 
 
 def test_too_few_are_refused():
