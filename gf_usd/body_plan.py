@@ -10,6 +10,7 @@ import numpy as np
 
 from gf_usd.encounters import Encounters, Skin
 from gf_usd.model import Asset, Floats, Ints, Particles
+from gf_usd.nearby import kd_tree
 from gf_usd.stage_physics import BodyPhysics, StagePhysics
 
 if TYPE_CHECKING:
@@ -80,8 +81,6 @@ def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, lis
 
     A surface without any particle is a shell about nothing: it can only ride along.
     """
-    from scipy.spatial import cKDTree
-
     of, fused = of.copy(), []
     for body in range(int(of.max()) + 1):
         members = np.flatnonzero(of == body)
@@ -90,7 +89,7 @@ def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, lis
             continue
         rest = np.flatnonzero(~mine)
         points = np.concatenate([solid.surfaces[s].points for s in members])
-        gap, at = cKDTree(particles.X[rest]).query(points)
+        gap, at = kd_tree(particles.X[rest]).query(points)
         host = int(particles.surface[rest[at[np.argmin(gap)]]])
         of[members] = of[host]
         fused += [(int(s), int((particles.surface == s).sum()), host) for s in members]
@@ -103,15 +102,13 @@ def _riders(
     asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
 ) -> dict[str, int]:
     """Body that each surface rides on: its own, or the one that most of its points are nearest."""
-    from scipy.spatial import cKDTree
-
     tree, out = None, {}
     for surface in asset.surfaces:
         if surface.path in filled:
             out[surface.path] = filled[surface.path]
             continue
         if tree is None:
-            tree = cKDTree(particles.X)
+            tree = kd_tree(particles.X)
         out[surface.path] = int(np.bincount(body[tree.query(surface.points)[1]]).argmax())
     return out
 

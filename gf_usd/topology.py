@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+
+from gf_usd.nearby import components, pairs_within
 
 Floats = NDArray[np.floating]
 Ints = NDArray[np.integer]
@@ -49,9 +49,9 @@ def weld(points: Floats, tolerance: float | None = None) -> tuple[NDArray[np.int
     cell_of = _rows_as_labels(np.floor((points - low) / cell))
     centres = points[np.unique(cell_of, return_index=True)[1]]
     reach = tolerance + 2.0 * np.sqrt(3.0) * cell
-    pairs = cKDTree(centres).query_pairs(reach, output_type="ndarray")
+    pairs = pairs_within(centres, reach)
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centres),) * 2)
-    n_unique, cluster = connected_components(graph, directed=False)
+    n_unique, cluster = components(graph)
     return _first_of_each(cluster[cell_of]), int(n_unique)
 
 
@@ -105,7 +105,7 @@ def shells(triangles: Ints) -> NDArray[np.int64]:
     # A graph of triangles and edges as nodes: linear even where many triangles share one edge.
     owner = np.repeat(np.arange(count), 3)
     graph = coo_matrix((np.ones(len(ids)), (owner, count + ids)), shape=(count + n_edges,) * 2)
-    labels = connected_components(graph, directed=False)[1][:count]
+    labels = components(graph)[1][:count]
     return np.unique(labels, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
-from scipy.spatial import ConvexHull, QhullError
 
 from gf_usd.assets.notes import Notes
 from gf_usd.assets.usd_mesh import Reading, read_surface
@@ -65,11 +64,12 @@ def read_shape(prim: Usd.Prim, reading: Reading, notes: Notes) -> Shape:
     asked = _approximation(prim, reading)
     where = str(prim.GetPath())
     if asked == "convexHull":
-        try:
-            carriers, triangles = _hull(points)
-            points = points[carriers]
-        except QhullError:
+        hull = _hull(points)
+        if hull is None:
             notes.add("is flat: its own triangles collide instead of a convex hull", where)
+        else:
+            carriers, triangles = hull
+            points = points[carriers]
     elif asked in ("boundingCube", "boundingSphere"):
         make = _box if asked == "boundingCube" else _ball
         points, triangles = make(points, prim, reading)
@@ -93,9 +93,14 @@ def _approximation(prim: Usd.Prim, reading: Reading) -> str:
     return str(value or "none")
 
 
-def _hull(points: Floats) -> tuple[Ints, Ints]:
-    """Corners (V,) of the convex hull, as indices, and its triangles (T, 3) into them."""
-    hull = ConvexHull(points)
+def _hull(points: Floats) -> tuple[Ints, Ints] | None:
+    """Corners (V,) of the convex hull, as indices, and its triangles (T, 3); None where flat."""
+    from scipy.spatial import ConvexHull, QhullError  # see `nearby`
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
     a, b, c = (points[hull.simplices[:, k]] for k in range(3))
     outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) > 0.0
     triangles = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])

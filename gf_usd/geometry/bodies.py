@@ -12,10 +12,10 @@ from typing import Any
 import igl
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.geometry.solid import INSIDE, Solid
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import components
 
 FINEST = 64  # parts of an edge: the walls of a hall need no more
 TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching
@@ -53,7 +53,7 @@ def find_bodies(
     ]
     one, two = np.array(joined, int).reshape(-1, 2).T
     graph = coo_matrix((np.ones(len(one)), (one, two)), shape=(count, count))
-    label = connected_components(graph, directed=False)[1]
+    label = components(graph)[1]
     _, first = np.unique(label, return_index=True)
     return np.argsort(np.argsort(first))[label]
 

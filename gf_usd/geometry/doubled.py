@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.geometry.edges import Edges
 from gf_usd.model import Ints, Surface
+from gf_usd.nearby import components
 
 Flags = NDArray[np.bool_]
 
@@ -102,7 +102,7 @@ def _needed(edges: Edges, face: Ints, balanced: Flags) -> Flags:
         (np.ones(len(mine), np.int8), (mine // 3, n + edges.id[mine])),
         shape=(n + len(edges.uses),) * 2,
     )
-    part = connected_components(graph, directed=False)[1][:n]
+    part = components(graph)[1][:n]
     met = rest[edges.id[mine]]
     size = int(part.max()) + 1
     opened = np.bincount(part[mine // 3], met % 2 == 1, size)

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from gf_usd.geometry import winding
 from gf_usd.geometry.sampling import GAUSS, JITTER
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
+from gf_usd.nearby import components, kd_tree
 from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid
@@ -93,7 +92,7 @@ def _poor_shells(
     low, high = winding.boxes(points, triangles, label)
     reach = 0.5 * np.linalg.norm(high - low, axis=1)
     cavity = winding.facing(points, triangles, label).goal == -1
-    tree = cKDTree(particles.X)
+    tree = kd_tree(particles.X)
     found = []
     for k, rows in enumerate(winding.rows_of(label)):
         if cavity[k]:
@@ -131,7 +130,7 @@ def _poor_regions(
 ) -> list[Part]:
     """Connected stretches of surface far from any particle, or of a plate thinner than a layer."""
     s = particles.spacing
-    distance = cKDTree(particles.X).query(samples.X)[0]
+    distance = kd_tree(particles.X).query(samples.X)[0]
     at = nearest(solid, samples.X)
     poor = np.flatnonzero((distance > BARE * s) | _thin(solid, samples.X, at.normal, s))
     if len(poor) == 0:
@@ -142,15 +141,15 @@ def _poor_regions(
     for number, (label, source) in enumerate(zip(labels, solid.sources)):
         mine = np.flatnonzero(owner == number)
         shell[mine] = label[np.searchsorted(source, at.triangle[poor[mine]])]
-    pairs = cKDTree(X).query_pairs(BARE * s, output_type="ndarray")
+    pairs = kd_tree(X).query_pairs(BARE * s, output_type="ndarray")
     one, two = pairs[(owner[pairs] == owner[pairs][:, :1]).all(1)].T
     joined = shell[one] == shell[two]
     graph = coo_matrix((np.ones(joined.sum()), (one[joined], two[joined])), shape=(len(X),) * 2)
-    region = connected_components(graph, directed=False)[1]
+    region = components(graph)[1]
     # A particle belongs to the region whose surface is the nearest one.
     home = np.full(len(samples.X), -1)
     home[poor] = region
-    tree = cKDTree(samples.X)
+    tree = kd_tree(samples.X)
     count = np.bincount(home[tree.query(particles.X)[1]] + 1, minlength=region.max() + 2)[1:]
     found = []
     for k, rows in enumerate(winding.rows_of(region)):

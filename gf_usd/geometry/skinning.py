@@ -21,11 +21,10 @@ from typing import Protocol
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from gf_usd.errors import UsageError
 from gf_usd.model import Floats, Pose
+from gf_usd.nearby import nearest, squared_distances
 
 NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
@@ -152,7 +151,7 @@ def inverse_distance(squared: Floats, power: float) -> Floats:
 def nearest_weights(X: Floats, particles: Floats, k: int, power: float) -> sparse.csr_matrix:
     """(n, N) inverse-distance weights on the k nearest particles, or on all of them if fewer."""
     k = min(k, len(particles))
-    distance, near = cKDTree(particles).query(X, k=list(range(1, k + 1)))
+    distance, near = nearest(particles, X, k)
     w = inverse_distance(distance**2, power)
     start = np.arange(0, w.size + 1, k)
     return sparse.csr_matrix((w.ravel(), near.ravel(), start), shape=(len(X), len(particles)))
@@ -191,7 +190,7 @@ class CloudWeights:
         return out
 
     def _weights(self, chunk: slice) -> Floats:
-        squared = cdist(self.X[chunk], self.particles, "sqeuclidean")
+        squared = squared_distances(self.X[chunk], self.particles)
         return inverse_distance(squared, self.power)
 
 
@@ -223,7 +222,7 @@ def rest_gradient(
     least norm, 0 across, is taken.
     """
     n, k = len(particles), min(k + 1, len(particles))
-    distance, near = cKDTree(particles).query(particles, k=list(range(1, k + 1)))
+    distance, near = nearest(particles, particles, k)
     dX = particles[near] - particles[:, None, :]
     apart = distance > 0.0  # the particle itself, and any that lies on it, tells nothing
     w = np.where(apart, 1.0 / np.where(apart, distance, 1.0) ** 2, 0.0)

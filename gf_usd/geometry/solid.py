@@ -13,10 +13,10 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, Floats, Ints, Surface
+from gf_usd.nearby import components
 from gf_usd.topology import boundary_edges, proper, shells, signed_volume, weld
 
 OPEN_FRACTION = 0.25  # holes above this share of the closed area leave no inside worth the name
@@ -81,7 +81,7 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     n = len(points)
     graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n))
-    label = connected_components(graph, directed=False)[1][edges[:, 0]]
+    label = components(graph)[1][edges[:, 0]]
     start, end = points[edges[:, 0]], points[edges[:, 1]]
     loop = np.unique(label, return_inverse=True)[1]
     count = np.bincount(loop)

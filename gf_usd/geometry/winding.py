@@ -8,10 +8,10 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.geometry.edges import Edges
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import components
 
 Flags = NDArray[np.bool_]
 
@@ -49,7 +49,7 @@ def patches(points: Floats, triangles: Ints, edges: Edges) -> Patches:
     rows = np.concatenate([a, a + n])
     columns = np.concatenate([b + clash, b + n - clash])
     graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(2 * n, 2 * n))
-    sheet = connected_components(graph, directed=False)[1]
+    sheet = components(graph)[1]
     as_is, turned = sheet[:n], sheet[n:]
     label = np.unique(np.minimum(as_is, turned), return_inverse=True)[1].reshape(-1)
     against = as_is > turned

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints, Particles
+from gf_usd.nearby import nearest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class Bodies:
         for k in range(self.count):
             at, mine = np.flatnonzero(body == k), np.flatnonzero(self.of == k)
             if len(at):
-                out[at] = mine[cKDTree(particles[mine]).query(X[at])[1]]
+                out[at] = mine[nearest(particles[mine], X[at], 1)[1][:, 0]]
         return out
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Skin
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import kd_tree
 from gf_usd.physics.distance import Closest, closest, outside_where_unwound
 from gf_usd.physics.stencil import Rows
 
@@ -23,7 +23,7 @@ class BodySkin:
     def __init__(self, skin: Skin, rows: Rows, samples: Ints, X: Floats) -> None:
         self.skin, self.samples = skin, samples
         self._W = rows.W
-        self._tree = cKDTree(X)
+        self._tree = kd_tree(X)
         corners = skin.points[skin.triangles]
         centre = corners.mean(1)
         gap, self._cover = self._tree.query(centre)
@@ -40,7 +40,7 @@ class BodySkin:
         as `Rows` stack them, without offset (3,) [m].
         """
         bound = reach + float(self._reach.max())
-        gap = cKDTree(X).query(x, distance_upper_bound=bound)[0]
+        gap = kd_tree(X).query(x, distance_upper_bound=bound)[0]
         triangles = self.skin.triangles[gap[self._cover] < reach + self._reach]
         used, local = np.unique(triangles, return_inverse=True)
         points = self.skin.points[used] + offset + self._W[used] @ u

@@ -10,13 +10,18 @@ follow its motion (`holds`).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import kd_tree
 from gf_usd.physics.holds import interpolation
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
 FIT_NEIGHBOURS = 24  # free nodes in an affine fit
@@ -36,7 +41,7 @@ def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
-    tree = cKDTree(free)
+    tree = kd_tree(free)
     # From afar the nearest nodes may all lie in one flat face: take those around the nearest ones.
     around = np.array(ijk, float)
     far = np.flatnonzero(tree.query(ijk)[0] > FIT_REACH)

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints, Pose
+from gf_usd.nearby import kd_tree
 from gf_usd.physics.motion import Motion
 from gf_usd.pins import Pin
 
@@ -67,7 +67,7 @@ def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
     Corners that are not among `nodes` (m, 3) are left out and the others share their weight; where
     none is the row is empty.
     """
-    tree = cKDTree(nodes)
+    tree = kd_tree(nodes)
     base = np.floor(at + 1e-9).astype(int)
     f = np.clip(at - base, 0.0, 1.0)
     rows, columns, values = [], [], []

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.encounters import Encounters
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import kd_tree
 from gf_usd.physics import host
 from gf_usd.physics import pair_layout as layout
 from gf_usd.physics.anchoring import constants, node_motion
@@ -215,7 +215,7 @@ class Meeting:
         if len(boxed) == 0:
             return boxed
         far = seen.reach + COVER * self._spacing
-        gap = cKDTree(theirs).query(seen.x[boxed], distance_upper_bound=far)[0]
+        gap = kd_tree(theirs).query(seen.x[boxed], distance_upper_bound=far)[0]
         return boxed[np.isfinite(gap)]
 
     def _face_body(

@@ -12,9 +12,9 @@ say nothing of the stretch across it.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats
+from gf_usd.nearby import kd_tree
 
 NEIGHBOURS = 24
 SAME = 1e-6  # of the region's size: a point as near to an anchor as that moves with it
@@ -28,7 +28,7 @@ class Motion:
         self.anchors, self.path = np.asarray(anchors, float), np.asarray(path, float)
         still = len(self.path) < 2 or np.array_equal(self.path, self.path[:1].repeat(len(path), 0))
         self.moving = not (still and np.array_equal(self.path[0], self.anchors))
-        self._tree = cKDTree(self.anchors)
+        self._tree = kd_tree(self.anchors)
         self._extent = float(np.linalg.norm(np.ptp(self.anchors, axis=0)))
 
     def anchors_at(self, frame: float) -> Floats:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import kd_tree
 from gf_usd.physics.pair_layout import NOBODY, OBSTACLE
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
@@ -139,7 +139,7 @@ def facing_itself(
     x, normal, X : (n, 3) of all samples, now, now and at rest; members : (m,) those of the body.
     """
     k = min(CROWD, len(members))
-    distance, at = cKDTree(x[members]).query(x[members], k=k, distance_upper_bound=reach)
+    distance, at = kd_tree(x[members]).query(x[members], k=k, distance_upper_bound=reach)
     distance, at = distance.reshape(len(members), k), at.reshape(len(members), k)
     there = at < len(members)
     b = members[np.where(there, at, 0)]

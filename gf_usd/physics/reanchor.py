@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from gf_usd.errors import UsageError
 from gf_usd.model import Floats, Pose
+from gf_usd.nearby import nearest
 from gf_usd.physics import body as layout
 from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
@@ -54,7 +54,7 @@ def wls_gradient(X: Floats, width: float) -> Gradient:
     X : (N, 3) [m]; width : [m].
     """
     k = min(NEIGHBOURS, len(X) - 1)
-    distance, near = cKDTree(X).query(X, k=k + 1)
+    distance, near = nearest(X, X, k + 1)
     # A twin at the same place may come before the particle itself: both then add nothing.
     d = X[near] - X[:, None]
     # By the nearest neighbour's weight, which leaves the fit as it is and cannot underflow.

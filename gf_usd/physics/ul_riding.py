@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from gf_usd.model import Floats, Ints, Pose
+from gf_usd.nearby import kd_tree
 from gf_usd.physics.stencil import Rows
 
 CARRIERS = 8  # particles that carry a point: about a cell's
@@ -66,7 +66,7 @@ def board(points: Floats, X: Floats) -> Ride:
     A body of fewer particles than CARRIERS has some of them listed again with no weight.
     """
     k = min(CARRIERS, len(X))
-    distance, near = cKDTree(X).query(points, k=min(k + 1, len(X)))
+    distance, near = kd_tree(X).query(points, k=min(k + 1, len(X)))
     distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
     R = 1.01 * distance[:, -1:] + 1e-300
     w = (1.0 - (distance[:, :k] / R) ** 2) ** 2
