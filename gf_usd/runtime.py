@@ -125,6 +125,17 @@ def ensure_taichi() -> None:
         init_taichi(_started.get("device", "cpu"), _started.get("threads"))
 
 
+def ensure_running() -> None:
+    """Start Taichi unless it runs, whatever it was started with."""
+    if not _started:
+        init_taichi()
+
+
+def threads() -> int:
+    """Threads that Taichi was started with; those of `cores` where it does not run."""
+    return _started.get("threads") or cores()
+
+
 def cores() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):

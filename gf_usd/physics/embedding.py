@@ -6,6 +6,7 @@ import numpy as np
 
 from gf_usd.model import Floats, Ints, Pose
 from gf_usd.physics.cofactor import cofactors, entries
+from gf_usd.physics.sharing import product
 from gf_usd.physics.stencil import Rows
 from gf_usd.rows import lengths
 
@@ -15,14 +16,14 @@ def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
-    return Pose(x=rows.X + offset + rows.W @ u, v=rows.W @ v, F=gradient(rows, u))
+    return Pose(x=rows.X + offset + product(rows.W, u), v=product(rows.W, v), F=gradient(rows, u))
 
 
 def gradient(rows: Rows, u: Floats) -> Floats:
     """F = I + sum_i u_i (x) grad w_i, (n, 3, 3)."""
     F = np.empty((len(rows.X), 3, 3))
     for axis, G in enumerate(rows.G):
-        F[:, :, axis] = G @ u
+        F[:, :, axis] = product(G, u)
     F += np.eye(3)
     return F
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.model import Floats, GaussianPose, Pose
+from gf_usd.physics import many
 from gf_usd.physics.cofactor import cofactors, entries
 
 CHUNK = 4096  # particles at once: what is made on the way stays in a core's cache
@@ -30,9 +31,8 @@ class GaussianTrack:
     """
 
     def __init__(self, rest_orientation: Floats, rest_scale: Floats) -> None:
-        self._rest = matrix_from_quaternion(rest_orientation)
-        self._rest_scale = np.asarray(rest_scale, float)
-        self._axes = self._rest
+        self._axes = matrix_from_quaternion(rest_orientation)
+        self._rest = self._axes * np.asarray(rest_scale, float)[:, None, :]  # Q0 diag(s0)
         self._turn = np.broadcast_to(np.eye(3), self._rest.shape)
         self._last = np.asarray(rest_orientation, float)
 
@@ -51,21 +51,24 @@ class GaussianTrack:
 
     def advance(self, pose: Pose) -> GaussianPose:
         """The Gaussians at a pose; call once a frame, in order."""
-        A = pose.F @ (self._rest * self._rest_scale[:, None, :])
-        turn = nearest_rotation(pose.F)
-        start = turn @ np.swapaxes(self._turn, 1, 2) @ self._axes
-        B = np.swapaxes(start, 1, 2) @ A
-        S, spin = jacobi(B @ np.swapaxes(B, 1, 2))
-        self._axes, self._turn = start @ spin, turn
-        q = quaternion_from_matrix(self._axes)
-        q *= np.where((q * self._last).sum(1, keepdims=True) < 0.0, -1.0, 1.0)
-        self._last = q
-        return GaussianPose(
-            positions=pose.x,
-            velocities=pose.v,
-            orientations=q,
-            scales=np.sqrt(np.maximum(np.einsum("naa->na", S), 0.0)),
-        )
+        R = nearest_rotation(pose.F)
+        one = many.carried if many.serves(len(R)) else carried
+        self._axes, q, s = one(pose.F, self._rest, R, self._turn, self._axes, self._last)
+        self._turn, self._last = R, q
+        return GaussianPose(positions=pose.x, velocities=pose.v, orientations=q, scales=s)
+
+
+def carried(
+    F: Floats, rest: Floats, R: Floats, turn: Floats, axes: Floats, last: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """See `many.carried`."""
+    start = R @ np.swapaxes(turn, 1, 2) @ axes
+    B = np.swapaxes(start, 1, 2) @ (F @ rest)
+    S, spin = jacobi(B @ np.swapaxes(B, 1, 2))
+    axes = start @ spin
+    q = quaternion_from_matrix(axes)
+    q *= np.where((q * last).sum(1, keepdims=True) < 0.0, -1.0, 1.0)
+    return axes, q, np.sqrt(np.maximum(np.einsum("naa->na", S), 0.0))
 
 
 def nearest_rotation(F: Floats) -> NDArray[np.float64]:
@@ -75,6 +78,11 @@ def nearest_rotation(F: Floats) -> NDArray[np.float64]:
     itself where F is inverted, or so flat that the iteration would take long.
     """
     F = np.asarray(F, float)
+    if many.serves(len(F)):
+        out, done = many.rotations(F)
+        if not done.all():
+            out[~done] = _signed_svd(F[~done])
+        return out
     out = np.empty(F.shape)
     for k in range(0, len(F), CHUNK):
         some = slice(k, k + CHUNK)

@@ -15,6 +15,7 @@ import numpy as np
 from gf_usd.model import Floats, Pose
 from gf_usd.physics import host
 from gf_usd.physics.embedding import gradient
+from gf_usd.physics.sharing import product
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -86,7 +87,7 @@ class Moment:
     def particles(self) -> Pose:
         """Where the particles are, but for what holds them."""
         rows, (u, v) = self._solver.rows, self.nodes
-        return Pose(x=rows.X + self._given[-1] + rows.W @ u, v=rows.W @ v, F=self.F)
+        return Pose(x=rows.X + self._given[-1] + product(rows.W, u), v=product(rows.W, v), F=self.F)
 
     @cached_property
     def potential(self) -> float:
