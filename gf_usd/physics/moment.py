@@ -97,7 +97,7 @@ class Moment:
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
         work = height @ np.asarray(s.gravity)
-        if solver.accelerated:
+        if solver.acceleration.any():
             work = work + (self.x * solver.acceleration).sum(1)
         return float(-(m @ work))
 

@@ -128,7 +128,6 @@ class TotalLagrangian(Marcher):
         self.done = 0  # substeps since the start
         b = np.zeros((self.stencil.free_count, 3))
         self.acceleration = b if acceleration is None else acceleration(self.stencil.free_X)
-        self.accelerated = bool(self.acceleration.any())
         self._moment: Moment | None = None
         self.attended: Any = None  # contact samples that the kernels look at, see `attend`
         plain = settings.device != "cpu" if plain is None else plain
