@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gf_usd.colour import linear_to_srgb
 from gf_usd.harmonics import Y_0
@@ -148,6 +147,8 @@ class Carrier:
     def _flesh(self, frame: BakedFrame, turn: Floats) -> Splats:
         p: Particles = self._plan.particles
         quaternions = np.asarray(frame.gaussians.orientations, float)
+        from scipy.spatial.transform import Rotation  # see `nearby`
+
         turned = Rotation.from_matrix(turn) * Rotation.from_quat(quaternions[:, [1, 2, 3, 0]])
         return Splats(
             positions=np.asarray(frame.gaussians.positions) / self._unit @ turn.T,
