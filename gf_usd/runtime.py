@@ -78,9 +78,11 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             "No CUDA device was found.",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
+    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
     # An array that dies after the restart would free, by its address, one that is alive then.
-    gc.collect()
+    if _starts:
+        gc.collect()
     # ti.init prints the architecture on stdout, which belongs to the data of --json
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(
@@ -95,7 +97,6 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
         )
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
-    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _starts += 1
 
 

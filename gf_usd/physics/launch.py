@@ -32,6 +32,7 @@ class Launches:
     def __init__(self, solver: TotalLagrangian, over_all: bool | None = None) -> None:
         gpu = solver.settings.device != "cpu"
         self.crew = None
+        self._vectors = (solver.vector(solver.settings.gravity), solver.vector(solver.normal))
         if gpu if over_all is None else over_all:
             self._kernel = Launcher(solver.kernels.parallel, solver.pack)
         else:
@@ -43,9 +44,8 @@ class Launches:
         s, free = solver.settings, solver.stencil.free_count
         every, alpha = filter_of(s.filter_rate, dt)
         counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
-        g, up = solver.vector(s.gravity), solver.vector(solver.normal)
         lift = float(solver.offset @ solver.normal)
-        numbers = (alpha, g, up, lift, dt, float(np.exp(-s.drag * dt)))
+        numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
         done = 0
         while done < substeps:
             many = self.crew.fitting(substeps - done) if self.crew else 1
