@@ -156,8 +156,8 @@ class TotalLagrangian(Marcher):
         self.pack = pack_type(kind, epoch())(**self.arrays)
         self.law = law_of(materials)
         self.kernels = build(self.law, damped, kind, epoch(), self.options)
-        self.launches = Launches(self)
         self._vec = ti.types.vector(3, kind)
+        self.launches = Launches(self)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
