@@ -3,7 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.lanes import LANES, cofactor, determinant, double_dot
-from gf_usd.physics.options import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
+from gf_usd.physics.options import CAP, CLAMPED, CLIP_ROOM, HIGH, LOW, STRESS_CAPPED
 
 
 @ti.func
@@ -25,13 +25,16 @@ def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
     J = determinant(F, cofactor(F))
     beyond = ti.select((square > high * high) | (low * square > 2.0 * J), J * 0.0 + 1.0, J * 0.0)
     if beyond.max() > 0.0:
+        room = CLIP_ROOM * b
         for a in ti.static(range(9)):
-            body.clip_room[9 * b + a] = F[a]
+            body.clip_room[room + a] = F[a]
+        body.clip_room[room + 9] = beyond
         # Lane by lane through memory: eight decompositions in line would take minutes to compile.
         for lane in range(LANES):
-            clip_lane(body, b, lane, low, high, counted)
+            if body.clip_room[room + 9][lane] > 0.0:
+                clip_lane(body, b, lane, low, high, counted)
         for a in ti.static(range(9)):
-            F[a] = body.clip_room[9 * b + a]
+            F[a] = body.clip_room[room + a]
 
 
 @ti.func
@@ -39,7 +42,9 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
     """Clip the matrix that `clip_room` holds in one lane of batch b."""
     A = ti.Matrix.rows(
         [
-            ti.Vector([body.clip_room[9 * b + 3 * a + c][lane] for c in ti.static(range(3))])
+            ti.Vector(
+                [body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] for c in ti.static(range(3))]
+            )
             for a in ti.static(range(3))
         ]
     )
@@ -49,7 +54,7 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
             touch(body, b * LANES + lane, CLAMPED)
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
-                body.clip_room[9 * b + 3 * a + c][lane] = B[a, c]
+                body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] = B[a, c]
 
 
 @ti.func

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
+CLIP_ROOM = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
 CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
 
 
@@ -63,7 +64,9 @@ def arrays(
     return {
         "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
         "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
-        "clip_room": np.zeros((9 * len(batches.source) if asked.clamped else 1, layout.LANES)),
+        "clip_room": np.zeros(
+            (CLIP_ROOM * len(batches.source) if asked.clamped else 1, layout.LANES)
+        ),
         "touched": np.zeros(lanes if asked.clamped or asked.capped else 1, int),
     }
 
