@@ -14,9 +14,9 @@ from collections.abc import Callable
 MOMENT = 0.1  # [s] of a launch; between launches Ctrl-C is heard and threads are counted anew
 FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
 GUESS = 1e-7  # [s] of a particle and substep, until one is measured
-BUSY = 0.85  # of the time that passed: threads that ran for less lacked a core
+BUSY = 0.75  # of the time that passed: threads that ran for less lacked a core
 SHORT = 1e-3  # [s] launches that say nothing of that
-REST = 8  # launches of fewer threads before more are tried; doubled each time they lack cores
+REST = 2  # launches of fewer threads before more are tried; doubled each time they lack cores
 LONGEST_REST = 512
 
 
