@@ -16,11 +16,16 @@ def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
 
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
-    return Pose(x=rows.X + offset + product(rows.W, u), v=product(rows.W, v), F=gradient(rows, u))
+    u, v = rows.nodes(u), rows.nodes(v)
+    return Pose(x=rows.X + offset + product(rows.W, u), v=product(rows.W, v), F=_gradient(rows, u))
 
 
 def gradient(rows: Rows, u: Floats) -> Floats:
     """F = I + sum_i u_i (x) grad w_i, (n, 3, 3)."""
+    return _gradient(rows, rows.nodes(u))
+
+
+def _gradient(rows: Rows, u: Floats) -> Floats:
     F = np.empty((len(rows.X), 3, 3))
     for axis, G in enumerate(rows.G):
         F[:, :, axis] = product(G, u)

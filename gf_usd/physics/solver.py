@@ -35,6 +35,7 @@ from gf_usd.physics.pair_layout import pack_arrays
 from gf_usd.physics.plain import single_particles
 from gf_usd.physics.probes import von_mises
 from gf_usd.physics.reanchor import Reanchor
+from gf_usd.physics.rider_rows import rider_rows
 from gf_usd.physics.shortcuts import Shortcuts
 from gf_usd.physics.stencil import Rows, build_stencil
 from gf_usd.physics.stiffening import strained_substeps
@@ -104,7 +105,7 @@ class TotalLagrangian(Marcher):
         self.rows = self.stencil.rows(particles.X, particles.body)
         on = rider_body or {}
         self.riders = {
-            name: self.stencil.rows(X, np.full(len(X), on.get(name, 0)))
+            name: rider_rows(self.stencil, X, np.full(len(X), on.get(name, 0)))
             for name, X in (riders or {}).items()
         }
         if self.holder:

@@ -49,6 +49,11 @@ class Rows:
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
     G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
+    spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `rider_rows`
+
+    def nodes(self, u: Floats) -> Floats:
+        """What W and G are of, (M, 3), from a stack u (or v)."""
+        return u if self.spread is None else self.spread @ u
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,10 +111,8 @@ class Stencil:
         body : (n,) the body that each rides on; None: the first.
         """
         body = np.zeros(len(X), int) if body is None else body
-        free = sparse.identity(self.free_count, format="csr")
-        known = sparse.csr_matrix(sparse.vstack([free, self.follow]))
         parts = [
-            self._operators(X[k : k + CHUNK], body[k : k + CHUNK], known)
+            self._operators(X[k : k + CHUNK], body[k : k + CHUNK])
             for k in range(0, max(len(X), 1), CHUNK)
         ]
         W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(4))
@@ -119,9 +122,19 @@ class Stencil:
                 one.indices, one.indptr = W.indices, W.indptr
         return Rows(X=X, W=W, G=(G[0], G[1], G[2]))
 
-    def _operators(
-        self, X: Floats, body: Ints, known: sparse.csr_matrix
-    ) -> list[sparse.csr_matrix]:
+    def extension(self, beyond: Ints) -> sparse.csr_matrix:
+        """From what `Rows` stack to all nodes, and to those at ijk (n, 3) that none reaches."""
+        free = sparse.identity(self.free_count, format="csr")
+        fitted = affine_fit(beyond, self.node_ijk[: self.free_count])
+        extend = sparse.csr_matrix(sparse.vstack([free, self.follow, fitted], format="csr"))
+        if self.held.any:
+            constants = sparse.eye(
+                extend.shape[0], self.node_count - self.free_count, -self.free_count
+            )
+            extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
+        return extend
+
+    def _operators(self, X: Floats, body: Ints) -> list[sparse.csr_matrix]:
         """W and the three of G of some points, which the four take turns to leave."""
         base, fx = self.base(X + self.shift[body])
         ijk = base[:, None, :] + OFFSETS
@@ -129,13 +142,7 @@ class Stencil:
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
         at[missing] = self.node_count + inverse.ravel()
-        beyond = affine_fit(keys, self.node_ijk[: self.free_count])
-        extend = sparse.vstack([known, beyond], format="csr")
-        if self.held.any:
-            constants = sparse.eye(
-                extend.shape[0], self.node_count - self.free_count, -self.free_count
-            )
-            extend = sparse.hstack([extend, constants], format="csr")
+        extend = self.extension(keys)
         shape = (len(X), extend.shape[0])
         index = (np.repeat(np.arange(len(X)), 27), at.ravel())
         w, g = weights(fx, self.h)
