@@ -167,3 +167,43 @@ def test_what_a_child_reads_with_is_imported_before_it(
     monkeypatch.setattr("gf_usd.isolation.read_untrusted", note)
     try_asset(file, Limits())
     assert seen.read_text() == ""
+
+
+def starts(folder: Path, seconds: float, work: Callable[[int], None]) -> tuple[int, str]:
+    """How many children there were that did `work` with their number, and what came of it."""
+    folder.mkdir()
+    file, count = folder / "a.usda", folder / "starts"
+    file.write_text("#usda 1.0\n")
+
+    def counted() -> None:
+        with count.open("a") as out:
+            out.write("x")
+        work(len(count.read_text()))
+
+    try:
+        attempt(file, counted, Limits(time=seconds))
+        said = ""
+    except InputError as error:
+        said = error.message
+    return len(count.read_text()), said
+
+
+def test_a_child_that_stands_still_is_tried_again(tmp_path: Path) -> None:
+    def once(number: int) -> None:
+        if number == 1:
+            hang()
+
+    assert starts(tmp_path / "once", 0.5, once) == (2, "")
+    tried, said = starts(tmp_path / "ever", 0.5, lambda _: hang())
+    assert tried == 2
+    assert "took longer than 0.5 s" in said
+
+
+def test_a_child_that_works_all_its_time_is_not(tmp_path: Path) -> None:
+    def busy(_: int) -> None:
+        while True:
+            pass
+
+    tried, said = starts(tmp_path / "busy", 1.0, busy)
+    assert tried == 1
+    assert "took longer than 1 s" in said
