@@ -40,7 +40,7 @@ PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 # [s] of a substep, for each contact sample where bodies meet others: in the mean of a crash
 MEETING_SECONDS = 1e-6
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
-VERTEX_MEMORY = 4400.0  # [bytes] a vertex, likewise
+VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its rows, a frame
 MEETING_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
 # [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
 # takes hours is mostly a modulus in the wrong unit.
