@@ -62,11 +62,11 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
     tip = np.array([[1.0, 0.5 * beam.thickness, 0.5 * h]])
     solver = TotalLagrangian(
         body, [elastic(E=E, nu=0.0, density=DENSITY)], s, pins=[clamp(0, 0.0)],
-        riders={"end": end, "tip": tip},
+        riders={"tip": tip},
     )  # fmt: skip
     # Spread over the end face, and brought to the nodes by the rows of its points.
     free = solver.stencil.free_count
-    share = np.asarray(solver.riders["end"].W[:, :free].mean(0)).ravel() / solver.stencil.mass
+    share = np.asarray(solver.stencil.rows(end).W[:, :free].mean(0)).ravel() / solver.stencil.mass
     unit = np.outer(share, [0.0, -beam.load, 0.0])
     plane = Plane(solver, 0.5 * h)
     out, index, before = [], 0, 0.0

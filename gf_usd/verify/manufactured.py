@@ -81,8 +81,8 @@ def error(cells: int, device: str) -> float:
     steps = int(np.ceil(PERIODS * period * 4.0 * made.wave_speed / h))
     s = settings(device, frames=steps + 1, fps=steps / (PERIODS * period), substeps=1)
     X, normals = faces(cells)
-    solver = TotalLagrangian(body, [made], s, riders={"faces": X}, real=np.float64)
-    inner, outer = solver.rows.W.T, solver.riders["faces"].W.T
+    solver = TotalLagrangian(body, [made], s, real=np.float64)
+    inner, outer = solver.rows.W.T, solver.stencil.rows(X).W.T
     mass = solver.stencil.mass[:, None]
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
     put(solver, exact.u(solver.stencil.node_X, 0.0), exact.v(solver.stencil.node_X, 0.0))
