@@ -80,9 +80,8 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
         )
     global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
-    # An array that dies after the restart would free, by its address, one that is alive then.
     if _starts:
-        gc.collect()
+        _abandon()
     # ti.init prints the architecture on stdout, which belongs to the data of --json
     with contextlib.redirect_stdout(io.StringIO()):
         ti.init(
@@ -98,6 +97,26 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     _starts += 1
+
+
+def _abandon() -> None:
+    """Have no array of before a restart freed after it: that goes by its address.
+
+    The restart takes all memory back, and what is made then may stand at the same address.
+    """
+    gc.collect()
+    kinds = (
+        importlib.import_module("taichi.lang._ndarray").Ndarray,
+        importlib.import_module("taichi.lang.argpack").ArgPack,
+    )
+    for one in gc.get_objects():
+        if issubclass(type(one), kinds):
+            object.__setattr__(one, "__class__", _abandoned(type(one)))
+
+
+@cache
+def _abandoned(kind: type) -> type:
+    return type(kind.__name__, (kind,), {"__del__": lambda self: None})
 
 
 def _leave_threads_out(ti: ModuleType, threads: int) -> None:

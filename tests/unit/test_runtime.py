@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -78,3 +79,21 @@ def test_starting_says_nothing_on_the_way(stdout):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""
     assert done.stderr == ""
+
+
+def test_what_outlives_a_restart_is_not_freed_by_its_address(monkeypatch) -> None:
+    import taichi as ti
+    from taichi.lang import _ndarray
+
+    freed: list[object] = []
+    runtime.init_taichi("cpu", 1)
+    old = ti.ndarray(ti.f32, 7)
+    runtime.init_taichi("cpu", 2)
+    new = ti.ndarray(ti.f32, 7)
+    program = SimpleNamespace(delete_ndarray=freed.append)
+    stand_in = SimpleNamespace(get_runtime=lambda: SimpleNamespace(prog=program))
+    with monkeypatch.context() as patch:
+        patch.setattr(_ndarray, "impl", stand_in)
+        for array in (old, new):
+            array.__del__()
+    assert freed == [new.arr]
