@@ -9,16 +9,20 @@ from gf_usd.physics import host
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
+    from gf_usd.physics.stencil import Stencil
 
 
 def constants(solver: TotalLagrangian) -> tuple[Floats, Floats]:
     """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
-    c, rate = (
-        host.values(solver.arrays[name]).astype(float).reshape(-1, 3)
-        for name in ("anchor", "anchor_rate")
-    )
-    count = solver.stencil.node_count - solver.stencil.free_count
-    return c[:count], rate[:count]
+    anchor, rate = (host.values(solver.arrays[name]) for name in ("anchor", "anchor_rate"))
+    return of_followers(solver.stencil, anchor, rate)
+
+
+def of_followers(stencil: Stencil, anchor: Floats, rate: Floats) -> tuple[Floats, Floats]:
+    """The kernels' arrays as c and its rate, (followers, 3): they are never empty."""
+    count = stencil.node_count - stencil.free_count
+    c, c_rate = (a.astype(float).reshape(-1, 3)[:count] for a in (anchor, rate))
+    return c, c_rate
 
 
 def node_motion(solver: TotalLagrangian) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ kept for as long as the state stands: a small body spends more on such calls tha
 
 from __future__ import annotations
 
+import weakref
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from gf_usd.model import Floats, Pose
 from gf_usd.physics import host
+from gf_usd.physics.anchoring import of_followers
 from gf_usd.physics.embedding import gradient
 from gf_usd.physics.sharing import product
 
@@ -36,7 +38,9 @@ class Moment:
     """
 
     def __init__(self, solver: TotalLagrangian, given: Given) -> None:
-        self._solver, self._given = solver, given
+        # The solver keeps its moment: else both would wait for the search for cycles, and the
+        # memory of a large body with them.
+        self._solver, self._given = weakref.proxy(solver), given
         free = solver.stencil.free_count
         self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
         self.u.flags.writeable = self.v.flags.writeable = False
@@ -60,10 +64,7 @@ class Moment:
     @property
     def constants(self) -> tuple[Floats, Floats]:
         """c (followers, 3) [m] of held nodes, and its rate [m/s]."""
-        nodes = self._solver.stencil
-        count = nodes.node_count - nodes.free_count
-        c, rate = (a.astype(float).reshape(-1, 3)[:count] for a in self._given[2:4])
-        return c, rate
+        return of_followers(self._solver.stencil, *self._given[2:4])
 
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from solids import ball, look, settings
@@ -54,3 +57,17 @@ def test_a_state_that_is_no_number_is_never_the_same(solver):
 def test_what_is_handed_out_cannot_be_changed(solver):
     with pytest.raises(ValueError, match="read-only"):
         solver.state()[0][0] = 1.0
+
+
+def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
+    particles, _ = ball(120)
+    solver = TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+    assert len(list(solver.frames())) == 3
+    assert solver.moment().particles.x.size
+    seen = weakref.ref(solver)
+    gc.disable()
+    try:
+        del solver
+        assert seen() is None
+    finally:
+        gc.enable()
