@@ -95,7 +95,6 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
     """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
-
     table = stages(options.plain, options.meets)
 
     @ti.func
@@ -223,11 +222,10 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
                     )  # fmt: skip
 
     @ti.kernel
-    def energy(
-        body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
-        converged: real,
-    ):  # fmt: skip
+    def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
         """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
         if ti.static(options.plain):
             for p in range(groups):
                 out[p] = particle_energy(body, p, law, ih, converged, options)
@@ -237,11 +235,10 @@ def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> Simp
                     group_energy(body, z // STRIDE, out, law, ih, converged, options)
 
     @ti.kernel
-    def stress(
-        body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), ih: real,
-        converged: real,
-    ):  # fmt: skip
+    def stress(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
         """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
         if ti.static(options.plain):
             for p in range(groups):
                 out[p] = particle_von_mises(body, p, law, ih, converged, options)

@@ -33,20 +33,14 @@ def strain_energy(solver: TotalLagrangian, stretch: Floats, J: Floats) -> float:
 
 def elastic_energy(solver: TotalLagrangian) -> float:
     """The same from the kernels, of which the nodal forces are the gradient [J]."""
-    solver.kernels.energy(
-        solver.pack,
-        solver.batches.groups,
-        solver.cell_energy,
-        1.0 / solver.h,
-        solver.converged,
-    )
+    solver.kernels.energy(solver.pack, solver.batches.groups, solver.cell_energy)
     return float(host.values(solver.cell_energy).astype(float).sum())
 
 
 def von_mises(solver: TotalLagrangian) -> Floats:
     """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""
     groups = solver.batches.groups
-    solver.kernels.stress(solver.pack, groups, solver.lane_stress, 1.0 / solver.h, solver.converged)
+    solver.kernels.stress(solver.pack, groups, solver.lane_stress)
     out = np.empty(len(solver.particles))
     lanes = host.values(solver.lane_stress).astype(float)
     filled = solver.batches.filled.ravel() > 0.0
