@@ -1,43 +1,39 @@
 """Taichi's way from a kernel's source to its key in the cache on disk, without the detours.
 
 That way is gone at every start, also where the cache holds all kernels.  What is replaced here
-builds the same, to the bit of the key, and says the same where Taichi complains:
+builds the same, to the bit of the key, and says the same where Taichi complains of a kernel:
 
-- it words the position of every expression it meets, some 50,000 where loops are unrolled, and
-  breaks the lines at 80 columns: here a position is worded once, and a line stays whole;
+- it words the position of every expression it meets, some 50,000 where loops are unrolled, with a
+  copy of the source: here with file and line, and with the source only where something is wrong;
 - it asks for the source of the frame in which a function is announced, which at the level of a
   module is the import system, and looking for it goes through all modules loaded: here it is one
   line of one file, or of none;
-- it reads a function's source anew for every call of it in a kernel.
+- it reads and parses a function's source anew for every call of it in a kernel: here once;
+- it puts the name of what builds a node together at every node, and makes a dozen functions for
+  every sum to choose one of: here that is looked up.
 
 Where a version of Taichi has no such part, that part is left alone.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import gc
 import importlib
 import inspect
 import linecache
+import operator
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
-from functools import cache
-from types import ModuleType
+from functools import cache, partial
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 VERSION_CHECK = "taichi._version_check"
-
-
-class _Whole:
-    """In place of textwrap.TextWrapper: a line stays one line."""
-
-    def __init__(self, width: int) -> None:
-        pass
-
-    def wrap(self, text: str) -> list[str]:
-        return [text.rstrip()] if text.strip() else []
 
 
 @contextlib.contextmanager
@@ -71,12 +67,20 @@ def frames_without_source() -> Iterator[None]:
 def quicken() -> None:
     """Replace the detours of an imported Taichi."""
     words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
-    if hasattr(words, "TextWrapper"):
-        words.TextWrapper = _Whole  # pyright: ignore[reportAttributeAccessIssue]
+    kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
+    builder: Any = getattr(words, "Builder", None)
     context: Any = getattr(words, "ASTTransformerContext", None)
-    if hasattr(context, "get_pos_info"):
-        context.get_pos_info = _once_worded(context.get_pos_info)
-    kernels = importlib.import_module("taichi.lang.kernel_impl")
+    if callable(builder) and hasattr(context, "get_pos_info"):
+        builder.__call__ = _looked_up(builder.__call__, context.get_pos_info)
+        context.get_pos_info = _briefly
+    transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
+    if hasattr(transformer, "build_BinOp"):
+        transformer.build_BinOp = staticmethod(_chosen(transformer.build_BinOp))
+    if all(hasattr(kernels, name) for name in ("ast", "textwrap", "transform_tree")):
+        trees = Trees(kernels.transform_tree)
+        kernels.ast = SimpleNamespace(**{**vars(ast), "parse": trees.parse})
+        kernels.textwrap = SimpleNamespace(**{**vars(textwrap), "fill": _filled})
+        kernels.transform_tree = trees.transform
     for name in ("getsourcelines", "getsourcefile"):
         if hasattr(kernels, name):
             setattr(kernels, name, cache(getattr(kernels, name)))
@@ -85,20 +89,19 @@ def quicken() -> None:
         kernels._inside_class = _asked_of_files(kernels._inside_class, words)
 
 
-def _once_worded(word: Callable[[Any, Any], str]) -> Callable[[Any, Any], str]:
-    """`word(context, node)`, remembered by function and place."""
-    known: dict[tuple[Any, ...], str] = {}
-
-    def position(self: Any, node: Any) -> str:
-        place = (
-            *(self.func.func, type(node), node.lineno, node.col_offset),
-            *(node.end_lineno, node.end_col_offset),
-        )
-        if place not in known:
-            known[place] = word(self, node)
-        return known[place]
-
-    return position
+def _briefly(self: Any, node: Any) -> str:
+    """Where a node is, for an ASTTransformerContext: without its source, which few ask for."""
+    function = self.func.func
+    try:
+        said_of, said = node.said
+        if said_of is function:
+            return said
+    except AttributeError:
+        pass
+    line = node.lineno + self.lineno_offset
+    said = f'File "{self.file}", line {line}, in {function.__name__}:\n'
+    node.said = function, said
+    return said
 
 
 def _asked_of_files(
@@ -123,3 +126,129 @@ def _asked_of_files(
         return inside(level_of_class_stackframe + 1)
 
     return inside_class
+
+
+def _looked_up(
+    complete: Callable[[Any, Any, Any], Any], word: Callable[[Any, Any], str]
+) -> Callable[[Any, Any, Any], Any]:
+    """`complete(builder, context, node)`, which visits a node, and is left to say what went wrong.
+
+    word : (context, node), where that is, with the source.
+    """
+    runtime = importlib.import_module("taichi.lang.impl").get_runtime
+    known: dict[tuple[type, type], tuple[Any, bool]] = {}
+
+    def build(self: Any, ctx: Any, node: Any) -> Any:
+        kind = type(node)
+        if (type(self), kind) not in known:
+            method = getattr(self, f"build_{kind.__name__}", None)
+            if method is None:
+                return complete(self, ctx, node)
+            known[type(self), kind] = method, issubclass(kind, ast.stmt | ast.expr)
+        method, placed = known[type(self), kind]
+        if kind is ast.Attribute:
+            node.__dict__.pop("caller", None)  # of another visit of the tree
+        stack = runtime().src_info_stack
+        stack.append(ctx.get_pos_info(node) if placed else "")
+        try:
+            return method(ctx, node)
+        except Exception as error:  # noqa: BLE001  (passed on, in Taichi's words)
+            failed = error
+        finally:
+            stack.pop()
+        ctx.get_pos_info = partial(word, ctx)
+        return complete(_Failed(failed), ctx, node)
+
+    return build
+
+
+class _Failed:
+    """A builder whose every method raises this error."""
+
+    def __init__(self, error: Exception) -> None:
+        self._error = error
+
+    def __getattr__(self, name: str) -> Any:
+        def build(ctx: Any, node: Any) -> Any:
+            raise self._error
+
+        return build
+
+
+SUMS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+
+
+def _chosen(complete: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """`complete(context, node)` of a binary operation; sums and products without it."""
+    build = importlib.import_module("taichi.lang.ast.ast_transformer").build_stmt
+    wrong = importlib.import_module("taichi.lang.exception").TaichiTypeError
+
+    def build_binary(ctx: Any, node: Any) -> Any:
+        take = SUMS.get(type(node.op))
+        if take is None:
+            return complete(ctx, node)
+        build(ctx, node.left)
+        build(ctx, node.right)
+        try:
+            node.ptr = take(node.left.ptr, node.right.ptr)
+        except TypeError as error:
+            raise wrong(str(error)) from None
+        return node.ptr
+
+    return build_binary
+
+
+class Trees:
+    """Syntax trees of functions that one kernel calls, each parsed once.
+
+    Taichi hangs what it makes of a node on the node.  So a tree serves one call at a time, and none
+    stays when the kernel is done.
+
+    transform : (tree, context), what Taichi does with a tree.
+    """
+
+    def __init__(self, transform: Callable[[Any, Any], Any]) -> None:
+        self._transform, self._depth = transform, 0
+        self._free: dict[str, list[ast.Module]] = {}
+
+    def parse(self, source: str) -> ast.Module:
+        """The tree of a function's source."""
+        free = self._free.get(source)
+        tree = free.pop() if free else ast.parse(source)
+        tree.source = source  # pyright: ignore[reportAttributeAccessIssue]
+        return tree
+
+    def transform(self, tree: Any, ctx: Any) -> Any:
+        """Do what Taichi does; then the tree is free for another call within the same kernel.
+
+        No search for cycles meanwhile: it goes through all that a kernel is made of, which stays.
+        """
+        searches = self._depth == 0 and gc.isenabled()
+        if searches:
+            gc.disable()
+        self._depth += 1
+        try:
+            result = self._transform(tree, ctx)
+            # The arguments of these are cut off the tree.
+            if not (ctx.is_kernel or ctx.is_real_function):
+                self._free.setdefault(tree.source, []).append(tree)
+        finally:
+            self._depth -= 1
+            if not self._depth:
+                self._free.clear()
+            if searches:
+                gc.enable()
+        return result
+
+
+def _filled(text: str, **how: Any) -> str:
+    """`textwrap.fill`, for whose widths a line of source is short."""
+    line = text.rstrip()
+    if len(line) < how["width"] and line.isprintable():
+        return line
+    return textwrap.fill(text, **how)

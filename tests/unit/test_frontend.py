@@ -1,9 +1,12 @@
 """What Taichi is made to do at a start: as quickly, and with the same keys and words."""
 
+import gc
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -42,6 +45,110 @@ def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
     assert compiled_after(3) == first
 
 
+MANY_WAYS = """
+import sys
+from gf_usd import runtime
+
+if sys.argv[1] == "plain":
+    runtime.quicken = lambda: None
+ti = runtime.import_taichi()
+runtime.init_taichi()
+x = ti.ndarray(ti.f32, 4)
+numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
+
+@ti.func
+def twice(a):
+    return 2.0 * a - a / 3.0 + a // 1.0 + a % 7.0
+
+@ti.func
+def power(a, n: ti.template()):
+    out = a
+    if ti.static(n > 1):
+        out = a * power(a, n - 1)
+    return out
+
+@ti.func
+def second(v: ti.template()):
+    return v.y + v.normalized().x
+
+@ti.kernel
+def fill(x: numbers, n: ti.i32):
+    for i in range(n):
+        v = ti.Vector([float(i), 3.0])
+        for k in ti.static(range(3)):
+            x[i] += twice(twice(v.x)) - power(v.y, 3) + second(v) * k
+    for i in range(n):
+        x[i] = -x[i] if x[i] > 1.0 else twice(x[i])
+
+fill(x, 4)
+print(x.to_numpy().tolist(), type(sys.modules["taichi.lang.kernel_impl"].ast).__name__)
+"""
+
+
+def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path) -> None:
+    script = tmp_path / "kernel.py"
+    script.write_text(MANY_WAYS)
+
+    def run(way: str) -> tuple[str, str, set[str]]:
+        cache = tmp_path / way
+        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache)}
+        done = subprocess.run(
+            [sys.executable, str(script), way],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        values, _, kind = done.stdout.strip().rpartition(" ")
+        return values, kind, {file.name for file in cache.rglob("*.tic")}
+
+    plain, quick = run("plain"), run("quick")
+    assert (plain[1], quick[1]) == ("module", "SimpleNamespace"), "else nothing is compared"
+    assert quick[0] == plain[0]
+    assert plain[2]
+    assert quick[2] == plain[2]
+
+
+def test_a_tree_serves_one_call_at_a_time_and_none_outlives_its_kernel() -> None:
+    seen: list[Any] = []
+    source = "def f(x):\n    return x"
+    context = SimpleNamespace(is_kernel=False, is_real_function=False)
+
+    def transform(tree: Any, ctx: Any) -> None:
+        if ctx.is_kernel:
+            for _ in range(2):
+                outer = trees.parse(source)
+                seen.append(outer)
+                trees.transform(outer, context)
+        elif len(seen) % 2:
+            seen.append(inner := trees.parse(source))
+            trees.transform(inner, context)
+
+    trees = frontend.Trees(transform)
+    assert gc.isenabled()
+    kernel = SimpleNamespace(is_kernel=True, is_real_function=False)
+    trees.transform(trees.parse("def k(): pass"), kernel)
+    assert gc.isenabled()
+    assert seen[0] is not seen[1], "called while it is in use"
+    assert {id(tree) for tree in seen[2:]} <= {id(tree) for tree in seen[:2]}
+    assert trees.parse(source) not in seen
+
+
+def test_lines_of_source_are_filled_as_textwrap_does() -> None:
+    for line in (
+        "",
+        "  \n",
+        "    x = 1  \n",
+        "\ty = 2\n",
+        "a\x0cb",
+        "z" * 99,
+        "p q " * 9,
+        "ä = 'é'",
+    ):
+        filled = textwrap.fill(line, tabsize=4, width=30)
+        assert frontend._filled(line, tabsize=4, width=30) == filled, repr(line)
+
+
 def test_a_fault_in_a_kernel_is_still_placed() -> None:
     ti: Any = import_taichi()
     init_taichi()
@@ -57,6 +164,7 @@ def test_a_fault_in_a_kernel_is_still_placed() -> None:
     said = str(error.value)
     assert f'File "{__file__}"' in said
     assert "x[i] = nowhere" in said
+    assert "^^^^^^^" in said
     line = next(k for k, text in enumerate(Path(__file__).read_text().splitlines(), 1)
                 if "= nowhere  #" in text)  # fmt: skip
     assert f"line {line}" in said
