@@ -150,14 +150,17 @@ def _looked_up(
             node.__dict__.pop("caller", None)  # of another visit of the tree
         stack = runtime().src_info_stack
         stack.append(ctx.get_pos_info(node) if placed else "")
+        done = False
         try:
-            return method(ctx, node)
-        except Exception as error:  # noqa: BLE001  (passed on, in Taichi's words)
-            failed = error
+            made = method(ctx, node)
+            done = True
         finally:
             stack.pop()
-        ctx.get_pos_info = partial(word, ctx)
-        return complete(_Failed(failed), ctx, node)
+            error = None if done else sys.exception()
+            if isinstance(error, Exception):  # goes on, with the place and in Taichi's words
+                ctx.get_pos_info = partial(word, ctx)
+                complete(_Failed(error), ctx, node)
+        return made
 
     return build
 
