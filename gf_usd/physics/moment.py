@@ -18,6 +18,7 @@ from gf_usd.physics import host
 from gf_usd.physics.anchoring import of_followers
 from gf_usd.physics.embedding import gradient
 from gf_usd.physics.sharing import product
+from gf_usd.physics.stretches import strains
 
 if TYPE_CHECKING:
     from gf_usd.physics.solver import TotalLagrangian
@@ -41,6 +42,7 @@ class Moment:
         # The solver keeps its moment: else both would wait for the search for cycles, and the
         # memory of a large body with them.
         self._solver, self._given = weakref.proxy(solver), given
+        self._strains: tuple[int, Floats, tuple[Floats, Floats]] | None = None
         free = solver.stencil.free_count
         self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
         self.u.flags.writeable = self.v.flags.writeable = False
@@ -60,6 +62,18 @@ class Moment:
             f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, first near"
             f" particle {worst} at rest position {X[worst].round(4).tolist()} m"
         )
+
+    def strains(self, index: int, F: Floats | None = None) -> tuple[Floats, Floats]:
+        """Singular values (N, 3), ascending, and determinants (N,) of F at frame `index`.
+
+        F : (N, 3, 3) where it is known.  What comes of it is kept for the frame and F0 of the last
+        call; F0 is another array whenever it changes.
+        """
+        known, F0 = self._strains, self._solver.reanchor.F0
+        if known is None or known[0] != index or known[1] is not F0:
+            F = self._solver.gradients(self, index) if F is None else F
+            self._strains = known = index, F0, strains(F)
+        return known[2]
 
     @property
     def constants(self) -> tuple[Floats, Floats]:

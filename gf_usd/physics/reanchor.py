@@ -24,17 +24,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.errors import UsageError
-from gf_usd.model import Floats, Pose
+from gf_usd.model import Floats
 from gf_usd.nearby import nearest
 from gf_usd.physics import body as layout
 from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
 from gf_usd.physics.stretches import strains
+from gf_usd.sparse import sparse
 
 if TYPE_CHECKING:
+    from gf_usd.physics.moment import Moment
     from gf_usd.physics.solver import TotalLagrangian
 
 CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
@@ -152,15 +153,14 @@ class Reanchor:
         none = np.zeros(len(solver.particles), bool)
         if not self.acts or (now := solver.moment()).not_finite()[1]:
             return none, 0.0
-        before = stored_energy(solver, now, *strains(solver.gradients(now, index)))
+        before = stored_energy(solver, now, *now.strains(index))
         if self.alpha > 0.0:
             self._correct(solver)
             now = solver.moment()
-        if self.gradient is None:
-            after = strains(solver.gradients(now, index))
-            return none, stored_energy(solver, now, *after) - before
-        clipped, strain = self._recompute(solver, solver.pose_at(now, index))
-        return clipped, stored_energy(solver, now, *strain) - before
+        clipped = none
+        if self.gradient is not None:
+            clipped = self._recompute(solver, now, index)
+        return clipped, stored_energy(solver, now, *now.strains(index)) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
         u = host.values(solver.arrays["u"]).astype(float).reshape(-1, 3)
@@ -169,19 +169,19 @@ class Reanchor:
         u += self.alpha * (mean - u)
         host.put(solver.arrays["u"], u.astype(solver.real).ravel())
 
-    def _recompute(
-        self, solver: TotalLagrangian, pose: Pose
-    ) -> tuple[Floats, tuple[Floats, Floats]]:
-        """Put F anew where the kernels see it: which particles were clipped, and its strains."""
+    def _recompute(self, solver: TotalLagrangian, now: Moment, index: int) -> Floats:
+        """Put F anew where the kernels see it: which particles (N,) bool were clipped."""
         assert self.gradient is not None
+        pose, F0 = solver.pose_at(now, index), self.F0.astype(float)
         moved = pose.x - solver.particles.X - solver.offset
         F = np.empty(pose.F.shape)
         for axis, D in enumerate(self.gradient):
             F[:, :, axis] = D @ moved
         F += np.eye(3)
-        clipped, strain = np.zeros(len(F), bool), strains(F)
-        if self.clamp is not None and to_be_clipped(*strain, *self.clamp).any():
+        self.put(solver, F - (pose.F - F0))
+        clipped = np.zeros(len(F), bool)
+        # Rounding of F0 is far less than what `to_be_clipped` is wide of.
+        if self.clamp and to_be_clipped(*now.strains(index), *self.clamp).any():
             F, clipped = clip_stretches(F, *self.clamp)
-            strain = strains(F)
-        self.put(solver, F - (pose.F - self.F0.astype(float)))
-        return clipped, strain
+            self.put(solver, F - (pose.F - F0))
+        return clipped

@@ -39,7 +39,6 @@ from gf_usd.physics.rider_rows import rider_rows
 from gf_usd.physics.shortcuts import Shortcuts
 from gf_usd.physics.stencil import Rows, build_stencil
 from gf_usd.physics.stiffening import strained_substeps
-from gf_usd.physics.stretches import strains
 from gf_usd.pins import Pin
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
@@ -263,7 +262,7 @@ class TotalLagrangian(Marcher):
         """See `Marcher`."""
         now = self.moment()
         particles = self.pose_at(now, index)
-        stretch, J = strains(particles.F)
+        stretch, J = now.strains(index, particles.F)
         self.strained = strained_substeps(self, stretch, J)
         return Frame(
             index=index,

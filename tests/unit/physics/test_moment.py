@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
-from gf_usd.physics import host
+from gf_usd.physics import host, moment, stretches
 from gf_usd.physics.solver import TotalLagrangian
 
 
@@ -71,3 +71,30 @@ def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
         assert seen() is None
     finally:
         gc.enable()
+
+
+def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monkeypatch):
+    particles, _ = ball(120)
+    asked = settings(frames=3, wls=True)
+    solver = TotalLagrangian(
+        particles,
+        [look("rubber", particles)],
+        asked,
+        velocity=lambda X: 3.0 * np.sin(2.0 * X[:, [1, 2, 0]]),
+    )
+    worked_out: list[int] = []
+    monkeypatch.setattr(
+        moment, "strains", lambda F: worked_out.append(len(F)) or stretches.strains(F)
+    )
+    solver.advance(1, 2)
+    after = len(worked_out)
+    assert after == 2, "before F was put anew, and after it"
+    frame = solver.read(1)
+    assert len(worked_out) == after
+    s = np.linalg.svd(frame.particles.F, compute_uv=False)
+    assert frame.health.max_stretch == pytest.approx(s.max(), rel=1e-7)
+    solver.reanchor.put(solver, 1.1 * solver.reanchor.F0)
+    assert solver.read(1).health.max_stretch != frame.health.max_stretch
+    assert len(worked_out) == after + 1
+    solver.read(2)
+    assert len(worked_out) == after + 2
