@@ -120,32 +120,40 @@ def _signed_svd(F: Floats) -> NDArray[np.float64]:
 
 def jacobi(S: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Diagonalise symmetric S (N, 3, 3): returns Q^T S Q and Q, det Q = 1, Q near the identity."""
-    S = np.array(S, float)
-    identity = np.zeros(S.shape)
-    identity.reshape(-1, 9)[:, ::4] = 1.0
-    Q = identity
+    # Entry by entry over all matrices: products of 3x3 matrices would cost several times as much.
+    s = np.array(np.asarray(S, float).transpose(1, 2, 0), order="C")
+    q = np.zeros(s.shape)
+    q.reshape(9, -1)[::4] = 1.0
     # Below rounding an off-diagonal says nothing, and turning by it would be noise.
-    scale = 1e-14 * np.maximum(np.einsum("naa->n", S), 1e-300)
+    scale = 1e-14 * np.maximum(s[0, 0] + s[1, 1] + s[2, 2], 1e-300)
     for _ in range(SWEEPS):
         moved = False
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            active = np.abs(S[:, p, q]) > scale
+        for a, b, other in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
+            active = np.abs(s[a, b]) > scale
             if not active.any():
                 continue
             moved = True
-            tau = (S[:, q, q] - S[:, p, p]) / (2.0 * np.where(active, S[:, p, q], 1.0))
+            off = np.where(active, s[a, b], 1.0)
+            tau = (s[b, b] - s[a, a]) / (2.0 * off)
             t = np.where(tau >= 0.0, 1.0, -1.0) / (np.abs(tau) + np.sqrt(1.0 + tau * tau))
-            t = np.where(active, t, 0.0)
-            c = 1.0 / np.sqrt(1.0 + t * t)
-            J = identity.copy()
-            J[:, p, p] = J[:, q, q] = c
-            J[:, p, q] = s = t * c
-            J[:, q, p] = -s
-            S = J.swapaxes(1, 2) @ S @ J
-            Q = Q @ J
+            t *= active
+            cosine = 1.0 / np.sqrt(1.0 + t * t)
+            sine = t * cosine
+            off *= t
+            s[a, a] -= off
+            s[b, b] += off
+            s[a, b] = s[b, a] = np.where(active, 0.0, s[a, b])
+            first, second = s[a, other], s[b, other]
+            s[a, other], s[b, other] = (
+                cosine * first - sine * second,
+                sine * first + cosine * second,
+            )
+            s[other, a], s[other, b] = s[a, other], s[b, other]
+            first, second = q[:, a], q[:, b]
+            q[:, a], q[:, b] = cosine * first - sine * second, sine * first + cosine * second
         if not moved:
             break
-    return S, Q
+    return s.transpose(2, 0, 1), q.transpose(2, 0, 1)
 
 
 def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
