@@ -7,8 +7,10 @@ them, and a report.
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 RESERVE = 2e6  # [bytes] for the root layer and the ends of files
 REPORT_BYTES = 3e3  # of a frame, in the report and in the health of the cache
 LEAST_MEMORY = 64e6  # [bytes] free: below it the system begins to end processes without a word
+ASKED = 0.1  # [s] memory is asked for no more often: the system takes longer to say than to go on
 DISK_HINT = "free some space, choose another -o, or write less: --frames, --half, --only"
 
 
@@ -99,10 +102,12 @@ class RoomWatch:
         self._sample = size / plan.settings.samples_per_frame
         self._reserve = RESERVE + REPORT_BYTES * plan.settings.frames
         self._clips = bool(plan.choices.clip_frames)
+        self._asked = -math.inf
 
     def require(self, index: int, unsaved: int) -> None:
         """Raise OutOfRoom where the disk or the memory has not enough for one more sample.
 
+        Memory is looked at once in ASKED seconds.
         index : of the sample; unsaved : samples that the cache still holds.
         """
         again = "the same command with --resume goes on" if self._clips else "bake again"
@@ -115,6 +120,10 @@ class RoomWatch:
                 f"free some space; {again}",
                 frame=index,
             )
+        now = time.monotonic()
+        if now < self._asked + ASKED:
+            return
+        self._asked = now
         left = free_memory()
         if left < LEAST_MEMORY and (left := left + _swap()) < LEAST_MEMORY:
             raise OutOfRoom(

@@ -98,7 +98,7 @@ def run() -> NoReturn:
         signal.signal(number, _stop)
     end_with_parent()
     # Nearly all that a command makes lives as long as it: less often looked through for cycles.
-    gc.set_threshold(20_000, 20, 20)
+    gc.set_threshold(100_000, 20, 20)
     asked = sys.argv[1:2]
     # Typer goes through the options of all the commands it knows before it runs one.
     chosen = program(asked) if asked and asked[0] in COMMANDS else app

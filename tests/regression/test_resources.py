@@ -101,6 +101,8 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
 def test_want_of_memory_ends_the_bake_at_its_last_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(room, "ASKED", 0.0)
+
     def others(done: int, total: int) -> None:
         if done == 3:
             monkeypatch.setattr(room, "free_memory", lambda: 1e6)
