@@ -7,9 +7,9 @@ that met its own face at less than the crease angle at rest.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from gf_usd.model import Floats, Ints
+from gf_usd.sparse import csr_matrix
 
 # between the 5 degrees of a fine tessellation and the 90 of a box
 CREASE = 50.0

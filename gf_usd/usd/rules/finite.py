@@ -59,8 +59,9 @@ def finite(stage: Usd.Stage) -> Iterator[Finding]:
 
 
 def _problems(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
+    value_at = Usd.AttributeQuery(attribute).Get
     for time in times(attribute):
-        value = attribute.Get(time)
+        value = value_at(time)
         if isinstance(value, float) and isfinite(value):
             continue
         array = array_of(value)

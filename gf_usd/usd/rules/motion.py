@@ -49,6 +49,8 @@ FEWEST = 8
 MAJORITY = 0.5
 WINDOW = 5
 MIDDLE = WINDOW // 2
+# Of more windows than this the verdict of so many, all along the motion, is the same.
+MOST = 64
 # A factor is wrong where windows of this share of the smooth places lie on its side of 1.
 AGREE = 0.9
 
@@ -163,14 +165,17 @@ def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> T
     """Compare a prim's velocities with its positions, five samples in memory at a time."""
     tally = Tally()
     window: deque[Sample] = deque(maxlen=WINDOW)
-    for code in position.GetTimeSamples():
+    codes = position.GetTimeSamples()
+    windows = len(codes) - WINDOW + 1
+    judged = set(np.linspace(0, windows - 1, max(min(windows, MOST), 0)).astype(int) + WINDOW - 1)
+    for number, code in enumerate(codes):
         x = vectors(position, Usd.TimeCode(code))
         if x is None or (window and len(window[-1].x) != x.size):
             window.clear()
         if x is None or not len(x):
             continue
         window.append(Sample(code, columns(x).astype(np.float64).ravel(), np.finfo(x.dtype).eps))
-        if len(window) == WINDOW:
+        if len(window) == WINDOW and number in judged:
             _judge(tally, window, vectors(velocity, Usd.TimeCode(window[MIDDLE].code)), rate)
     return tally
 

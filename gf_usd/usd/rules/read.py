@@ -104,8 +104,9 @@ def samples(attribute: Usd.Attribute | None) -> Iterator[tuple[Usd.TimeCode, Arr
     """Every value of an attribute with its time, one in memory at a time."""
     if attribute is None:
         return
+    value_at = Usd.AttributeQuery(attribute).Get  # in half the time
     for time in times(attribute):
-        array = numbers(attribute, time)
+        array = array_of(value_at(time))
         if array is not None:
             yield time, array
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from check_damage import GAUSSIANS, MESH, OURS, POINTS
 from check_stages import CODES, CUBE, GRID, RATE, box, good_stage, motion, vec3
-from pxr import Usd
+from pxr import Usd, UsdGeom
 
 from gf_usd.usd.check import check_stage
+from gf_usd.usd.rules import motion as motion_rule
 
 
 def test_contact_and_rest_do_not_count_against_right_velocities(tmp_path: Path) -> None:
@@ -65,6 +67,28 @@ def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
             attribute.ClearAtTime(code)
     (skip,) = check_stage(stage).skipped
     assert skip.reason == "velocities: 4 samples of motion, 5 are wanted to judge"
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.25])
+def test_a_long_motion_is_judged_by_some_of_it_all_along(factor: float) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    prim = UsdGeom.Points.Define(stage, "/Points").GetPrim()
+    position, velocity = (prim.GetAttribute(name) for name in ("points", "velocities"))
+    for code in np.arange(float(10 * motion_rule.MOST)):
+        at = 2.0 * code / RATE
+        position.Set(vec3(CUBE + [np.sin(at), 0.0, np.cos(at)]), code)
+        v = 2.0 * np.tile([np.cos(at), 0.0, -np.sin(at)], (len(CUBE), 1))
+        velocity.Set(vec3(factor * v), code)
+    tally = motion_rule.tally_of(position, velocity, RATE)
+    assert len(tally.factors) == motion_rule.MOST
+    assert tally.moving == tally.smooth == motion_rule.MOST * len(CUBE)
+    assert tally.factor == pytest.approx(factor, rel=1e-4)
+    # Where it is wrong only at the end, windows at the end are among them.
+    for code in np.arange(0.9 * 10 * motion_rule.MOST):
+        velocity.Set(vec3(np.zeros_like(CUBE)), code)
+    late = motion_rule.tally_of(position, velocity, RATE)
+    assert sum(np.array(late.factors) > 0.5) == pytest.approx(0.1 * motion_rule.MOST, abs=2)
 
 
 def shaken(stage: Usd.Stage, scale: float) -> None:
