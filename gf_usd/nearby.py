@@ -90,9 +90,10 @@ def components(graph: coo_matrix) -> tuple[int, Ints]:
         parts, part = connected_components(graph, directed=False)
         return int(parts), np.asarray(part, np.int64)
     import igl
-    from scipy.sparse import csc_matrix
+
+    from gf_usd.sparse import sparse
 
     ends = np.concatenate([graph.row, graph.col]), np.concatenate([graph.col, graph.row])
-    both = csc_matrix((np.ones(2 * graph.nnz, np.int64), ends), shape=graph.shape)
+    both = sparse.csc_matrix((np.ones(2 * graph.nnz, np.int64), ends), shape=graph.shape)
     parts, part, _ = igl.connected_components(both)
     return int(parts), np.asarray(part, np.int64)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 
 from gf_usd.nearby import components, pairs_within
+from gf_usd.sparse import coo_matrix
 
 Floats = NDArray[np.floating]
 Ints = NDArray[np.integer]

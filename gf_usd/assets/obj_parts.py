@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.assets.mesh_data import FileMesh, FileNode, tidy
 from gf_usd.assets.notes import Notes
 from gf_usd.colour import srgb_to_linear
 from gf_usd.model import Floats, Ints
+from gf_usd.nearby import components
+from gf_usd.sparse import coo_matrix
 
 NO_INDEX = -1
 NO_NAME = "mesh"
@@ -62,7 +62,7 @@ def _bodies(tables: Tables, face_of: Ints) -> list[tuple[Ints, list[int]]]:
     graph = coo_matrix(
         (np.ones(len(owner)), (owner, n + tables.corners)), shape=(n + len(tables.points),) * 2
     )
-    label = connected_components(graph, directed=False)[1][:n]
+    label = components(graph)[1][:n]
     bodies = []
     for body in dict.fromkeys(label.tolist()):
         parts = np.flatnonzero(label == body)

@@ -11,11 +11,11 @@ from typing import Any
 
 import igl
 import numpy as np
-from scipy.sparse import coo_matrix
 
 from gf_usd.geometry.solid import INSIDE, Solid
 from gf_usd.model import Floats, Ints
 from gf_usd.nearby import components
+from gf_usd.sparse import coo_matrix
 
 FINEST = 64  # parts of an edge: the walls of a hall need no more
 TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching

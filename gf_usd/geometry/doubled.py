@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 
 from gf_usd.geometry.edges import Edges
 from gf_usd.model import Ints, Surface
 from gf_usd.nearby import components
+from gf_usd.sparse import coo_matrix
 
 Flags = NDArray[np.bool_]
 

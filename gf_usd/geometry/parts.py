@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
 
 from gf_usd.geometry import winding
 from gf_usd.geometry.sampling import GAUSS, JITTER
@@ -19,6 +18,7 @@ from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
 from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
 from gf_usd.nearby import components, kd_tree
+from gf_usd.sparse import coo_matrix
 from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid

@@ -20,11 +20,11 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.errors import UsageError
 from gf_usd.model import Floats, Pose
 from gf_usd.nearby import nearest, squared_distances
+from gf_usd.sparse import sparse
 
 NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins

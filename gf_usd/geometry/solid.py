@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 
 from gf_usd.errors import InputError
 from gf_usd.model import Asset, Floats, Ints, Surface
 from gf_usd.nearby import components
+from gf_usd.sparse import coo_matrix
 from gf_usd.topology import boundary_edges, proper, shells, signed_volume, weld
 
 OPEN_FRACTION = 0.25  # holes above this share of the closed area leave no inside worth the name

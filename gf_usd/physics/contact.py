@@ -16,10 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.model import Floats, SurfaceSamples
 from gf_usd.physics.stencil import Rows, Stencil
+from gf_usd.sparse import sparse
 
 ELASTIC_SHARE = 0.4  # of (c/s)^2
 STOPPING_DISTANCE = 0.25  # of s

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from gf_usd.model import Floats, Ints
 from gf_usd.nearby import kd_tree
 from gf_usd.physics.holds import interpolation
+from gf_usd.sparse import sparse
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -18,13 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.errors import InputError
 from gf_usd.model import Floats, Ints, Pose
 from gf_usd.nearby import kd_tree
 from gf_usd.physics.motion import Motion
 from gf_usd.pins import Pin
+from gf_usd.sparse import sparse
 
 REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
 

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.model import Floats, Ints
 from gf_usd.physics.stencil import CHUNK, OFFSETS, Rows, weights
+from gf_usd.sparse import sparse
 
 if TYPE_CHECKING:
     from gf_usd.physics.stencil import Stencil

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.model import Floats, Ints
 from gf_usd.physics.followers import FREE_MASS, affine_fit, split_nodes
 from gf_usd.physics.holds import Held, Holder, held_by, mirror_points
+from gf_usd.sparse import sparse
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbour that a fit would take
 CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays

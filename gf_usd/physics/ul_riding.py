@@ -15,11 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
 from gf_usd.model import Floats, Ints, Pose
 from gf_usd.nearby import kd_tree
 from gf_usd.physics.stencil import Rows
+from gf_usd.sparse import sparse
 
 CARRIERS = 8  # particles that carry a point: about a cell's
 

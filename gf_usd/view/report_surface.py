@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from gf_usd.colour import linear_to_srgb, srgb_to_linear
 from gf_usd.model import Floats, Ints, Texture
+from gf_usd.nearby import components
 from gf_usd.scene import RenderMesh
+from gf_usd.sparse import coo_matrix
 from gf_usd.view.report_thin import cluster
 
 
@@ -63,7 +63,7 @@ def make_skin(meshes: Sequence[RenderMesh], most: int) -> Skin:
     )
 
 
-def smooth_groups(points: Floats, triangles: Ints, crease: Floats) -> NDArray[np.int64]:
+def smooth_groups(points: Floats, triangles: Ints, crease: Floats) -> Ints:
     """(3 T,) a number for each corner; corners with the same share a normal.
 
     Two triangles over an edge are joined where their planes meet at less than the crease angle.
@@ -90,8 +90,8 @@ def smooth_groups(points: Floats, triangles: Ints, crease: Floats) -> NDArray[np
     limit = np.minimum(np.asarray(crease)[face[same]], np.asarray(crease)[face[same + 1]])
     joined = same[cosine >= np.cos(np.radians(limit)) - 1e-9]
     row, column = at[joined].reshape(-1), at[joined + 1].reshape(-1)
-    graph = coo_array((np.ones(len(row), np.int8), (row, column)), shape=(3 * count, 3 * count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    graph = coo_matrix((np.ones(len(row), np.int8), (row, column)), shape=(3 * count, 3 * count))
+    return components(graph)[1]
 
 
 def corner_colours(mesh: RenderMesh) -> NDArray[np.float64]:
