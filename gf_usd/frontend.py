@@ -9,6 +9,7 @@ builds the same, to the bit of the key, and says the same where Taichi complains
   module is the import system, and looking for it goes through all modules loaded: here it is one
   line of one file, or of none;
 - it reads and parses a function's source anew for every call of it in a kernel: here once;
+- it gives every name a place of its own, and asks NumPy for the range of every number;
 - it puts the name of what builds a node together at every node, and makes a dozen functions for
   every sum to choose one of: here that is looked up.
 
@@ -29,7 +30,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -67,6 +68,10 @@ def frames_without_source() -> Iterator[None]:
 def quicken() -> None:
     """Replace the detours of an imported Taichi."""
     words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
+    numbers: Any = importlib.import_module("taichi.lang.expr")
+    for name in ("_check_in_range", "_clamp_unsigned_to_range"):
+        if hasattr(numbers, name):
+            setattr(numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name)))
     kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
     builder: Any = getattr(words, "Builder", None)
     context: Any = getattr(words, "ASTTransformerContext", None)
@@ -74,6 +79,8 @@ def quicken() -> None:
         builder.__call__ = _looked_up(builder.__call__, context.get_pos_info)
         context.get_pos_info = _briefly
     transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
+    if hasattr(transformer, "build_Name"):
+        transformer.build_Name = staticmethod(_named)
     if hasattr(transformer, "build_BinOp"):
         transformer.build_BinOp = staticmethod(_chosen(transformer.build_BinOp))
     if all(hasattr(kernels, name) for name in ("ast", "textwrap", "transform_tree")):
@@ -176,6 +183,12 @@ class _Failed:
             raise self._error
 
         return build
+
+
+def _named(ctx: Any, node: Any) -> Any:
+    """What a name stands for; what is built of it says where it was built."""
+    node.ptr = ctx.get_var_by_name(node.id)
+    return node.ptr
 
 
 SUMS: dict[type, Callable[[Any, Any], Any]] = {
