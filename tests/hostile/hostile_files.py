@@ -11,6 +11,9 @@ import numpy as np
 import trimesh
 from pxr import Sdf, UsdUtils
 
+from gf_usd.assets.splat_spz import read_spz
+from gf_usd.splat_files import ply_bytes
+
 STAGE = """#usda 1.0
 (
     defaultPrim = "A"
@@ -65,6 +68,8 @@ def sound(folder: Path) -> list[Path]:
     made[-1].write_bytes(splats)
     made.append(folder / "d.spz")
     made[-1].write_bytes((Path(__file__).parents[1] / "assets/SanitySplats.spz").read_bytes())
+    made.append(folder / "e.ply")
+    made[-1].write_bytes(ply_bytes(read_spz(made[-2])))
     return made
 
 
