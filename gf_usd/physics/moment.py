@@ -71,8 +71,8 @@ class Moment:
         """
         known, F0 = self._strains, self._solver.reanchor.F0
         if known is None or known[0] != index or known[1] is not F0:
-            F = self._solver.gradients(self, index) if F is None else F
-            self._strains = known = index, F0, strains(F)
+            found = self._solver.gradients(self, index) if F is None else F
+            self._strains = known = index, F0, strains(found)
         return known[2]
 
     @property
