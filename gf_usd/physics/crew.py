@@ -11,6 +11,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from gf_usd.beside import at_work
+from gf_usd.runtime import cores
+
 MOMENT = 0.1  # [s] of a launch; between launches Ctrl-C is heard and threads are counted anew
 FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
 GUESS = 1e-7  # [s] of a particle and substep, until one is measured
@@ -25,6 +28,7 @@ class Crew:
 
     threads : as many as there are; particles : of the body, which may ask for fewer.
     clock, ran : [s] that passed, and that the threads of this process ran.
+    others : threads of this process that work at something else.
     """
 
     def __init__(
@@ -33,10 +37,11 @@ class Crew:
         particles: int,
         clock: Callable[[], float] = time.perf_counter,
         ran: Callable[[], float] = time.process_time,
+        others: Callable[[], int] = at_work,
     ) -> None:
         self.most = max(1, min(threads, particles // FEW))
         self.size = self.most
-        self._clock, self._ran = clock, ran
+        self._clock, self._ran, self._others = clock, ran, others
         self._pace = GUESS * max(1, particles)
         self._fresh = True
         self._rest, self._left = REST, 0
@@ -50,14 +55,16 @@ class Crew:
         if self._left:
             self._left -= 1
             self.size = self.size if self._left else self.most
+        others = self._others()
+        size = min(self.size, max(1, cores() - others)) if others else self.size
         wall, ran = self._clock(), self._ran()
-        work(self.size)
+        work(size)
         wall, ran = self._clock() - wall, self._ran() - ran
         if self._fresh:  # it was compiled in that time
             self._fresh = False
             return
         self._pace = wall / substeps
-        if self.size > 1 and wall > SHORT:
+        if self.size > 1 and wall > SHORT and not others:  # their time would count
             self._judge(wall, ran)
 
     def _judge(self, wall: float, ran: float) -> None:

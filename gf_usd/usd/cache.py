@@ -3,20 +3,22 @@
 The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
 the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
 the number of frames, because the layer is saved as it goes; a save also leaves a readable file
-behind should the process be killed.
+behind should the process be killed.  Saving goes on beside the simulation of the next frame.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from pxr import Usd
 
+from gf_usd.beside import Beside
 from gf_usd.choices import Choices
 from gf_usd.errors import BakeError
 from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
@@ -95,6 +97,7 @@ class CacheWriter:
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
+        self._beside = Beside()  # while it is busy nothing touches the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         time = clock(stage, info.settings)
@@ -155,7 +158,7 @@ class CacheWriter:
     @property
     def unsaved(self) -> int:
         """Samples that are held in memory until the next save."""
-        return self._frames % self._every
+        return self._frames % self._every + (self._every if self._beside.busy else 0)
 
     def state(self) -> dict[str, Any]:
         """What another writer goes on from, where this one is `full`; plain values."""
@@ -171,7 +174,7 @@ class CacheWriter:
         BakeError : a mesh is missing or not of this asset, an array has the wrong length or holds
             numbers that are not finite, time goes backwards, or the disk is full.
         """
-        self._raise_if_lost()
+        self._settle()
         time_code = float(frame.time_code)
         if not time_code > self._time_code:
             raise BakeError(
@@ -198,11 +201,11 @@ class CacheWriter:
             bound.write(time_code)
         self._health.write(frame.health, time_code)
         if self._clips:
-            self._keep(time_code)
-        self._time_code = time_code
+            self._guarded(partial(self._clips.keep, time_code))
+        self._time_code = self._layer.endTimeCode = time_code
         self._frames += 1
         if self._frames % self._every == 0:
-            self._save()
+            self._beside.start(self._save_layers)
 
     def close(self) -> CacheSummary:
         """Save what is left and let go of the file, which keeps its partial name.
@@ -244,21 +247,23 @@ class CacheWriter:
             self._release()
 
     def _save(self) -> None:
-        self._raise_if_lost()
-        if self._frames:
-            self._layer.endTimeCode = self._time_code
-        try:
-            save(self._layer)
-            if self._clips:
-                self._clips.save()
-        except BakeError as error:
-            self._lost = error
-            raise
+        self._settle()
+        self._guarded(self._save_layers)
 
-    def _keep(self, time_code: float) -> None:
-        assert self._clips is not None
+    def _save_layers(self) -> None:
+        save(self._layer)
+        if self._clips:
+            self._clips.save()
+
+    def _settle(self) -> None:
+        """Wait for the last save.  USD crashes when a layer that met a full disk is touched."""
+        if self._lost is not None:
+            raise self._lost
+        self._guarded(self._beside.settle)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
         try:
-            self._clips.keep(time_code)
+            work()
         except BakeError as error:
             self._lost = error
             raise
@@ -266,11 +271,6 @@ class CacheWriter:
     def _notes(self) -> tuple[str, ...]:
         of_meshes = (note for track in self._meshes.values() for note in track.notes)
         return (*of_meshes, *(self._particles.notes if self._particles else ()))
-
-    def _raise_if_lost(self) -> None:
-        # USD crashes when a layer that met a full disk is touched again
-        if self._lost is not None:
-            raise self._lost
 
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health

@@ -13,10 +13,17 @@ class Machine:
 
     def __init__(self) -> None:
         self.wall, self.ran = 0.0, 0.0
+        self.others = 0
         self.sizes: list[int] = []
 
     def crew(self, threads: int, particles: int = 100_000) -> Crew:
-        made = Crew(threads, particles, clock=lambda: self.wall, ran=lambda: self.ran)
+        made = Crew(
+            threads,
+            particles,
+            clock=lambda: self.wall,
+            ran=lambda: self.ran,
+            others=lambda: self.others,
+        )
         self.launch(made, wall=9.0, cores=1.0)  # compiles, which says nothing
         self.sizes.clear()
         return made
@@ -59,6 +66,26 @@ def test_the_rest_grows_while_cores_are_lacking_and_ends_when_they_are_back() ->
     for _ in range(5 * crew.REST):
         machine.launch(team, wall=0.05, cores=2.0)
     assert machine.sizes[-1] == 2
+
+
+def test_work_beside_it_has_a_core_and_says_nothing_of_the_cores(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(crew, "cores", lambda: 4)
+    machine = Machine()
+    team = machine.crew(4)
+    machine.others = 1
+    for _ in range(3):
+        machine.launch(team, wall=0.05, cores=1.0)
+    machine.others = 9
+    machine.launch(team, wall=0.05, cores=1.0)
+    machine.others = 0
+    machine.launch(team, wall=0.05, cores=4.0)
+    assert machine.sizes == [3, 3, 3, 1, 4]
+    few = machine.crew(2)
+    machine.others = 1
+    machine.launch(few, wall=0.05, cores=4.0)
+    assert machine.sizes == [2], "four cores are enough for both"
 
 
 def test_a_launch_too_short_to_be_timed_says_nothing() -> None:

@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom
 from small_sources import MOVING, PLAIN, SOURCES, Source
 from small_stages import (
     EPS,
@@ -26,7 +28,9 @@ from small_stages import (
 
 from gf_usd.errors import BakeError, UsageError
 from gf_usd.publish import partial_path
+from gf_usd.usd import cache
 from gf_usd.usd.cache import CacheWriter
+from gf_usd.usd.stage import save
 
 
 @pytest.fixture(params=SOURCES)
@@ -172,6 +176,63 @@ def test_a_failure_leaves_the_frames_so_far_under_the_partial_name(tmp_path: Pat
     stage = Usd.Stage.Open(str(partial_path(path)))
     assert stage.GetAttributeAtPath("/duck/geo/body.points").GetTimeSamples() == [10, 11]
     assert stage.GetEndTimeCode() == 11
+
+
+def test_a_save_goes_on_beside_what_comes_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The writer is back while layers are saved, and touches them only when they are."""
+    asset = PLAIN.asset(tmp_path)
+    info, particles = info_of(asset), particles_of(asset)
+    frames = list(frames_of(asset, particles, info))
+    gate, saved = threading.Event(), []
+
+    def slow(layer: Sdf.Layer) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            assert gate.wait(10.0)
+        times = layer.GetAttributeAtPath("/duck/geo/body.points")
+        saved.append(times.GetNumTimeSamples() if times else 0)
+        save(layer)
+
+    monkeypatch.setattr(cache, "save", slow)
+    path = tmp_path / "c.usdc"
+    with CacheWriter(path, asset, particles, info, save_every=2) as writer:
+        writer.write(frames[0])
+        assert writer.unsaved == 1
+        saved.clear()
+        writer.write(frames[1])
+        assert saved == []
+        assert writer.unsaved == 2, "what is being saved is not on the disk"
+        threading.Timer(0.1, gate.set).start()
+        writer.write(frames[2])
+        assert saved == [2], "the third frame waited for it"
+        assert writer.unsaved == 1
+    stage = Usd.Stage.Open(str(partial_path(path)))
+    assert stage.GetAttributeAtPath("/duck/geo/body.points").GetTimeSamples() == [10, 11, 12]
+    assert stage.GetEndTimeCode() == 12
+
+
+def test_a_save_that_failed_is_told_by_what_comes_next_and_the_layer_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asset = PLAIN.asset(tmp_path)
+    info, particles = info_of(asset), particles_of(asset)
+    frames = list(frames_of(asset, particles, info))
+    asked: list[str] = []
+
+    def full(layer: Sdf.Layer) -> None:
+        asked.append(layer.identifier)
+        raise BakeError("the disk is full.", "free some space")
+
+    writer = CacheWriter(tmp_path / "c.usdc", asset, particles, info, save_every=1)
+    monkeypatch.setattr(cache, "save", full)
+    writer.write(frames[0])
+    for again in (partial(writer.write, frames[1]), writer.close, writer.close):
+        with pytest.raises(BakeError, match="the disk is full"):
+            again()
+    assert len(asked) == 1
+    writer.__exit__(BakeError, None, None)
+    assert len(asked) == 1
 
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
