@@ -13,25 +13,31 @@ from gf_usd.physics.stencil_kernel import (
     gather,
     gradient,
     middle,
+    put_block,
     spline,
     spread,
 )
+from gf_usd.physics.unrolled_kernel import at, let, put, unrolled
 
 
 @ti.func
 def strain(body: ti.template(), b, u: ti.template(), s: ti.template(), h: ti.template(), ih,
            options: ti.template()):  # fmt: skip
     """F = F0 + sum_i u_i (x) G_ip of one batch; F0 = I, or what `reanchor` left; ih = 1/h."""
-    F = gradient(u, s, h)
-    for a in ti.static(range(9)):
-        F[a] = F[a] * (0.5 * ih)
+    F = scaled(0.5 * ih, gradient(u, s, h))
     if ti.static(options.anchored):
-        for a in ti.static(range(9)):
-            F[a] = F[a] + body.F0[9 * b + a]
+        add_anchor(F, body.F0, b)
     else:
         for a in ti.static(range(3)):
             F[4 * a] = F[4 * a] + 1.0
     return F
+
+
+@unrolled
+def add_anchor(F, F0, b):
+    """F += F0 of one batch."""
+    for a in range(9):
+        put(F[a], F[a] + at(F0, 9 * b + a))
 
 
 @ti.func
@@ -45,8 +51,7 @@ def stress_group(
     rate = gather(body, body.v, group) if ti.static(damped) else u
     if ti.static(damped):
         differences(rate)
-    zero = u[0] * 0.0
-    out = [zero for n in ti.static(range(81))]
+    out = zeros(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
         F = strain(body, b, u, s, h, ih, options)
@@ -57,22 +62,39 @@ def stress_group(
             # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), objective.
             D = gradient(rate, s, h)
             k = body.viscosity[b] * (0.25 * ih)
-            for a in ti.static(range(3)):
-                for c in ti.static(range(3)):
-                    e = k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
-                    # e_ac enters sym twice: F (e + e^T).
-                    for r in ti.static(range(3)):
-                        P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * e
-                        P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * e
+            add_viscous(P, k, F, D)
         if ti.static(options.capped):
             cut(body, b, P, True)
         k = (0.0 - 0.5 * ih) * body.V0[b]
-        for a in ti.static(range(9)):
-            P[a] = k * P[a]
-        spread(P, s, h, out)
+        spread(scaled(k, P), s, h, out)
     differences_transposed(out)
-    for n in ti.static(range(81)):
-        body.block[81 * group + n] = out[n]
+    put_block(body.block, group, out)
+
+
+@unrolled
+def zeros(like):
+    """As many lane vectors of zeros."""
+    zero = let(like[0] * 0.0)
+    return [zero] * len(like)
+
+
+@unrolled
+def scaled(k, A):
+    """k A."""
+    k = let(k)
+    return let([k * a for a in A])
+
+
+@unrolled
+def add_viscous(P, k, F, D):
+    """P += k F (e + e^T) with e = F^T D."""
+    for a in range(3):
+        for c in range(3):
+            e = let(k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c]))
+            # e_ac enters the symmetric part twice
+            for r in range(0, 9, 3):
+                put(P[r + c], P[r + c] + F[r + a] * e)
+                put(P[r + a], P[r + a] + F[r + c] * e)
 
 
 @ti.func
@@ -82,47 +104,47 @@ def filter_group(body: ti.template(), group):
     v_p = sum w v_i and C_p = 4/h^2 sum w v_i (x) dX; with dX in cells the h cancels.
     """
     q = gather(body, body.v, group)
-    zero = q[0] * 0.0
-    out = [zero for n in ti.static(range(81))]
+    out = zeros(q)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
-        f0 = body.fx[3 * b]
-        f1 = body.fx[3 * b + 1]
-        f2 = body.fx[3 * b + 2]
-        w = [spline(f0), spline(f1), spline(f2)]
-        m = body.m[b]
-        for d in ti.static(range(3)):
-            v = zero
-            c0 = zero
-            c1 = zero
-            c2 = zero
-            for i in ti.static(range(3)):
-                t = zero
-                tj = zero
-                tk = zero
-                for j in ti.static(range(3)):
-                    o = ti.static(3 * (9 * i + 3 * j) + d)
-                    q0 = w[2][0] * q[o]
-                    q1 = w[2][1] * q[o + 3]
-                    q2 = w[2][2] * q[o + 6]
-                    s = w[1][j] * (q0 + q1 + q2)
-                    t += s
-                    tj += (float(j) - f1) * s
-                    tk += w[1][j] * ((1.0 - f2) * q1 + (2.0 - f2) * q2 - f2 * q0)
-                v += w[0][i] * t
-                c0 += w[0][i] * (float(i) - f0) * t
-                c1 += w[0][i] * tj
-                c2 += w[0][i] * tk
-            for i in ti.static(range(3)):
-                a = m * w[0][i] * (v + 4.0 * (float(i) - f0) * c0)
-                e = 4.0 * m * w[0][i]
-                for j in ti.static(range(3)):
-                    p = w[1][j] * (a + e * (float(j) - f1) * c1)
-                    r = w[1][j] * e * c2
-                    for k in ti.static(range(3)):
-                        n = ti.static((9 * i + 3 * j + k) * 3 + d)
-                        out[n] = out[n] + w[2][k] * (p + (float(k) - f2) * r)
-    for n in ti.static(range(81)):
-        body.block[81 * group + n] = out[n]
+        f = [body.fx[3 * b], body.fx[3 * b + 1], body.fx[3 * b + 2]]
+        filter_batch(q, f, body.m[b], out)
+    put_block(body.block, group, out)
+
+
+@unrolled
+def filter_batch(q, f, m, out):
+    """Add m (v_p + C_p dX) of the particles at f cells, of mass m, to out, from nodal v in q."""
+    w = let([spline(f[a]) for a in range(3)])
+    g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
+    for d in range(3):
+        t, t1, t2 = [], [], []
+        for i in range(3):
+            rows = [[q[27 * i + 9 * j + 3 * k + d] for k in range(3)] for j in range(3)]
+            s = let([dot(w[2], row) for row in rows])
+            s2 = [dot(g[2], row) for row in rows]
+            t.append(let(dot(w[1], s)))
+            t1.append(dot(g[1], s))
+            t2.append(dot(w[1], s2))
+        v = let(m * dot(w[0], t))
+        c0 = let(4.0 * m * dot(g[0], t))
+        c1 = let(4.0 * m * dot(w[0], t1))
+        c2 = let(4.0 * m * dot(w[0], t2))
+        for i in range(3):
+            a = let(w[0][i] * v + g[0][i] * c0)
+            b1 = let(w[0][i] * c1)
+            b2 = let(w[0][i] * c2)
+            for j in range(3):
+                p = let(w[1][j] * a + g[1][j] * b1)
+                r = let(w[1][j] * b2)
+                for k in range(3):
+                    n = 27 * i + 9 * j + 3 * k + d
+                    put(out[n], out[n] + w[2][k] * p + g[2][k] * r)
+
+
+@unrolled
+def dot(a, b):
+    """a_0 b_0 + a_1 b_1 + a_2 b_2."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @ti.func

@@ -10,11 +10,13 @@ exp and log.  Write ``0.0 - x``, and take logarithms lane by lane with `log`.
 
 import taichi as ti
 
+from gf_usd.physics.unrolled_kernel import let, put, unrolled
+
 LANE_BITS = 3
 LANES = 1 << LANE_BITS
 
 
-@ti.func
+@unrolled
 def cofactor(F):
     """cof F = J F^-T, defined for singular F too."""
     return [
@@ -30,18 +32,37 @@ def cofactor(F):
     ]
 
 
-@ti.func
+@unrolled
 def determinant(F, cof):
     """J = det F by its first row; cof as returned by `cofactor`."""
     return F[0] * cof[0] + F[1] * cof[1] + F[2] * cof[2]
 
 
-@ti.func
+@unrolled
+def difference(A, B):
+    """A - B."""
+    return [A[a] - B[a] for a in range(9)]
+
+
+@unrolled
+def chosen(where, A, B):
+    """A in the lanes where it says so, else B."""
+    where = let(where)
+    return [ti.select(where, A[a], B[a]) for a in range(9)]
+
+
+@unrolled
+def combination(p, A, q, B):
+    """p A + q B."""
+    return [p * A[a] + q * B[a] for a in range(9)]
+
+
+@unrolled
 def double_dot(A, B):
     """A : B = sum_ab A_ab B_ab."""
     s = A[0] * B[0]
-    for a in ti.static(range(1, 9)):
-        s += A[a] * B[a]
+    for a in range(1, 9):
+        s = s + A[a] * B[a]
     return s
 
 
@@ -79,70 +100,80 @@ def rotation(F, converged):
     g = ti.sqrt(g2)
     p = 0.5 * g
     q = 0.5 * rJ / g
-    Q = [
-        p * F[0] + q * cof[0],
-        p * F[1] + q * cof[1],
-        p * F[2] + q * cof[2],
-        p * F[3] + q * cof[3],
-        p * F[4] + q * cof[4],
-        p * F[5] + q * cof[5],
-        p * F[6] + q * cof[6],
-        p * F[7] + q * cof[7],
-        p * F[8] + q * cof[8],
-    ]
+    Q = combination(p, F, q, cof)
     change = J * 0.0 + 1.0
     steps = 0
     while change.max() > converged and steps < 24:
         c = cofactor(Q)
         r = 0.5 * inverse_guarded(determinant(Q, c))
         change = J * 0.0
-        for a in ti.static(range(9)):
-            d = r * c[a] - 0.5 * Q[a]
-            Q[a] = Q[a] + d
-            change += d * d
+        advance(Q, r, c, change)
         steps += 1
     if J.min() < 0.0:
         unflip(Q, F, J)
     return Q
 
 
+@unrolled
+def advance(Q, r, c, change):
+    """Q <- Q + d with d = r c - Q / 2; adds |d|^2 to change."""
+    for a in range(9):
+        d = let(r * c[a] - 0.5 * Q[a])
+        put(Q[a], Q[a] + d)
+        put(change, change + d * d)
+
+
 @ti.func
 def unflip(Q: ti.template(), F, J):
     """Where J < 0, replace the reflection Q by Q (I - 2 n n^T), in place."""
     # S = Q^T F is positive semi-definite; powers of its cofactor single out the smallest stretch.
-    S = [
-        Q[0] * F[0] + Q[3] * F[3] + Q[6] * F[6],
-        Q[0] * F[1] + Q[3] * F[4] + Q[6] * F[7],
-        Q[0] * F[2] + Q[3] * F[5] + Q[6] * F[8],
-        Q[1] * F[0] + Q[4] * F[3] + Q[7] * F[6],
-        Q[1] * F[1] + Q[4] * F[4] + Q[7] * F[7],
-        Q[1] * F[2] + Q[4] * F[5] + Q[7] * F[8],
-        Q[2] * F[0] + Q[5] * F[3] + Q[8] * F[6],
-        Q[2] * F[1] + Q[5] * F[4] + Q[8] * F[7],
-        Q[2] * F[2] + Q[5] * F[5] + Q[8] * F[8],
-    ]
+    S = product([Q[0], Q[3], Q[6], Q[1], Q[4], Q[7], Q[2], Q[5], Q[8]], F)
     B = cofactor(S)
     for _ in range(12):
         s = 1.0 / ti.max(ti.sqrt(double_dot(B, B)), 1e-30)
-        A = [s * B[0], s * B[1], s * B[2], s * B[3], s * B[4], s * B[5], s * B[6], s * B[7],
-             s * B[8]]  # fmt: skip
-        for a in ti.static(range(3)):
-            for b in ti.static(range(3)):
-                B[3 * a + b] = A[3 * a] * A[b] + A[3 * a + 1] * A[3 + b] + A[3 * a + 2] * A[6 + b]
+        square(B, s)
     # B is now n n^T up to scale; its longest column is n.
-    n = [B[0], B[3], B[6]]
-    best = B[0]
-    for b in ti.static(range(1, 3)):
-        longer = B[4 * b] > best
-        best = ti.select(longer, B[4 * b], best)
-        for a in ti.static(range(3)):
-            n[a] = ti.select(longer, B[3 * a + b], n[a])
+    mirror(Q, longest_column(B), J < 0.0)
+
+
+@unrolled
+def product(A, B):
+    """A B."""
+    return [
+        A[3 * a] * B[b] + A[3 * a + 1] * B[3 + b] + A[3 * a + 2] * B[6 + b]
+        for a in range(3)
+        for b in range(3)
+    ]
+
+
+@unrolled
+def square(B, s):
+    """B <- (s B)^2."""
+    A = let([s * B[a] for a in range(9)])
+    for a, value in enumerate(product(A, A)):
+        put(B[a], value)
+
+
+@unrolled
+def longest_column(B):
+    """Of the three, as the diagonal of a B = n n^T says."""
+    n, best = [B[0], B[3], B[6]], B[0]
+    for b in range(1, 3):
+        longer = let(B[4 * b] > best)
+        best = let(ti.select(longer, B[4 * b], best))
+        n = [let(ti.select(longer, B[3 * a + b], n[a])) for a in range(3)]
+    return n
+
+
+@unrolled
+def mirror(Q, n, where):
+    """Q <- Q (I - 2 n n^T / |n|^2) in the lanes where it says so."""
     k = 2.0 / ti.max(n[0] * n[0] + n[1] * n[1] + n[2] * n[2], 1e-30)
-    k = ti.select(J < 0.0, k, 0.0)
-    for a in ti.static(range(3)):
-        t = k * (Q[3 * a] * n[0] + Q[3 * a + 1] * n[1] + Q[3 * a + 2] * n[2])
-        for b in ti.static(range(3)):
-            Q[3 * a + b] = Q[3 * a + b] - t * n[b]
+    k = let(ti.select(where, k, 0.0))
+    for a in range(3):
+        t = let(k * (Q[3 * a] * n[0] + Q[3 * a + 1] * n[1] + Q[3 * a + 2] * n[2]))
+        for b in range(3):
+            put(Q[3 * a + b], Q[3 * a + b] - t * n[b])
 
 
 @ti.func

@@ -14,7 +14,16 @@ import numpy as np
 import taichi as ti
 
 from gf_usd.model import Floats, Ints, Material
-from gf_usd.physics.lanes import cofactor, determinant, double_dot, log, rotation
+from gf_usd.physics.lanes import (
+    chosen,
+    cofactor,
+    combination,
+    determinant,
+    difference,
+    double_dot,
+    log,
+    rotation,
+)
 
 J_EXTENSION = 0.1  # below this J the logarithm is continued by its second-order Taylor polynomial
 
@@ -37,10 +46,8 @@ def corotated_psi(F, mu, lam, converged):
     """psi = mu |F - R|^2 + lam/2 (J - 1)^2."""
     R = rotation(F, converged)
     J = determinant(F, cofactor(F))
-    e = J * 0.0
-    for a in ti.static(range(9)):
-        e += (F[a] - R[a]) * (F[a] - R[a])
-    return mu * e + 0.5 * lam * (J - 1.0) * (J - 1.0)
+    D = difference(F, R)
+    return mu * double_dot(D, D) + 0.5 * lam * (J - 1.0) * (J - 1.0)
 
 
 @ti.func
@@ -50,17 +57,7 @@ def corotated_pk1(F, mu, lam, converged):
     cof = cofactor(F)
     p = lam * (determinant(F, cof) - 1.0)
     m = 2.0 * mu
-    return [
-        m * (F[0] - R[0]) + p * cof[0],
-        m * (F[1] - R[1]) + p * cof[1],
-        m * (F[2] - R[2]) + p * cof[2],
-        m * (F[3] - R[3]) + p * cof[3],
-        m * (F[4] - R[4]) + p * cof[4],
-        m * (F[5] - R[5]) + p * cof[5],
-        m * (F[6] - R[6]) + p * cof[6],
-        m * (F[7] - R[7]) + p * cof[7],
-        m * (F[8] - R[8]) + p * cof[8],
-    ]
+    return combination(m, difference(F, R), p, cof)
 
 
 @ti.func
@@ -90,17 +87,7 @@ def neo_hookean_pk1(F, mu, lam, converged):
     cof = cofactor(F)
     J = determinant(F, cof)
     q = (lam * log_extended(J) - mu) * log_extended_slope(J)
-    return [
-        mu * F[0] + q * cof[0],
-        mu * F[1] + q * cof[1],
-        mu * F[2] + q * cof[2],
-        mu * F[3] + q * cof[3],
-        mu * F[4] + q * cof[4],
-        mu * F[5] + q * cof[5],
-        mu * F[6] + q * cof[6],
-        mu * F[7] + q * cof[7],
-        mu * F[8] + q * cof[8],
-    ]
+    return combination(mu, F, q, cof)
 
 
 def corotated_stored(s, J, mu, lam):
@@ -143,9 +130,7 @@ def mixed_pk1(F, mu, lam, converged):
     shear = ti.max(mu, 0.0 - mu)
     P = corotated_pk1(F, shear, lam, converged)
     other = neo_hookean_pk1(F, shear, lam, converged)
-    for a in ti.static(range(9)):
-        P[a] = ti.select(mu > 0.0, P[a], other[a])
-    return P
+    return chosen(mu > 0.0, P, other)
 
 
 LAWS: dict[str, Law] = {

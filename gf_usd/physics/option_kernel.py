@@ -69,7 +69,13 @@ def clipped_matrix(A, low, high):
         S[a, a] = s
     B = A
     if outside > 0:
-        B = U @ S @ V.transpose()
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                B[a, c] = (
+                    U[a, 0] * S[0, 0] * V[c, 0]
+                    + U[a, 1] * S[1, 1] * V[c, 1]
+                    + U[a, 2] * S[2, 2] * V[c, 2]
+                )
     return B, outside
 
 

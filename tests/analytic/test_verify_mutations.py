@@ -35,12 +35,15 @@ class Fault:
 FAULTS = {
     "slope of the spline turned round": Fault(
         "physics/stencil_kernel.py",
-        "b = q[k] - q[i]\n",
-        "b = q[i] - q[k]\n",
+        "b = let(q[k] - q[i])\n",
+        "b = let(q[i] - q[k])\n",
         "patch",
     ),
     "2/h^2 for 4/h^2 in APIC": Fault(
-        "physics/cell_kernel.py", "e = 4.0 * m * w[0][i]", "e = 2.0 * m * w[0][i]", "spin-apic"
+        "physics/cell_kernel.py",
+        "c1 = let(4.0 * m * dot(w[0], t1))",
+        "c1 = let(2.0 * m * dot(w[0], t1))",
+        "spin-apic",
     ),
     "no lambda in the Neo-Hookean stress": Fault(
         "physics/laws.py",

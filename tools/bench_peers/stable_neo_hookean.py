@@ -9,7 +9,7 @@ Smith, de Goes and Kim (2018), without the term for degenerate elements, as newt
 import numpy as np
 import taichi as ti
 
-from gf_usd.physics.lanes import cofactor, determinant, double_dot
+from gf_usd.physics.lanes import cofactor, combination, determinant, double_dot
 from gf_usd.physics.laws import LAWS, Law
 
 
@@ -23,17 +23,7 @@ def psi(F, mu, lam, converged):
 def pk1(F, mu, lam, converged):
     cof = cofactor(F)
     q = (lam + mu) * (determinant(F, cof) - 1.0) - mu
-    return [
-        mu * F[0] + q * cof[0],
-        mu * F[1] + q * cof[1],
-        mu * F[2] + q * cof[2],
-        mu * F[3] + q * cof[3],
-        mu * F[4] + q * cof[4],
-        mu * F[5] + q * cof[5],
-        mu * F[6] + q * cof[6],
-        mu * F[7] + q * cof[7],
-        mu * F[8] + q * cof[8],
-    ]
+    return combination(mu, F, q, cof)
 
 
 def bulk(J, mu, lam):
