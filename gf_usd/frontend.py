@@ -8,7 +8,8 @@ builds the same, to the bit of the key, and says the same where Taichi complains
 - it asks for the source of the frame in which a function is announced, which at the level of a
   module is the import system, and looking for it goes through all modules loaded: here it is one
   line of one file, or of none;
-- it reads and parses a function's source anew for every call of it in a kernel: here once;
+- it reads and parses a function's source anew for every call of it in a kernel, and splits it into
+  tokens to see where it ends: here it is parsed once, up to the last line of its code;
 - it gives every name a place of its own, and asks NumPy for the range of every number;
 - it puts the name of what builds a node together at every node, and makes a dozen functions for
   every sum to choose one of: here that is looked up.
@@ -31,7 +32,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache, partial
-from types import ModuleType, SimpleNamespace
+from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
 VERSION_CHECK = "taichi._version_check"
@@ -88,9 +89,10 @@ def quicken() -> None:
         kernels.ast = SimpleNamespace(**{**vars(ast), "parse": trees.parse})
         kernels.textwrap = SimpleNamespace(**{**vars(textwrap), "fill": _filled})
         kernels.transform_tree = trees.transform
-    for name in ("getsourcelines", "getsourcefile"):
-        if hasattr(kernels, name):
-            setattr(kernels, name, cache(getattr(kernels, name)))
+    if hasattr(kernels, "getsourcelines"):
+        kernels.getsourcelines = cache(_up_to_its_end(kernels.getsourcelines))
+    if hasattr(kernels, "getsourcefile"):
+        kernels.getsourcefile = cache(kernels.getsourcefile)
     if hasattr(kernels, "_inside_class"):
         words = tuple(getattr(kernels, "_KERNEL_CLASS_STACKFRAME_STMT_RES", ()))
         kernels._inside_class = _asked_of_files(kernels._inside_class, words)
@@ -133,6 +135,24 @@ def _asked_of_files(
         return inside(level_of_class_stackframe + 1)
 
     return inside_class
+
+
+def _up_to_its_end(complete: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """`complete(function)`: its lines of source, and the number of the first."""
+
+    def lines_of(function: Any) -> tuple[list[str], int]:
+        code = getattr(function, "__code__", None)
+        lines = linecache.getlines(code.co_filename) if isinstance(code, CodeType) else []
+        if code is None or not lines or hasattr(function, "__wrapped__"):
+            return complete(function)
+        return lines[code.co_firstlineno - 1 : _last_line(code)], code.co_firstlineno
+
+    return lines_of
+
+
+def _last_line(code: CodeType) -> int:
+    inner = [_last_line(one) for one in code.co_consts if isinstance(one, CodeType)]
+    return max([code.co_firstlineno, *inner, *(place[1] or 0 for place in code.co_positions())])
 
 
 def _looked_up(

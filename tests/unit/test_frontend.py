@@ -1,6 +1,8 @@
 """What Taichi is made to do at a start: as quickly, and with the same keys and words."""
 
+import ast
 import gc
+import inspect
 import os
 import subprocess
 import sys
@@ -210,3 +212,48 @@ def test_the_version_check_that_is_off_loads_nothing_that_talks_to_a_network() -
     assert loaded("ON") == "[]"
     # One who wants the check has it, as Taichi made it.
     assert loaded("OFF") == "['ssl', 'taichi._version_check']"
+
+
+def long_signature(
+    a: int,
+    b: int,
+) -> list[int]:
+    """Ends with a bracket of its own."""
+
+    def inner() -> int:
+        return a
+
+    if a > b:
+        return [inner()]
+    return [
+        b,
+        a,
+    ]  # said behind it
+
+
+def text_at_the_end() -> str:
+    return """
+one
+"""
+
+
+def branch_at_the_end(a: int) -> None:
+    for _ in range(a):
+        a += 1
+        if a > 3:
+            pass  # nothing more
+
+
+@pytest.mark.parametrize("function", [long_signature, text_at_the_end, branch_at_the_end])
+def test_a_function_is_read_up_to_its_end(function: Any) -> None:
+    lines, first = frontend._up_to_its_end(inspect.getsourcelines)(function)
+    complete, known = inspect.getsourcelines(function)
+    assert first == known
+    assert ast.dump(ast.parse("".join(lines))) == ast.dump(ast.parse("".join(complete)))
+
+
+def test_a_function_without_a_file_is_left_to_inspect() -> None:
+    space: dict[str, Any] = {}
+    exec("def nowhere(): return 1", space)
+    with pytest.raises(OSError, match="source"):
+        frontend._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
