@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gf_usd.carrying import Carrier
 from gf_usd.checkpoint import Checkpoint
-from gf_usd.model import BakedFrame, Frame, Material, MeshPose, Pose
+from gf_usd.model import BakedFrame, Frame, GaussianPose, Material, MeshPose, Pose
 from gf_usd.plan import Plan
 from gf_usd.timeline import sampled
 
@@ -42,10 +42,15 @@ class Moving:
             self.solver.frames_after(since.index, since.last) if since else self.solver.frames()
         )
         for frame in frames:
-            poses = self._skin.poses(frame.particles) if self._skin else frame.riders
-            yield self._baked(frame, poses)
+            gaussians = self.track.advance(frame.particles)
+            poses = frame.riders
+            if self._skin:
+                poses = self._skin.poses(frame.particles, self.track.turn)
+            yield self._baked(frame, gaussians, poses)
 
-    def _baked(self, frame: Frame, poses: Mapping[str, Pose]) -> BakedFrame:
+    def _baked(
+        self, frame: Frame, gaussians: GaussianPose, poses: Mapping[str, Pose]
+    ) -> BakedFrame:
         from gf_usd.physics.embedding import deform_normals
 
         plan, s = self._plan, sampled(self._plan.settings)
@@ -61,7 +66,6 @@ class Moving:
             meshes[surface.path] = MeshPose(
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
-        gaussians = self.track.advance(frame.particles)
         return BakedFrame(
             index=frame.index,
             time_code=s.time_code(frame.index),

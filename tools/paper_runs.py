@@ -16,6 +16,7 @@ from gf_usd.physics.gaussians import matrix_from_quaternion
 from gf_usd.physics.reanchor import WIDTH, wls_gradient
 from gf_usd.physics.stretches import singular_values
 from gf_usd.preflight import prepare
+from gf_usd.slopes import slopes
 
 WARM = 3  # frames
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
@@ -85,7 +86,7 @@ class Observer:
         F = pose.F
         if self._gradient is not None:
             # the unclamped WLS F, which is what the paper reads its strains from
-            F = np.stack([D @ pose.x for D in self._gradient], -1)
+            F = slopes(self._gradient, pose.x)
         U, s = vertical_stretch(F), singular_values(F)[:, 0]
         series.spread.append(float(np.ptp(U)))
         series.least_U.append(float(U.min()))

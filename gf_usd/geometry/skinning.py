@@ -10,7 +10,7 @@ An offset is a material vector, and T_v = sum_k w_vk F_k turns and stretches it 
 every affine map.  The paper's T_v = sum_k w_vk U_k, F = R U, stretches it and leaves it where it
 pointed at rest: exact for a pure stretch, wrong by |(R - I) delta| where the body turns.
 
-Velocities take dT/dt from dF/dt at the particles, the gradient of their velocities; see
+Velocities take dT/dt from dF/dt = dv/dX at the particles, the gradient of their velocities; see
 `rest_gradient`.  Nothing is kept from frame to frame.
 """
 
@@ -22,8 +22,10 @@ from typing import Protocol
 import numpy as np
 
 from gf_usd.errors import UsageError
+from gf_usd.geometry.polar import stretch
 from gf_usd.model import Floats, Pose
 from gf_usd.nearby import nearest, squared_distances
+from gf_usd.slopes import operator, slopes
 from gf_usd.sparse import sparse
 
 NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
@@ -45,8 +47,11 @@ SKIN_NOTES = {
 class Skin(Protocol):
     """Points that follow a cloud of particles."""
 
-    def pose(self, particles: Pose) -> Pose:
-        """x (n, 3) [m], v (n, 3) [m/s] and blended F (n, 3, 3) of the points."""
+    def pose(self, particles: Pose, turn: Floats | None = None) -> Pose:
+        """x (n, 3) [m], v (n, 3) [m/s] and blended F (n, 3, 3) of the points.
+
+        turn : (N, 3, 3) R of the particles' F, where it is known.
+        """
         ...
 
 
@@ -63,11 +68,11 @@ class InverseDistance:
         self.offset = X - self.W @ particles
         self.gradient = rest_gradient(particles)
 
-    def pose(self, particles: Pose) -> Pose:
+    def pose(self, particles: Pose, turn: Floats | None = None) -> Pose:
         """x = sum w x_k + F delta,  v = sum w v_k + dF/dt delta,  F = sum w F_k."""
-        rate = deformation_rate(self.gradient, particles.v)
+        rate = slopes(self.gradient, particles.v)
         x, v, F, dF = blend(self.W.__matmul__, particles.x, particles.v, particles.F, rate)
-        return Pose(x=x + turn(F, self.offset), v=v + turn(dF, self.offset), F=F)
+        return Pose(x=x + turned(F, self.offset), v=v + turned(dF, self.offset), F=F)
 
 
 class PaperSkin:
@@ -89,13 +94,13 @@ class PaperSkin:
         self.offset = X - self.weights @ particles
         self.gradient = rest_gradient(particles)
 
-    def pose(self, particles: Pose) -> Pose:
+    def pose(self, particles: Pose, turn: Floats | None = None) -> Pose:
         """x = sum w x_k + U delta,  v = sum w v_k + dU/dt delta,  F = sum w F_k."""
-        U, dU = stretch(particles.F, deformation_rate(self.gradient, particles.v))
+        U, dU = stretch(particles.F, slopes(self.gradient, particles.v), turn)
         x, v, F, U, dU = blend(
             self.weights.__matmul__, particles.x, particles.v, particles.F, U, dU
         )
-        return Pose(x=x + turn(U, self.offset), v=v + turn(dU, self.offset), F=F)
+        return Pose(x=x + turned(U, self.offset), v=v + turned(dU, self.offset), F=F)
 
 
 SKINS: dict[str, Callable[[Floats, Floats], Skin]] = {"idw": InverseDistance, "paper": PaperSkin}
@@ -126,9 +131,9 @@ class MeshSkin:
         self.rows = tuple(slice(end - len(X), end) for X, end in zip(points.values(), ends))
         self.skin = make_skin(name, np.concatenate(list(points.values())), particles)
 
-    def poses(self, particles: Pose) -> dict[str, Pose]:
-        """The pose of each mesh, by prim path."""
-        whole = self.skin.pose(particles)
+    def poses(self, particles: Pose, turn: Floats | None = None) -> dict[str, Pose]:
+        """The pose of each mesh, by prim path; see `Skin.pose`."""
+        whole = self.skin.pose(particles, turn)
         return {
             path: Pose(x=whole.x[rows], v=whole.v[rows], F=whole.F[rows])
             for path, rows in zip(self.paths, self.rows)
@@ -204,64 +209,14 @@ def blend(apply: Callable[[Floats], Floats], *fields: Floats) -> tuple[Floats, .
     return tuple(out)
 
 
-def turn(T: Floats, offset: Floats) -> Floats:
+def turned(T: Floats, offset: Floats) -> Floats:
     """T_v delta_v, (n, 3)."""
     return np.einsum("vab,vb->va", T, offset)
 
 
-def rest_gradient(
-    particles: Floats, k: int = GRADIENT_NEIGHBOURS
-) -> tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]:
-    """Operators D_b (N, N) [1/m] with (D_b a)_k ~ da/dX_b at particle k, exact for affine a.
-
-    Least squares over the nearest neighbours j, dX = X_j - X_k, weights 1 / |dX|^2:
-
-        da/dX = [sum_j (a_j - a_k) dX / |dX|^2] M^-1,    M = sum_j dX dX^T / |dX|^2
-
-    Across a layer too thin to have neighbours on either side M is singular, and the derivative of
-    least norm, 0 across, is taken.
-    """
-    n, k = len(particles), min(k + 1, len(particles))
-    distance, near = nearest(particles, particles, k)
-    dX = particles[near] - particles[:, None, :]
+def rest_gradient(particles: Floats, k: int = GRADIENT_NEIGHBOURS) -> sparse.csr_matrix:
+    """The operator of `slopes` over the k nearest particles, weights 1 / |dX|^2."""
+    distance, near = nearest(particles, particles, min(k + 1, len(particles)))
     apart = distance > 0.0  # the particle itself, and any that lies on it, tells nothing
     w = np.where(apart, 1.0 / np.where(apart, distance, 1.0) ** 2, 0.0)
-    M = np.einsum("nk,nka,nkb->nab", w, dX, dX)
-    D = np.einsum("nk,nka,nab->nkb", w, dX, np.linalg.pinv(M, rcond=1e-9, hermitian=True))
-    start = np.arange(0, n * k + 1, k)
-
-    def operator(b: int) -> sparse.csr_matrix:
-        sums = sparse.csr_matrix((D[:, :, b].ravel(), near.ravel(), start), shape=(n, n))
-        return (sums - sparse.diags_array(D[:, :, b].sum(1))).tocsr()
-
-    return operator(0), operator(1), operator(2)
-
-
-def deformation_rate(gradient: tuple[sparse.csr_matrix, ...], v: Floats) -> Floats:
-    """dF/dt = dv/dX at the particles, (N, 3, 3) [1/s]."""
-    rate = np.empty((len(v), 3, 3))
-    for axis, D in enumerate(gradient):
-        rate[:, :, axis] = D @ v
-    return rate
-
-
-def stretch(F: Floats, rate: Floats) -> tuple[Floats, Floats]:
-    """U of the polar decomposition F = R U and dU/dt, (n, 3, 3) each, from F and dF/dt.
-
-    U^2 = C = F^T F; dU solves U dU + dU U = dC, entry by entry in the frame of U:
-    dU_ij = dC_ij / (U_i + U_j).  Symmetric and not negative at J < 0 too.  Where F squashes a
-    plane to a line, the part of dU in that plane has no value and is taken as 0.
-    """
-    cross = np.swapaxes(F, -1, -2) @ rate
-    C, dC = np.swapaxes(F, -1, -2) @ F, cross + np.swapaxes(cross, -1, -2)
-    squares, Q = np.linalg.eigh(C)
-    s = np.sqrt(np.maximum(squares, 0.0))
-    QT = np.swapaxes(Q, -1, -2)
-    both = s[..., :, None] + s[..., None, :]
-    lost = both <= 1e-7 * s[..., -1:, None]  # the square root halves the digits of eigh
-    local = QT @ dC @ Q
-    if lost.any():
-        local = np.where(lost, 0.0, local / np.where(lost, 1.0, both))
-    else:
-        local /= both
-    return (Q * s[..., None, :]) @ QT, Q @ local @ QT
+    return operator(near, particles[near] - particles[:, None, :], w)

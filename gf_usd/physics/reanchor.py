@@ -32,6 +32,7 @@ from gf_usd.physics import body as layout
 from gf_usd.physics import host
 from gf_usd.physics.probes import stored_energy
 from gf_usd.physics.stretches import strains
+from gf_usd.slopes import operator, slopes
 from gf_usd.sparse import sparse
 
 if TYPE_CHECKING:
@@ -41,36 +42,19 @@ if TYPE_CHECKING:
 CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
 NEIGHBOURS = 20  # docs/physics.md, fitted
 WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
-FLAT = 1e-9  # eigenvalue of the moments, beside the largest, of a direction without neighbours
-
-Gradient = tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]
 
 
-def wls_gradient(X: Floats, width: float) -> Gradient:
-    """D_a (N, N), a = 0..2: the least-squares gradient d/dX_a of values at the particles.
+def wls_gradient(X: Floats, width: float) -> sparse.csr_matrix:
+    """The operator of `slopes` over the nearest particles, w = exp(-|d|^2 / 2 width^2).
 
-    D_pq = w_pq (X_q - X_p) . M_p^+ and D_pp = -sum_q D_pq,  M_p = sum_q w_pq d d^T,  d = X_q - X_p,
-    w = exp(-|d|^2 / 2 width^2): exact for affine values where the neighbours fill space, and 0
-    along a direction in which there are none.
     X : (N, 3) [m]; width : [m].
     """
     k = min(NEIGHBOURS, len(X) - 1)
     distance, near = nearest(X, X, k + 1)
-    # A twin at the same place may come before the particle itself: both then add nothing.
-    d = X[near] - X[:, None]
     # By the nearest neighbour's weight, which leaves the fit as it is and cannot underflow.
     least = distance[:, 1:2] if k else distance
-    w = np.exp((least**2 - distance**2) / (2.0 * width**2))
-    M = np.einsum("nk,nka,nkb->nab", w, d, d)
-    B = np.einsum("nk,nkb,nba->nka", w, d, np.linalg.pinv(M, rcond=FLAT, hermitian=True))
-    rows = np.repeat(np.arange(len(X)), k + 1)
-    shape = (len(X), len(X))
-
-    def column(a: int) -> sparse.csr_matrix:
-        off = sparse.csr_matrix((B[:, :, a].ravel(), (rows, near.ravel())), shape=shape)
-        return (off - sparse.diags(np.asarray(off.sum(1)).ravel())).tocsr()
-
-    return column(0), column(1), column(2)
+    # A twin at the same place may come before the particle itself: both then add nothing.
+    return operator(near, X[near] - X[:, None], np.exp((least**2 - distance**2) / (2.0 * width**2)))
 
 
 def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
@@ -174,9 +158,7 @@ class Reanchor:
         assert self.gradient is not None
         pose, F0 = solver.pose_at(now, index), self.F0.astype(float)
         moved = pose.x - solver.particles.X - solver.offset
-        F = np.empty(pose.F.shape)
-        for axis, D in enumerate(self.gradient):
-            F[:, :, axis] = D @ moved
+        F = slopes(self.gradient, moved)
         F += np.eye(3)
         self.put(solver, F - (pose.F - F0))
         clipped = np.zeros(len(F), bool)

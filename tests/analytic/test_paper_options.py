@@ -15,6 +15,7 @@ from gf_usd.paper_options import PAPER_CAP, PAPER_CLAMP
 from gf_usd.physics.guard import GAIN, energy
 from gf_usd.physics.reanchor import wls_gradient
 from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.slopes import slopes
 
 ALL = {"wls": True, "procrustes": 0.02, "clamp": PAPER_CLAMP, "stress_cap": PAPER_CAP * 1100 * 9.81}
 
@@ -81,7 +82,7 @@ def spread(frames) -> float:
     D = wls_gradient(cloud().X, 0.2 * cloud().radius)
     most = 0.0
     for frame in frames:
-        F = np.stack([d @ frame.particles.x for d in D], -1)
+        F = slopes(D, frame.particles.x)
         _, s, Vt = np.linalg.svd(F)
         most = max(most, float(np.ptp(np.einsum("nji,nj,njk->nik", Vt, s, Vt)[:, 1, 1])))
     return most

@@ -6,6 +6,7 @@ import numpy as np
 import solids
 from scipy.linalg import polar
 
+from gf_usd.geometry.polar import stretch
 from gf_usd.geometry.skinning import (
     CHUNK_BYTES,
     NEIGHBOURS,
@@ -13,8 +14,9 @@ from gf_usd.geometry.skinning import (
     inverse_distance,
     nearest_weights,
     rest_gradient,
-    stretch,
 )
+from gf_usd.physics.gaussians import nearest_rotation
+from gf_usd.slopes import slopes
 
 ROUNDING = 1e-12  # numbers near 1 in float64, sums of hundreds of terms
 BALL, _ = solids.ball(500)
@@ -66,6 +68,22 @@ def test_stretch_is_the_polar_factor_and_its_rate() -> None:
     np.testing.assert_allclose(dU, difference, atol=1e-5)
 
 
+def test_stretch_with_a_known_rotation_is_the_same() -> None:
+    rng = np.random.default_rng(4)
+    F, rate = rng.normal(size=(60, 3, 3)), rng.normal(size=(60, 3, 3))
+    F[0] = np.diag([2.0, 0.0, 0.0])  # a line
+    F[1] = np.diag([2.0, 1e-4, 1e-5])
+    F[2] = np.eye(3)
+    F[3] *= -np.sign(np.linalg.det(F[3]))  # inverted
+    R = nearest_rotation(F)
+    for found, known in zip(stretch(F, rate, R), stretch(F, rate)):
+        np.testing.assert_allclose(found, known, atol=1e-6)
+    kept = np.linalg.det(F) > 0.01
+    assert 10 < kept.sum() < 50
+    for found, known in zip(stretch(F, rate, R), stretch(F, rate)):
+        np.testing.assert_allclose(found[kept], known[kept], atol=1e-11)
+
+
 def test_stretch_of_a_particle_squashed_to_a_line() -> None:
     F = np.diag([2.0, 0.0, 0.0])[None]
     U, dU = stretch(F, np.eye(3)[None])
@@ -75,7 +93,7 @@ def test_stretch_of_a_particle_squashed_to_a_line() -> None:
 
 def test_gradient_is_exact_for_affine_fields() -> None:
     D = rest_gradient(BALL.X)
-    found = np.stack([d @ (BALL.X @ AFFINE.T + SHIFT) for d in D], -1)
+    found = slopes(D, BALL.X @ AFFINE.T + SHIFT)
     np.testing.assert_allclose(
         found, np.broadcast_to(AFFINE, found.shape), atol=100 * ROUNDING
     )  # 1 / spacing and the condition of M
@@ -84,6 +102,6 @@ def test_gradient_is_exact_for_affine_fields() -> None:
 def test_gradient_of_a_single_layer_has_nothing_across() -> None:
     layer = BALL.X * np.array([1.0, 0.0, 1.0])
     layer = np.concatenate([layer, layer[:1]])  # and one particle twice
-    found = np.stack([d @ (layer @ AFFINE.T) for d in rest_gradient(layer)], -1)
+    found = slopes(rest_gradient(layer), layer @ AFFINE.T)
     expected = AFFINE * np.array([1.0, 0.0, 1.0])
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-9)
