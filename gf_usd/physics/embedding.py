@@ -38,8 +38,8 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
 
     normals : (K, 3) at rest; points : (K,) the point that carries each; F : (V, 3, 3).
     """
-    turned = cofactors(entries(F)).T[points].reshape(-1, 3, 3)
-    n = np.einsum("kab,kb->ka", turned, normals)
+    turned = cofactors(entries(F)).reshape(3, 3, -1)
+    n = np.einsum("abk,kb->ka", turned[:, :, points], normals)
     length = lengths(n)[:, None]
     if length.all():
         return np.divide(n, length, out=n)

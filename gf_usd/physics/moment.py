@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.model import Floats, Pose
-from gf_usd.physics import host
+from gf_usd.physics import host, many
 from gf_usd.physics.anchoring import of_followers
 from gf_usd.physics.embedding import gradient
 from gf_usd.physics.sharing import product
@@ -74,6 +74,15 @@ class Moment:
             found = self._solver.gradients(self, index) if F is None else F
             self._strains = known = index, F0, strains(found)
         return known[2]
+
+    def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
+        """Strains of another F (N, 3, 3); of few, in the same calls as those of F at `index`."""
+        n = len(other)
+        if many.serves(2 * n):
+            return strains(other)
+        s, J = strains(np.concatenate([other, self._solver.gradients(self, index)]))
+        self._strains = index, self._solver.reanchor.F0, (s[n:], J[n:])
+        return s[:n], J[:n]
 
     @property
     def constants(self) -> tuple[Floats, Floats]:

@@ -134,16 +134,18 @@ class Reanchor:
 
         A state that is no longer finite is left as it is, for the guard to see.
         """
-        none = np.zeros(len(solver.particles), bool)
-        if not self.acts or (now := solver.moment()).not_finite()[1]:
-            return none, 0.0
-        before = stored_energy(solver, now, *now.strains(index))
+        clipped = np.zeros(len(solver.particles), bool)
+        if not self.acts or (first := solver.moment()).not_finite()[1]:
+            return clipped, 0.0
+        F = solver.gradients(first, index)
         if self.alpha > 0.0:
             self._correct(solver)
-            now = solver.moment()
-        clipped = none
+        now = solver.moment()
         if self.gradient is not None:
-            clipped = self._recompute(solver, now, index)
+            clipped, of_first = self._recompute(solver, now, index, F)
+        else:
+            of_first = now.strains_beside(index, F)
+        before = stored_energy(solver, first, *of_first)
         return clipped, stored_energy(solver, now, *now.strains(index)) - before
 
     def _correct(self, solver: TotalLagrangian) -> None:
@@ -153,17 +155,23 @@ class Reanchor:
         u += self.alpha * (mean - u)
         host.put(solver.arrays["u"], u.astype(solver.real).ravel())
 
-    def _recompute(self, solver: TotalLagrangian, now: Moment, index: int) -> Floats:
-        """Put F anew where the kernels see it: which particles (N,) bool were clipped."""
+    def _recompute(
+        self, solver: TotalLagrangian, now: Moment, index: int, first: Floats
+    ) -> tuple[Floats, tuple[Floats, Floats]]:
+        """Put F anew where the kernels see it.
+
+        Which particles (N,) bool were clipped, and the strains of the F that was `first`.
+        """
         assert self.gradient is not None
         pose, F0 = solver.pose_at(now, index), self.F0.astype(float)
-        moved = pose.x - solver.particles.X - solver.offset
-        F = slopes(self.gradient, moved)
+        F = slopes(self.gradient, pose.x - solver.particles.X - solver.offset)
         F += np.eye(3)
-        self.put(solver, F - (pose.F - F0))
+        ridden = pose.F - F0  # G u
+        self.put(solver, F - ridden)
+        of_first = now.strains_beside(index, first)
         clipped = np.zeros(len(F), bool)
         # Rounding of F0 is far less than what `to_be_clipped` is wide of.
         if self.clamp and to_be_clipped(*now.strains(index), *self.clamp).any():
             F, clipped = clip_stretches(F, *self.clamp)
-            self.put(solver, F - (pose.F - F0))
-        return clipped
+            self.put(solver, F - ridden)
+        return clipped, of_first

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from gf_usd.beside import Beside
 from gf_usd.choices import Choices
@@ -35,6 +35,7 @@ from gf_usd.usd.stage import (
     find_home,
     new_layer,
     open_source,
+    require,
     roots_of,
     save,
 )
@@ -97,12 +98,13 @@ class CacheWriter:
         self._time_code = float("-inf")
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
+        self._known = None  # the layer in which every attribute has its spec
         self._beside = Beside()  # while it is busy nothing touches the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         time = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
-        prims = [_require(stage, source_path, s.path) for s in asset.surfaces]
+        prims = [require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
         author_facts(self._layer, asset.facts, info.settings, stage)
         self._layer.startTimeCode = time.start
@@ -191,6 +193,20 @@ class CacheWriter:
                     f"the asset has {_list(tracks)}.",
                     "this is a fault of the bake, not of the asset: please report it",
                 )
+        layer = self._stage.GetEditTarget().GetLayer()
+        # One notice a frame; attributes that get their specs in a new layer want theirs at once.
+        with Sdf.ChangeBlock() if layer == self._known else contextlib.nullcontext():
+            self._write_tracks(frame, time_code)
+        self._known = layer
+        if self._clips:
+            self._guarded(partial(self._clips.keep, time_code))
+        self._time_code = time_code
+        self._frames += 1
+        if self._frames % self._every == 0:
+            self._layer.endTimeCode = time_code
+            self._beside.start(self._save_layers)
+
+    def _write_tracks(self, frame: BakedFrame, time_code: float) -> None:
         for path, pose in frame.meshes.items():
             self._meshes[path].write(pose, time_code)
         for path, pose in frame.splats.items():
@@ -200,18 +216,9 @@ class CacheWriter:
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)
-        if self._clips:
-            self._guarded(partial(self._clips.keep, time_code))
-        self._time_code = self._layer.endTimeCode = time_code
-        self._frames += 1
-        if self._frames % self._every == 0:
-            self._beside.start(self._save_layers)
 
     def close(self) -> CacheSummary:
-        """Save what is left and let go of the file, which keeps its partial name.
-
-        Called again it returns the same summary.
-        """
+        """Save what is left and let go of the file under its partial name; again: the summary."""
         if self._summary is None:
             self._save()
             if self._clips:
@@ -248,6 +255,8 @@ class CacheWriter:
 
     def _save(self) -> None:
         self._settle()
+        if self._frames:
+            self._layer.endTimeCode = self._time_code
         self._guarded(self._save_layers)
 
     def _save_layers(self) -> None:
@@ -275,16 +284,6 @@ class CacheWriter:
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
         del self._stage, self._source, self._layer, self._clips
-
-
-def _require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
-    prim = stage.GetPrimAtPath(path)
-    if not prim:
-        raise BakeError(
-            f"{source}: there is no prim <{path}>.",
-            "the file changed since it was read: run the bake again",
-        )
-    return prim
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:

@@ -12,6 +12,7 @@ from gf_usd.usd.elements import hold_elements
 from gf_usd.usd.shading import CornerNormals
 from gf_usd.usd.space import Space
 from gf_usd.usd.stage import Clock
+from gf_usd.usd.values import f32
 
 Types = Sdf.ValueTypeNames
 
@@ -71,16 +72,16 @@ class MeshTrack:
         expected = np.shape(self._surface.points)
         check(pose.points, expected, f"points of <{self.path}>", time_code)
         check(pose.velocities, expected, f"velocities of <{self.path}>", time_code)
-        points = self.space.points(pose.points, time_code).astype(np.float32)
+        points = f32(self.space.points(pose.points, time_code))
         velocities = self.space.velocities(pose.points, pose.velocities, time_code)
         self.low, self.high = corners(points)
         extent = np.stack([self.low, self.high])
         self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
         self._extent.Set(Vt.Vec3fArray.FromNumpy(extent), time_code)
-        self._velocities.Set(Vt.Vec3fArray.FromNumpy(velocities.astype(np.float32)), time_code)
+        self._velocities.Set(Vt.Vec3fArray.FromNumpy(f32(velocities)), time_code)
         normals = self._local_normals(pose, points, time_code)
         if self._normals is not None and normals is not None:
-            self._normals.Set(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)), time_code)
+            self._normals.Set(Vt.Vec3fArray.FromNumpy(f32(normals)), time_code)
 
     def to_world(self, time_code: float) -> Floats:
         """Local-to-world matrix (4, 4) for row vectors, stage units."""

@@ -210,3 +210,14 @@ def _unsaved(layer: Sdf.Layer) -> BakeError:
     return BakeError(
         f"{layer.realPath} could not be saved.", "check the space left on the disk and its quota"
     )
+
+
+def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
+    """The prim at a path of a source that was read before; BakeError where it is gone."""
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise BakeError(
+            f"{source}: there is no prim <{path}>.",
+            "the file changed since it was read: run the bake again",
+        )
+    return prim
