@@ -20,50 +20,17 @@ Where a version of Taichi has no such part, that part is left alone.
 from __future__ import annotations
 
 import ast
-import contextlib
 import gc
 import importlib
-import inspect
 import linecache
 import operator
-import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache, lru_cache, partial
-from types import CodeType, ModuleType, SimpleNamespace
+from types import CodeType, SimpleNamespace
 from typing import Any
-
-VERSION_CHECK = "taichi._version_check"
-
-
-@contextlib.contextmanager
-def frames_without_source() -> Iterator[None]:
-    """While Taichi is imported: no search for the source of frames that have none.
-
-    Nor is its version check imported where it is switched off: that loads what talks to a network.
-    """
-    complete = inspect.getframeinfo
-
-    def quick(frame: Any, context: int = 1) -> Any:
-        if inspect.isframe(frame) and frame.f_code.co_filename.startswith("<"):
-            code = frame.f_code
-            return inspect.Traceback(code.co_filename, frame.f_lineno, code.co_name, None, None)
-        return complete(frame, context)
-
-    inspect.getframeinfo = quick
-    unchecked = os.environ.get("TI_SKIP_VERSION_CHECK") == "ON" and VERSION_CHECK not in sys.modules
-    if unchecked:
-        nothing = ModuleType(VERSION_CHECK)
-        nothing.start_version_check_thread = lambda: None
-        sys.modules[VERSION_CHECK] = nothing
-    try:
-        yield
-    finally:
-        inspect.getframeinfo = complete
-        if unchecked:
-            del sys.modules[VERSION_CHECK]
 
 
 def quicken() -> None:

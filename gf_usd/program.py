@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +32,9 @@ def _sources() -> list[Path]:
 
 
 def _version(name: str) -> str:
+    # loads parsers of mail and of tables, for a bake without checkpoints in vain
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(name)
     except PackageNotFoundError:

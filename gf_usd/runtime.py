@@ -12,7 +12,8 @@ from types import ModuleType
 from typing import Any
 
 from gf_usd.errors import GfUsdError, UsageError
-from gf_usd.frontend import frames_without_source, quicken
+from gf_usd.frontend import quicken
+from gf_usd.lean_import import leanly
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
@@ -31,7 +32,7 @@ def import_taichi() -> ModuleType:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
     os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
     try:
-        with frames_without_source():
+        with leanly():
             taichi = importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):

@@ -257,3 +257,21 @@ def test_a_function_without_a_file_is_left_to_inspect() -> None:
     exec("def nowhere(): return 1", space)
     with pytest.raises(OSError, match="source"):
         frontend._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
+
+
+def test_what_only_a_prompt_needs_is_loaded_when_it_is_used() -> None:
+    script = """
+import sys
+from gf_usd.runtime import import_taichi
+
+import_taichi()
+print("dill._dill" in sys.modules)
+from taichi.lang import _wrap_inspect
+
+print(_wrap_inspect.dill.loads(_wrap_inspect.dill.dumps(lambda: 7))())
+print("dill._dill" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split()[-3:] == ["False", "7", "True"], done.stderr
