@@ -6,7 +6,7 @@ import numpy as np
 
 from gf_usd.model import Floats, Ints, Pose
 from gf_usd.physics.cofactor import cofactors, entries
-from gf_usd.physics.sharing import product
+from gf_usd.physics.sharing import FEW, product
 from gf_usd.physics.stencil import Rows
 from gf_usd.rows import lengths
 
@@ -17,7 +17,14 @@ def pose(rows: Rows, u: Floats, v: Floats, offset: Floats) -> Pose:
     u, v : (M, 3) nodal [m], [m/s]; offset : (3,) [m] rigid translation.
     """
     u, v = rows.nodes(u), rows.nodes(v)
-    return Pose(x=rows.X + offset + product(rows.W, u), v=product(rows.W, v), F=_gradient(rows, u))
+    x, v = placed(rows, u, v)
+    return Pose(x=rows.X + offset + x, v=v, F=_gradient(rows, u))
+
+
+def placed(rows: Rows, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """W u and W v of `Rows.nodes`, in one pass over W."""
+    both = product(rows.W, np.concatenate([u, v], 1))
+    return both[:, :3], np.ascontiguousarray(both[:, 3:])
 
 
 def gradient(rows: Rows, u: Floats) -> Floats:
@@ -26,9 +33,13 @@ def gradient(rows: Rows, u: Floats) -> Floats:
 
 
 def _gradient(rows: Rows, u: Floats) -> Floats:
-    F = np.empty((len(rows.X), 3, 3))
-    for axis, G in enumerate(rows.G):
-        F[:, :, axis] = product(G, u)
+    n = len(rows.X)
+    F = np.empty((n, 3, 3))
+    if n < FEW:
+        F.transpose(2, 0, 1)[...] = (rows.slopes @ u).reshape(3, n, 3)
+    else:
+        for axis, G in enumerate(rows.G):
+            F[:, :, axis] = product(G, u)
     F += np.eye(3)
     return F
 

@@ -16,8 +16,7 @@ import numpy as np
 from gf_usd.model import Floats, Pose
 from gf_usd.physics import host, many
 from gf_usd.physics.anchoring import of_followers
-from gf_usd.physics.embedding import gradient
-from gf_usd.physics.sharing import product
+from gf_usd.physics.embedding import gradient, placed
 from gf_usd.physics.stretches import strains
 
 if TYPE_CHECKING:
@@ -111,7 +110,8 @@ class Moment:
     def particles(self) -> Pose:
         """Where the particles are, but for what holds them."""
         rows, (u, v) = self._solver.rows, self.nodes
-        return Pose(x=rows.X + self._given[-1] + product(rows.W, u), v=product(rows.W, v), F=self.F)
+        x, v = placed(rows, u, v)
+        return Pose(x=rows.X + self._given[-1] + x, v=v, F=self.F)
 
     @cached_property
     def potential(self) -> float:

@@ -51,6 +51,11 @@ class Rows:
     G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
     spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `rider_rows`
 
+    @cached_property
+    def slopes(self) -> sparse.csr_matrix:
+        """The three of G one under the other, (3 n, M): for few points, in place of three calls."""
+        return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
+
     def nodes(self, u: Floats) -> Floats:
         """What W and G are of, (M, 3), from a stack u (or v)."""
         return u if self.spread is None else self.spread @ u

@@ -82,6 +82,8 @@ class Space:
             forward = np.linalg.inv(self.from_world(time_code)[:3, :3])
         local = np.asarray(n, np.float64) @ forward.T
         length = lengths(local)[:, None]
+        if length.all():
+            return np.divide(local, length, out=local)
         return np.divide(local, length, out=np.zeros_like(local), where=length > 0)
 
     def _inverse(self, time_code: float) -> Matrix:
