@@ -121,7 +121,8 @@ def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
             with stages.stage("poses and health"):
                 frame = solver.read(index)
             with stages.stage("Gaussians"):
-                baked = moving._baked(frame, frame.riders)
+                gaussians = moving.track.advance(frame.particles)
+                baked = moving._baked(frame, gaussians, frame.riders)
             with stages.stage("write"):
                 cache.write(baked)
         with stages.stage("close the cache"):
