@@ -283,7 +283,7 @@ class CacheWriter:
 
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
-        del self._stage, self._source, self._layer, self._clips
+        del self._stage, self._source, self._layer, self._known, self._clips
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
