@@ -54,6 +54,7 @@ def chosen(where, A, B):
 @unrolled
 def combination(p, A, q, B):
     """p A + q B."""
+    p, q = let(p), let(q)
     return [p * A[a] + q * B[a] for a in range(9)]
 
 
