@@ -29,6 +29,7 @@ PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files, final check
 FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
+PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [bytes] of a sample
 MESH_BYTES = 24  # points and velocities of a vertex, float32
 NORMAL_BYTES = 12
@@ -54,6 +55,7 @@ def estimate(plan: Plan) -> dict[str, Any]:
     once.  Memory adds up as far as solvers wait for their bake (`plan.KEPT`).  The frame is None
     where the asset touches nothing within the bake.
     """
+    from gf_usd.geometry.skinning import KEPT_BYTES
     from gf_usd.plan import KEPT
 
     frames, n, samples = plan.settings.frames, len(plan.particles), plan.settings.samples_per_frame
@@ -67,6 +69,8 @@ def estimate(plan: Plan) -> dict[str, Any]:
         memory += MEETING_MEMORY * len(plan.samples.X)
         substep += MEETING_SECONDS * len(plan.samples.X)
     frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
+    if plan.settings.skin == "paper":
+        frame += vertices * n * PAIR_SECONDS[8 * vertices * n <= KEPT_BYTES]
     start = START_SECONDS + VERTEX_SECONDS * vertices
     rows = []
     for material in plan.materials:

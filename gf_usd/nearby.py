@@ -47,11 +47,15 @@ def nearest(points: Floats, at: Floats, k: int) -> tuple[NDArray[np.float64], ND
 
 def squared_distances(a: Floats, b: Floats) -> NDArray[np.float64]:
     """|a_i - b_j|^2, (m, n) of a (m, 3) and b (n, 3)."""
-    out = np.zeros((len(a), len(b)))
-    for column, other in zip(np.asarray(a, float).T, np.asarray(b, float).T):
-        difference = column[:, None] - other
-        difference *= difference
-        out += difference
+    x, y, z = zip(np.asarray(a, float).T[:, :, None], np.ascontiguousarray(np.asarray(b, float).T))
+    out = np.subtract(*x)
+    out *= out
+    difference = np.subtract(*y)
+    difference *= difference
+    out += difference
+    np.subtract(*z, out=difference)
+    difference *= difference
+    out += difference
     return out
 
 

@@ -146,11 +146,17 @@ def inverse_distance(squared: Floats, power: float) -> Floats:
     A point on a particle follows that one alone; on several, their mean.
     """
     least = squared.min(-1, keepdims=True)
-    on = least == 0.0
     # Relative to the nearest: no power of a distance over- or underflows, whatever the units.
-    ratio = np.where(on, 0.0, least) / np.where(squared > 0.0, squared, 1.0)
-    w = np.where(on, squared == 0.0, ratio if power == 2.0 else ratio ** (0.5 * power))
-    return w / w.sum(-1, keepdims=True)
+    if least.all():
+        w = least / squared
+        if power != 2.0:
+            w **= 0.5 * power
+    else:
+        on = least == 0.0
+        ratio = np.where(on, 0.0, least) / np.where(squared > 0.0, squared, 1.0)
+        w = np.where(on, squared == 0.0, ratio if power == 2.0 else ratio ** (0.5 * power))
+    w /= w.sum(-1, keepdims=True)
+    return w
 
 
 def nearest_weights(X: Floats, particles: Floats, k: int, power: float) -> sparse.csr_matrix:

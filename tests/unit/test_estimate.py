@@ -7,11 +7,13 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from solids import asset, facts, fill, look, settings, solid, sphere
 
 from gf_usd.errors import InputError
-from gf_usd.estimate import duration, estimate, require_affordable
+from gf_usd.estimate import PAIR_SECONDS, duration, estimate, require_affordable
+from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.model import Material
 from gf_usd.output_files import outputs
 from gf_usd.plan import Plan
@@ -59,6 +61,24 @@ def test_what_more_work_costs(plan: Plan) -> None:
     assert one < two < 2.0 * one, "imports and kernels are paid for once"
     assert seconds(replace(plan, settings=replace(plan.settings, frames=310))) > one
     assert seconds(replace(plan, settings=replace(plan.settings, solver="ul"))) > 0.0
+
+
+def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> None:
+    def more(count: int) -> float:
+        """[s] a frame that the skin adds on a sphere of so many vertices."""
+        shape = plan.asset.surfaces[0]
+        wide = replace(shape, points=np.resize(shape.points, (count, 3)))
+        bare = replace(plan, asset=replace(plan.asset, surfaces=(wide,)))
+        skinned = replace(bare, settings=replace(bare.settings, skin="paper"))
+        cost = (estimate(p)["estimated_seconds"] for p in (skinned, bare))
+        return (next(cost) - next(cost)) / plan.settings.frames
+
+    n = len(plan.particles)
+    kept, anew = KEPT_BYTES // (8 * n), 10 * KEPT_BYTES // (8 * n)
+    assert more(anew) == pytest.approx(
+        10.0 * more(kept) * PAIR_SECONDS[0] / PAIR_SECONDS[1], rel=0.01
+    )
+    assert more(2 * anew) == pytest.approx(2.0 * more(anew), rel=0.01)
 
 
 def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
