@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from small_stages import CUBE, asset_of, write
+from small_stages import CUBE, asset_of, frames_of, info_of, particles_of, write
 from small_stages import CUBE_POINTS as POINTS
 
-from gf_usd.model import Asset
+from gf_usd.model import Asset, BakedFrame, BakeInfo, Particles
 
 Y_M = 'upAxis = "Y"\n metersPerUnit = 1'
 Z_CM = 'upAxis = "Z"\n metersPerUnit = 0.01'
@@ -27,6 +27,14 @@ class Source:
     def asset(self, folder: Path, name: str = "duck.usda") -> Asset:
         """Written into ``folder`` and read."""
         return asset_of(write(folder / name, self.body, self.head), skinned=self.skinned)
+
+    def scene(
+        self, folder: Path, *, frames: int = 5
+    ) -> tuple[Asset, Particles, BakeInfo, list[BakedFrame]]:
+        """What a CacheWriter of the motion is made of, and its frames."""
+        asset = self.asset(folder)
+        info, particles = info_of(asset, frames=frames), particles_of(asset)
+        return asset, particles, info, list(frames_of(asset, particles, info))
 
 
 PLAIN = Source(

@@ -159,10 +159,8 @@ def test_the_asset_is_never_written_to(tmp_path: Path) -> None:
 
 
 def test_a_failure_leaves_the_frames_so_far_under_the_partial_name(tmp_path: Path) -> None:
-    asset = PLAIN.asset(tmp_path)
-    info, particles = info_of(asset), particles_of(asset)
+    asset, particles, info, frames = PLAIN.scene(tmp_path)
     path = tmp_path / "c.usdc"
-    frames = list(frames_of(asset, particles, info))
 
     def stop_after_two() -> None:
         with CacheWriter(path, asset, particles, info) as writer:
@@ -182,9 +180,7 @@ def test_a_save_goes_on_beside_what_comes_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The writer is back while layers are saved, and touches them only when they are."""
-    asset = PLAIN.asset(tmp_path)
-    info, particles = info_of(asset), particles_of(asset)
-    frames = list(frames_of(asset, particles, info))
+    asset, particles, info, frames = PLAIN.scene(tmp_path)
     gate, saved = threading.Event(), []
 
     def slow(layer: Sdf.Layer) -> None:
@@ -215,9 +211,7 @@ def test_a_save_goes_on_beside_what_comes_next(
 def test_a_save_that_failed_is_told_by_what_comes_next_and_the_layer_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asset = PLAIN.asset(tmp_path)
-    info, particles = info_of(asset), particles_of(asset)
-    frames = list(frames_of(asset, particles, info))
+    asset, particles, info, frames = PLAIN.scene(tmp_path)
     asked: list[str] = []
 
     def full(layer: Sdf.Layer) -> None:

@@ -6,18 +6,14 @@ from pathlib import Path
 
 from pxr import Sdf, Tf, Usd
 from small_sources import PLAIN
-from small_stages import frames_of, info_of, particles_of
 
 from gf_usd.publish import partial_path
 from gf_usd.usd.cache import CacheWriter
 
 
 def writer_of(tmp_path: Path, frames: int, **options: object) -> tuple[CacheWriter, list]:
-    asset = PLAIN.asset(tmp_path)
-    info = info_of(asset, frames=frames)
-    particles = particles_of(asset)
-    writer = CacheWriter(tmp_path / "a.cache.usdc", asset, particles, info, **options)
-    return writer, list(frames_of(asset, particles, info))
+    asset, particles, info, made = PLAIN.scene(tmp_path, frames=frames)
+    return CacheWriter(tmp_path / "a.cache.usdc", asset, particles, info, **options), made
 
 
 def test_a_stage_is_told_of_a_frame_once(tmp_path: Path) -> None:
