@@ -12,11 +12,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from gf_usd.core import __version__
 
 if TYPE_CHECKING:
-    from gf_usd.baking import bake
-    from gf_usd.errors import (
+    from gf_usd.core.errors import (
         BakeError,
         GfUsdError,
         InputError,
@@ -24,20 +23,22 @@ if TYPE_CHECKING:
         UnhealthyError,
         UsageError,
     )
-    from gf_usd.model import Material, Settings
-    from gf_usd.plan import BakeResult
+    from gf_usd.core.frames import Settings
+    from gf_usd.core.materials import Material
+    from gf_usd.pipeline.result import BakeResult
+    from gf_usd.pipeline.run import bake
 
 _HOMES = {
-    "bake": "gf_usd.baking",
-    "BakeResult": "gf_usd.plan",
-    "Material": "gf_usd.model",
-    "Settings": "gf_usd.model",
-    "GfUsdError": "gf_usd.errors",
-    "UsageError": "gf_usd.errors",
-    "InputError": "gf_usd.errors",
-    "BakeError": "gf_usd.errors",
-    "SolverError": "gf_usd.errors",
-    "UnhealthyError": "gf_usd.errors",
+    "bake": "gf_usd.pipeline.run",
+    "BakeResult": "gf_usd.pipeline.result",
+    "Material": "gf_usd.core.materials",
+    "Settings": "gf_usd.core.frames",
+    "GfUsdError": "gf_usd.core.errors",
+    "UsageError": "gf_usd.core.errors",
+    "InputError": "gf_usd.core.errors",
+    "BakeError": "gf_usd.core.errors",
+    "SolverError": "gf_usd.core.errors",
+    "UnhealthyError": "gf_usd.core.errors",
 }
 
 __all__ = [

@@ -1,5 +1,7 @@
 """``python -m gf_usd``."""
 
+from __future__ import annotations
+
 from gf_usd.cli.main import run
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def none_left(folder: Path) -> float | None:
 
 def broken(folder: Path) -> list[str]:
     """What ``check`` finds in the root layers under final names, and files cut short."""
-    from gf_usd.usd.check import check_file
+    from gf_usd.layers.check.run import check_file
 
     faults = []
     for root in sorted(folder.glob("*.usda")):

@@ -17,15 +17,16 @@ from pathlib import Path
 import numpy as np
 from bench_median import Sample, median
 
-from gf_usd.body_plan import skins
-from gf_usd.encounters import Encounters
+from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.frames import Settings
+from gf_usd.core.materials import LOOKS
+from gf_usd.core.stage import Encounters
+from gf_usd.core.units import StageUnits
 from gf_usd.geometry.bodies import find_bodies
 from gf_usd.geometry.sampling import sample_solid, sample_surface
 from gf_usd.geometry.solid import build_solid
-from gf_usd.materials import LOOKS
-from gf_usd.model import Asset, Settings, StageFacts
-from gf_usd.physics.solver import TotalLagrangian
-from gf_usd.units import StageUnits
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.prepare.bodies import skins
 from gf_usd.verify.bodies import sphere
 
 COUNTS = (1, 2, 4)

@@ -8,10 +8,11 @@ import time
 import numpy as np
 from bench_median import Sample, median
 
-from gf_usd.materials import LOOKS
-from gf_usd.model import Floats, Particles, Settings
-from gf_usd.physics import crew, solver
-from gf_usd.runtime import cores
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.materials import LOOKS
+from gf_usd.physics.total_lagrangian import launch, solver
+from gf_usd.system.taichi_runtime import cores
 
 SIZES = (120, 1_000, 10_000, 100_000)
 SUBSTEPS = 200  # a frame: what the duck takes at 24 fps, to a tenth or so
@@ -87,7 +88,7 @@ def solver_table(runs: int, seconds: float) -> list[str]:
     for n in SIZES:
         for threads in sorted({1, cores()}):
             # A body of few particles takes fewer threads than it is given.
-            if threads > 1 and n < threads * crew.FEW:
+            if threads > 1 and n < threads * launch.FEW:
                 continue
             if time.perf_counter() > end:
                 lines.append(f"| {n} | {threads}: no time left | | | |")

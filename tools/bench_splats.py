@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 import gf_usd
-from gf_usd.splat_files import ply_bytes
-from gf_usd.splats import Splats
+from gf_usd.core.asset import Splats
+from gf_usd.readers.splats.write import ply_bytes
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gf_usd.errors import BakeError
-from gf_usd.physics.guard import energy
-from gf_usd.preflight import prepare
+from gf_usd.core.errors import BakeError
+from gf_usd.physics.frame_loop import energy
+from gf_usd.pipeline.run import prepare
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 PARTICLES = 3000

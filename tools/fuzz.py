@@ -19,13 +19,14 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from hostile_files import broken, sound
 from hostile_options import asset, drawn, planned
 
-from gf_usd.errors import GfUsdError, InputError
-from gf_usd.isolation import Limits, attempt, read_untrusted
-from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
+from gf_usd.core.errors import GfUsdError, InputError
+from gf_usd.readers.trial import read_untrusted
+from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
+from gf_usd.system.sandbox import Limits, attempt
 
 PATIENCE = 60  # [s] for a plan
 TOGETHER = 25  # cases of one child

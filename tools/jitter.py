@@ -23,7 +23,7 @@ from typing import Any
 
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from gf_usd.usd import schema  # noqa: F401  (registers itself before any stage opens)
+from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
 RUNS = 10

@@ -30,11 +30,11 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.append(str(ROOT / "tests" / "cli"))
+sys.path.append(str(ROOT / "tests" / "helpers"))
 
 from resumed import require_same, require_whole, start  # noqa: E402
 
-from gf_usd.usd.check import check_file  # noqa: E402
+from gf_usd.layers.check.run import check_file  # noqa: E402
 
 STEM = "duck.rubber"
 FRAMES = 25

@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from gf_usd.assets import read_asset
-from gf_usd.choices import Choices
-from gf_usd.model import (
-    Asset,
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import (
     BakedFrame,
     BakeInfo,
+    Choices,
     GaussianPose,
     Health,
-    Material,
     MeshPose,
     Particles,
     Settings,
 )
-from gf_usd.usd.cache import CacheWriter
+from gf_usd.core.materials import Material
+from gf_usd.layers.cache import CacheWriter
+from gf_usd.readers import read_asset
 
 BOX = """#usda 1.0
 ( metersPerUnit = 1 )

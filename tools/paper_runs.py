@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.geometry.drift import drift
+from gf_usd.core.frames import Frame
+from gf_usd.core.matrices import matrix_from_quaternion
+from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.skinning import MeshSkin
-from gf_usd.model import Frame
-from gf_usd.physics.gaussians import matrix_from_quaternion
-from gf_usd.physics.reanchor import WIDTH, wls_gradient
-from gf_usd.physics.stretches import singular_values
-from gf_usd.preflight import prepare
-from gf_usd.slopes import slopes
+from gf_usd.physics.per_particle import singular_values
+from gf_usd.physics.total_lagrangian.shape_correction import WIDTH, wls_gradient
+from gf_usd.pipeline.run import prepare
+from tools.paper_drift import drift
 
 WARM = 3  # frames
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
@@ -130,7 +130,7 @@ def run(
     drift_every : frames between drift measurements; 0: only at the peak of U_yy (and at rest).
     keep : receives the frames.
     """
-    from gf_usd.errors import BakeError
+    from gf_usd.core.errors import BakeError
 
     plan = prepare(
         SAMPLES / asset, material=material, preset=options.pop("preset", "paper"), seed=seed,

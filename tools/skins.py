@@ -22,14 +22,15 @@ import numpy as np
 from scipy import sparse
 from skins_maps import MAPS, Motion
 
-from gf_usd.assets import read_asset
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Particles, Pose
 from gf_usd.geometry.sampling import sample_solid
 from gf_usd.geometry.skinning import NEIGHBOURS, SKINS, InverseDistance, Skin
 from gf_usd.geometry.solid import build_solid
-from gf_usd.model import Floats, Ints, Particles, Pose
-from gf_usd.physics.embedding import pose
-from gf_usd.physics.solver import CELL_PER_LATTICE
-from gf_usd.physics.stencil import build_stencil
+from gf_usd.physics.grid.embedding import pose
+from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.total_lagrangian.solver import CELL_PER_LATTICE
+from gf_usd.readers import read_asset
 
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLES = ("sphere", "duck")

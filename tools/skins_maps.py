@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.model import Floats, Pose
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Pose
 
 Map = Callable[[Floats, float], Floats]
 STEP = 1e-5  # of central differences, in radii and in s: both errors are near 1e-10

@@ -87,12 +87,11 @@ def sphere(path: Path, points: int) -> None:
 
 def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
     """Bake a ball, stage by stage."""
-    from gf_usd.baking import prepare
-    from gf_usd.carrying import Carrier
-    from gf_usd.model import BakeInfo
-    from gf_usd.moving import Moving
-    from gf_usd.plan import input_hash
-    from gf_usd.usd.cache import CacheWriter
+    from gf_usd.core.frames import BakeInfo
+    from gf_usd.layers.cache import CacheWriter
+    from gf_usd.pipeline.frames import Carrier, Moving
+    from gf_usd.pipeline.run import prepare
+    from gf_usd.prepare.plan import input_hash
 
     stages, file = Stages(), folder / "ball.usdc"
     sphere(file, points)

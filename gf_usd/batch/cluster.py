@@ -11,16 +11,17 @@ import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.batch.child import Children
-from gf_usd.batch.inputs import InputTable
 from gf_usd.batch.job import Job, Outcome
+from gf_usd.batch.record import InputTable
 from gf_usd.batch.run import BEAT, Event
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
-from gf_usd.errors import UsageError
-from gf_usd.program import program
+from gf_usd.core.errors import UsageError
+from gf_usd.system.fingerprint import program
+from gf_usd.system.processes import Children
 
 if TYPE_CHECKING:
     from distributed import Client, Future
+
 
 PATIENCE = 60.0  # [s] for the child of a worker that died: it looks for its parent twice a second
 CONNECT = 20.0  # [s] to find the scheduler

@@ -19,14 +19,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gf_usd.batch.bundle import jobs_text
-from gf_usd.batch.identity import read_by
-from gf_usd.batch.inputs import InputTable
-from gf_usd.batch.plan import BatchPlan
-from gf_usd.batch.resources import memory_of
+from gf_usd.batch.plan import BatchPlan, jobs_text
+from gf_usd.batch.record import InputTable, read_by
+from gf_usd.batch.run import memory_of
 from gf_usd.batch.slices import Part, slices
-from gf_usd.errors import UsageError
-from gf_usd.publish import publish_text
+from gf_usd.core.errors import UsageError
+from gf_usd.system.atomic_files import publish_text
 
 SPECIFICATION = "jobtemplate-2023-09"
 TEMPLATE, JOBS, REFERENCES = "template.json", "jobs.json", "asset_references.json"

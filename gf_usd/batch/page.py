@@ -1,23 +1,33 @@
-"""The page of a batch: every job with its picture, health and time, what went wrong on top."""
+"""The page of a batch: every job with its picture, health and time, what went wrong on top.
+
+Small pictures of results, drawn in processes of their own and kept beside them.
+"""
 
 from __future__ import annotations
 
+import base64
+import io
+import json
+import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import gf_usd
+from PIL import Image
+
+from gf_usd.batch.board import ordered
 from gf_usd.batch.job import CALM, STATES, Job, Outcome
-from gf_usd.batch.pictures import data_uri, draw, picture_of
 from gf_usd.batch.plan import BatchPlan
-from gf_usd.batch.resources import cores
-from gf_usd.batch.summary import ordered
-from gf_usd.estimate import duration
-from gf_usd.locks import locked
-from gf_usd.publish import publish_text
-from gf_usd.view.report_html import Html, join, policy, script, tag
+from gf_usd.batch.run import cores
+from gf_usd.core import __version__
+from gf_usd.pipeline.budget import duration
+from gf_usd.system.atomic_files import publish_text
+from gf_usd.system.file_locks import locked
+from gf_usd.system.processes import Children
+from gf_usd.view.report.html import Html, join, policy, script, tag
 
 # head, whether it is a number, what it says
 COLUMNS = (
@@ -87,7 +97,7 @@ def build_page(
         tag("main", _controls(rows), tag("div", table, class_="card")),
         tag(
             "footer",
-            f"gf-usd {gf_usd.__version__}, {entry.get('finished', '')}. Results in {plan.out}.",
+            f"gf-usd {__version__}, {entry.get('finished', '')}. Results in {plan.out}.",
         ),
         script(code),
     ]
@@ -216,3 +226,67 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
         inside.append(tag("pre", outcome.log))
     parts.append(tag("details", tag("summary", "command and log"), *inside))
     return parts
+
+
+AT_ONCE = 50  # pictures of one process: starting it takes as long as drawing ten
+PATIENCE = 60.0  # [s] for one picture
+QUALITY = 80  # of a JPEG on the page: a few kilobytes a job
+
+
+def picture_of(root: Path) -> Path:
+    """``duck.rubber.usda`` -> ``duck.rubber.png``."""
+    return root.with_suffix(".png")
+
+
+def draw(roots: Sequence[Path], *, at_once: int) -> dict[Path, str]:
+    """Draw what has no picture that is newer; why not, for those that could not be drawn."""
+    todo = [root for root in roots if not _is_new(root)]
+    share = max(1, min(AT_ONCE, -(-len(todo) // at_once)))
+    groups = [todo[i : i + share] for i in range(0, len(todo), share)]
+    failed: dict[Path, str] = {}
+    children = Children()
+    with ThreadPoolExecutor(max_workers=at_once) as pool:
+        try:
+            for found in pool.map(lambda group: _draw_some(children, group), groups):
+                failed.update(found)
+        finally:
+            # an interrupt is not to wait for the rest
+            children.stop()
+    return failed
+
+
+def _is_new(root: Path) -> bool:
+    try:
+        return picture_of(root).stat().st_mtime_ns >= root.stat().st_mtime_ns
+    except OSError:
+        return False
+
+
+def _draw_some(children: Children, roots: Sequence[Path]) -> dict[Path, str]:
+    failed, left = dict[Path, str](), list(roots)
+    while left:
+        command = [sys.executable, "-m", "gf_usd", "thumbnails", *map(str, left)]
+        ended = children.run(command, lambda line: None, timeout=PATIENCE + len(left))
+        if ended is None or ended.stopped:
+            break
+        for line in ended.out[: ended.out.rfind("\n") + 1].splitlines():
+            row = json.loads(line)
+            root = Path(row["root"])
+            left.remove(root)
+            if "error" in row:
+                failed[root] = row["error"]
+        if left:
+            # what it was at when it died; the others get another process
+            failed[left.pop(0)] = f"drawing it ended with status {ended.status}"
+    return failed
+
+
+def data_uri(picture: Path) -> str:
+    """A picture as part of a page, as JPEG; "" where there is none that can be read."""
+    out = io.BytesIO()
+    try:
+        with Image.open(picture) as image:
+            image.convert("RGB").save(out, "JPEG", quality=QUALITY)
+    except (OSError, ValueError, SyntaxError):
+        return ""
+    return "data:image/jpeg;base64," + base64.b64encode(out.getvalue()).decode("ascii")

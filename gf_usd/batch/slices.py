@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import read_record
-from gf_usd.errors import UsageError
-from gf_usd.output_files import interrupted, outputs
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.outputs import interrupted, outputs
 
 SETTLED = ("failed", "refused", "unsound")  # another slice would end them alike
 UNTRIED = ("stopped", "busy")

@@ -11,16 +11,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gf_usd.batch.child import Children, Ended
-from gf_usd.batch.identity import describe, identity, read_by
-from gf_usd.batch.inputs import InputTable, stamps
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.record import finished, write_record
+from gf_usd.batch.record import (
+    InputTable,
+    describe,
+    finished,
+    identity,
+    read_by,
+    stamps,
+    write_record,
+)
 from gf_usd.batch.slices import resumable, settled, spent
 from gf_usd.batch.verdict import Bake, judge
-from gf_usd.errors import GfUsdError
-from gf_usd.locks import Held, acquire
-from gf_usd.output_files import outputs
+from gf_usd.core.errors import GfUsdError
+from gf_usd.prepare.outputs import outputs
+from gf_usd.system.file_locks import Held, acquire
+from gf_usd.system.processes import Children, Ended
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gf_usd.batch.child import Ended
 from gf_usd.batch.job import Job, Outcome
+from gf_usd.system.processes import Ended
 
 ERROR = re.compile(r"^error: (.*?)(?:\n\nhint: (.*?))?\s*\Z", re.DOTALL | re.MULTILINE)
 SLICED = re.compile(r"^(.+ frames are done), and the slice of \d+ clips ends here", re.MULTILINE)

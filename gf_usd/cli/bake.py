@@ -8,35 +8,33 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.cli import remains
+from gf_usd.cli import exit
 from gf_usd.cli.options import (
+    ClipFrames,
     Combine,
     Drop,
+    Flatten,
     Fps,
     Frames,
+    Half,
+    Handles,
     LimitsOf,
     Material,
     MaterialBoxes,
     MaterialLabels,
     MetersPerUnit,
+    Only,
     Particles,
     Prims,
+    Range,
+    Resume,
+    SamplesPerFrame,
     Seed,
+    Slice,
     Solver,
     Spacing,
     Start,
     UpAxis,
-)
-from gf_usd.cli.output_options import (
-    ClipFrames,
-    Flatten,
-    Half,
-    Handles,
-    Only,
-    Range,
-    Resume,
-    SamplesPerFrame,
-    Slice,
 )
 
 
@@ -223,10 +221,10 @@ def bake(
     NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
     glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
-    from gf_usd.baking import prepare, run
-    from gf_usd.cli.talk import announce, progress, show_plan, summarise
-    from gf_usd.isolation import parse_limits
-    from gf_usd.judgement import require_healthy
+    from gf_usd.cli.console import announce, progress, show_plan, summarise
+    from gf_usd.pipeline.result import require_healthy
+    from gf_usd.pipeline.run import prepare, run
+    from gf_usd.system.sandbox import parse_limits
 
     plan = prepare(
         asset, material=material, output=output, law=law, prims=prim or (),
@@ -245,7 +243,7 @@ def bake(
         range=range, handles=handles, clip_frames=clip_frames, resume=resume,
         limits=parse_limits(limits),
     )  # fmt: skip
-    remains.watch(plan.outputs.checkpoints)
+    exit.watch(plan.outputs.checkpoints)
     if dry_run:
         show_plan(plan, as_json=as_json, max_hours=max_hours)
         return

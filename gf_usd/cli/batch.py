@@ -125,8 +125,18 @@ def batch(
     goes on from there.
     """
     from gf_usd.batch.slices import parse_part
-    from gf_usd.cli.batch_ask import Asked, Choice, chosen, parse_settings, plan_of
-    from gf_usd.cli.batch_go import How, bundle, go, listing, page
+    from gf_usd.cli.batch_run import (
+        Asked,
+        Choice,
+        How,
+        bundle,
+        chosen,
+        go,
+        listing,
+        page,
+        parse_settings,
+        plan_of,
+    )
 
     asked = Asked(
         materials=material, seeds=seed, name=name, out=out, timeout=timeout, retries=retries,

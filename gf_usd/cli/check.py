@@ -21,8 +21,8 @@ def check(
 
     Exit status 1 if there is an error, 0 otherwise: warnings do not count.
     """
-    from gf_usd.isolation import attempt, parse_limits
-    from gf_usd.usd.check import check_file
+    from gf_usd.layers.check.run import check_file
+    from gf_usd.system.sandbox import attempt, parse_limits
 
     attempt(file, lambda: check_file(file), parse_limits(limits))
     result = check_file(file)

@@ -26,7 +26,7 @@ from gf_usd.cli.options import (
     Start,
     UpAxis,
 )
-from gf_usd.errors import InputError
+from gf_usd.core.errors import InputError
 
 
 def inspect(
@@ -56,8 +56,8 @@ def inspect(
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """
-    from gf_usd.isolation import parse_limits
-    from gf_usd.preflight import inspect as look
+    from gf_usd.pipeline.inspect import inspect as look
+    from gf_usd.system.sandbox import parse_limits
 
     bounds = parse_limits(limits)
     try:

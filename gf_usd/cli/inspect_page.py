@@ -11,12 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from gf_usd.geometry.diagnosis import faults
-from gf_usd.inspection import AXIS, UNIT, origin, size
+from gf_usd.prepare.fill import AXIS, UNIT, origin, size
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.parts import Part
-    from gf_usd.inspection import Inspection
+    from gf_usd.pipeline.inspect import Inspection
+
 
 MOST_MESHES, MOST_PARTS, MOST_LINES = 24, 8, 12  # rows shown; --json has all of them
 PLAIN_WIDTH = 10_000  # columns where the page goes to a file: a line each, for grep

@@ -15,23 +15,19 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from gf_usd import __version__
-from gf_usd.cli import remains
+from gf_usd.cli import exit
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
-from gf_usd.cli.ending import leave, prepare_to_leave
-from gf_usd.cli.inputs import inputs
+from gf_usd.cli.exit import leave, prepare_to_leave
+from gf_usd.cli.info import inputs, materials, schema_path
 from gf_usd.cli.inspect import inspect
-from gf_usd.cli.materials import materials
-from gf_usd.cli.orphan import end_with_parent
-from gf_usd.cli.preview import preview
-from gf_usd.cli.report import report
-from gf_usd.cli.schema_path import schema_path
-from gf_usd.cli.thumbnails import thumbnails
+from gf_usd.cli.preview import preview, thumbnails
+from gf_usd.cli.report import report, view
 from gf_usd.cli.verify import verify
-from gf_usd.cli.view import view
-from gf_usd.errors import GfUsdError, Unfinished
+from gf_usd.core import __version__
+from gf_usd.core.errors import GfUsdError, Unfinished
+from gf_usd.system.processes import end_with_parent
 
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
@@ -120,5 +116,5 @@ def _stop(number: int, frame: object) -> NoReturn:
     for again in STOPPED:
         signal.signal(again, signal.SIG_DFL)
     # typer ends a KeyboardInterrupt without a word
-    typer.echo(f"{STOPPED[number]}; {remains.words()}", err=True)
+    typer.echo(f"{STOPPED[number]}; {exit.words()}", err=True)
     sys.exit(128 + number)

@@ -1,7 +1,11 @@
-"""gf-usd preview: a stage as a picture, a contact sheet or a film."""
+"""gf-usd preview: a stage as a picture, a contact sheet or a film.
+
+gf-usd thumbnails: a small picture of each of many bakes, for the page of a batch.
+"""
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +16,7 @@ from typing import Annotated
 import typer
 
 from gf_usd.cli.preview_options import Options, read_options, time_codes
+from gf_usd.core.errors import GfUsdError
 
 
 def preview(
@@ -119,10 +124,10 @@ def draw(
     InputError : the stage cannot be read, or does not hold what is to be shown.
     """
     # pxr and taichi take a second to import, which --help must not wait for
-    from gf_usd.assets.usd_picture import PictureStage
-    from gf_usd.cli import preview_draw as drawing
-    from gf_usd.view.image import write_png
-    from gf_usd.view.movie import require_folder
+    from gf_usd.cli import preview_draw
+    from gf_usd.readers.pictures.scene import PictureStage
+    from gf_usd.view.film import require_folder
+    from gf_usd.view.render.render import write_png
 
     require_folder(options.target)
     notes: list[str] = []
@@ -134,7 +139,7 @@ def draw(
     motion = source.motion
     if not options.film and options.sheet is None:
         source.require_time(options.frame)
-        paint = drawing.Drawing(source, options.size, options.limits)
+        paint = preview_draw.Drawing(source, options.size, options.limits)
         pixels = paint(options.frame)
         write_png(options.target, pixels)
         done = f"{options.target}: {pixels.shape[1]}x{pixels.shape[0]}"
@@ -142,20 +147,20 @@ def draw(
 
     frame_step = motion.time_codes_per_second / motion.frames_per_second
     codes = time_codes(options.span, motion.time_codes, frame_step, path)
-    paint = drawing.Drawing(source, options.size, options.limits)
+    paint = preview_draw.Drawing(source, options.size, options.limits)
     if options.sheet is not None:
-        page = drawing.write_sheet(paint, codes, options)
+        page = preview_draw.write_sheet(paint, codes, options)
         write_png(options.target, page)
         done = f"{options.target}: {page.shape[1]}x{page.shape[0]}"
     else:
-        rate = drawing.film_rate(codes, motion.time_codes_per_second, options)
+        rate = preview_draw.film_rate(codes, motion.time_codes_per_second, options)
         if options.target.suffix.lower() == ".gif":
             total = len(codes)
-            codes, rate = drawing.thin_for_gif(codes, rate)
+            codes, rate = preview_draw.thin_for_gif(codes, rate)
             if len(codes) < total:
                 notes.append(f"note: a gif shows at most 50 frames a second: {rate:g} are kept")
         with progress() as advance:
-            drawing.write_film(paint, codes, rate, options, advance)
+            preview_draw.write_film(paint, codes, rate, options, advance)
         width, height = options.size
         done = f"{options.target}: {width}x{height}, {len(codes)} frames, {rate:g} a second"
     return [*notes, done, *(f"note: {note}" for note in paint.notes)]
@@ -180,3 +185,33 @@ def progress() -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("drawing", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+SIZE = (192, 144)
+
+
+def thumbnails(
+    roots: Annotated[list[Path], typer.Argument(help="Root layers of bakes.")],
+) -> None:
+    """Draw the middle frame of each as NAME.png beside it; print a line of JSON for each."""
+    for root in roots:
+        try:
+            target = thumbnail(root)
+        except GfUsdError as error:
+            row = {"root": str(root), "error": error.message}
+        else:
+            row = {"root": str(root), "picture": str(target)}
+        typer.echo(json.dumps(row))
+
+
+def thumbnail(root: Path) -> Path:
+    """The picture of one stage.  Raises InputError for what cannot be drawn."""
+    from gf_usd.cli.preview_draw import Drawing
+    from gf_usd.readers.pictures.scene import PictureStage
+    from gf_usd.view.render.render import write_png
+
+    source = PictureStage(root, None)
+    codes = source.motion.time_codes
+    target = root.with_suffix(".png")
+    write_png(target, Drawing(source, SIZE)(codes[len(codes) // 2] if codes else None))
+    return target

@@ -9,18 +9,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.assets.usd_picture import PictureStage
 from gf_usd.cli.preview_options import Options
-from gf_usd.scene import Camera, Light, Quantity
-from gf_usd.view.camera import fit_camera
-from gf_usd.view.colormap import paint
-from gf_usd.view.gif import FASTEST, write_gif
-from gf_usd.view.legend import Legend, label
-from gf_usd.view.light import studio
-from gf_usd.view.movie import write_mp4
-from gf_usd.view.render import render
-from gf_usd.view.sheet import columns_for, contact_sheet
-from gf_usd.view.ticks import rounded_up
+from gf_usd.core.scene import Camera, Light, Quantity
+from gf_usd.readers.pictures.scene import PictureStage
+from gf_usd.view.film import FASTEST, columns_for, contact_sheet, write_gif, write_mp4
+from gf_usd.view.legend import Legend, label, paint, rounded_up
+from gf_usd.view.render.camera import fit_camera
+from gf_usd.view.render.lights import studio
+from gf_usd.view.render.render import render
 
 Pixels = NDArray[np.uint8]
 

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from gf_usd.errors import UsageError
+from gf_usd.core.errors import UsageError
 
 FILMS = (".mp4", ".gif")
 SUFFIXES = (".png", *FILMS)

@@ -1,4 +1,7 @@
-"""gf-usd report: a bake as one page for a browser."""
+"""gf-usd report: a bake as one page for a browser.
+
+gf-usd view: a bake in a window.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.errors import UsageError
+from gf_usd.core.errors import UsageError
 
 
 def report(
@@ -48,10 +51,10 @@ def write(path: Path, target: Path, look: str | None, vertices: int, frames: int
     BakeError : the disk refuses.
     """
     # pxr and taichi take a second to import, which --help must not wait for
-    from gf_usd.assets.usd_motion_read import BakedMotion
-    from gf_usd.publish import publish_text
-    from gf_usd.view.report import Limits, build_report
-    from gf_usd.view.report_record import load_report, report_path
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.system.atomic_files import publish_text
+    from gf_usd.view.report.record import load_report, report_path
+    from gf_usd.view.report.report import Limits, build_report
 
     require_target(target, (path, report_path(path)))
     first = BakedMotion(path, look)
@@ -71,3 +74,29 @@ def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
         raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the page: -o report.html")
+
+
+def view(
+    baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
+    look: Annotated[
+        str | None,
+        typer.Option(help="Variant to show.", show_default="the one selected in the file"),
+    ] = None,
+) -> None:
+    """Play the motion in a window, in real time and over and over.
+
+    Space plays and pauses, the arrow keys step, G changes between mesh and Gaussians, R resets, Q
+    quits. It needs the extra open3d: pip install 'gf-usd[open3d]'.
+    """
+    # what is missing is said before the file is read, which takes a second
+    from gf_usd.view.window import import_open3d, require_display
+
+    import_open3d()
+    require_display()
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.view.window import Window
+
+    source = BakedMotion(baked, look)
+    for note in source.recording().notes:
+        typer.echo(f"note: {note}", err=True)
+    Window(source).run()

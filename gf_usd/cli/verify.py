@@ -30,8 +30,8 @@ def verify(
     is in the JSON, and in docs/verification.md.
     """
     from gf_usd.verify.case import rows
-    from gf_usd.verify.run import select
-    from gf_usd.verify.run import verify as run
+    from gf_usd.verify.registry import select
+    from gf_usd.verify.registry import verify as run
 
     cases = select(case or ())
     if show:

@@ -1,0 +1,1 @@
+"""Surfaces become a solid, particles, contact samples and skins."""

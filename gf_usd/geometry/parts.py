@@ -11,15 +11,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.mesh import shells
+from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
 from gf_usd.geometry.sampling import GAUSS, JITTER
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
-from gf_usd.model import Floats, Ints, Particles, SurfaceSamples
-from gf_usd.nearby import components, kd_tree
-from gf_usd.sparse import coo_matrix
-from gf_usd.topology import shells
 
 FEW = 8  # particles: a full cell of the solver's grid
 # [lattice edges] wherever its planes lie, a wall as thick holds one whole layer of particles

@@ -10,10 +10,10 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from gf_usd.errors import InputError, UsageError
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.solid import INSIDE, Solid
-from gf_usd.model import Floats, Ints
-from gf_usd.pins import Pin, Region
 
 BOX = "box:"
 ON_SURFACE = 1e-6  # of the body's size: nearer than this a point lies on the patch

@@ -13,14 +13,22 @@ from typing import Any
 
 import numpy as np
 
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.mesh import proper, shells, triangulate, weld
 from gf_usd.geometry import winding
-from gf_usd.geometry.diagnosis import HOLE_LIMIT
-from gf_usd.geometry.doubled import DUPLICATE, OTHER_SIDE, SINGLE, WALL, authored_faces, doubled
-from gf_usd.geometry.edges import Edges, boundary_loops, fan_area
-from gf_usd.geometry.faces import idle, slivers
-from gf_usd.geometry.overlaps import overlapping
-from gf_usd.model import Asset, Floats, Ints, Surface
-from gf_usd.topology import proper, shells, triangulate, weld
+from gf_usd.geometry.diagnosis import (
+    DUPLICATE,
+    HOLE_LIMIT,
+    OTHER_SIDE,
+    SINGLE,
+    WALL,
+    authored_faces,
+    doubled,
+    idle,
+    slivers,
+)
+from gf_usd.geometry.winding import Edges, boundary_loops, fan_area, overlapping
 
 
 @dataclass(frozen=True, kw_only=True)

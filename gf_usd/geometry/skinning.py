@@ -20,13 +20,13 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
+from scipy import sparse
 
-from gf_usd.errors import UsageError
-from gf_usd.geometry.polar import stretch
-from gf_usd.model import Floats, Pose
-from gf_usd.nearby import nearest, squared_distances
-from gf_usd.slopes import operator, slopes
-from gf_usd.sparse import sparse
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Pose
+from gf_usd.core.matrices import stretch
+from gf_usd.core.neighbors import nearest, operator, slopes, squared_distances
 
 NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
 
-from gf_usd.errors import InputError
-from gf_usd.model import Asset, Floats, Ints, Surface
-from gf_usd.nearby import components
-from gf_usd.sparse import coo_matrix
-from gf_usd.topology import boundary_edges, proper, shells, signed_volume, weld
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Asset, Surface
+from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, weld
+from gf_usd.core.neighbors import components
 
 OPEN_FRACTION = 0.25  # holes above this share of the closed area leave no inside worth the name
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat

@@ -9,9 +9,10 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.colour import srgb_to_linear
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Texture
+from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import Solid
-from gf_usd.model import Floats, Ints, Texture
 
 DEFAULT_COLOUR = (0.18, 0.18, 0.18)  # mid grey, UsdPreviewSurface's own fallback
 

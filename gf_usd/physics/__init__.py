@@ -1,0 +1,1 @@
+"""Particles become frames."""

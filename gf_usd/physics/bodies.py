@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.model import Floats, Ints, Particles
-from gf_usd.nearby import nearest
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Particles
+from gf_usd.core.neighbors import nearest
 
 
 @dataclass(frozen=True, kw_only=True)

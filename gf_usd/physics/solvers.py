@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from gf_usd.errors import UsageError
-from gf_usd.model import Settings
-from gf_usd.physics.marching import Marcher
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Settings
+from gf_usd.physics.frame_loop import Marcher
 
 
 def _total_lagrangian() -> type[Marcher]:
-    from gf_usd.physics.solver import TotalLagrangian
+    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
     return TotalLagrangian
 
 
 def _updated_lagrangian() -> type[Marcher]:
-    from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
+    from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
     return UpdatedLagrangian
 

@@ -1,4 +1,7 @@
-"""The bodies and settings of the cases."""
+"""The bodies and settings of the cases.
+
+Setting and reading the state of a solver from outside.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,15 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset, StageFacts, Surface
+from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.materials import LOOKS, Material
+from gf_usd.core.stage import Pin
+from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling import JITTER, sample_solid, sample_surface
 from gf_usd.geometry.solid import build_solid
-from gf_usd.materials import LOOKS
-from gf_usd.model import (
-    Asset,
-    Floats,
-    Material,
-    Particles,
-    Settings,
-    StageFacts,
-    Surface,
-    SurfaceSamples,
-)
-from gf_usd.pins import Pin
-from gf_usd.units import StageUnits
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 FPS = 24.0
 MIDDLE = np.array([0.25, 0.75])  # of a cell: where strata have their middles
@@ -136,3 +133,44 @@ def settings(device: str, **changes: Any) -> Settings:
         "device": device,
     }
     return Settings(**{**said, **changes})
+
+
+def put(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:
+    """Set displacement u and velocity v (M, 3) [m], [m/s] of all nodes; v None: at rest."""
+    still = np.zeros_like(u) if v is None else v
+    solver.restore(
+        {
+            **solver.save(),
+            "u": u.astype(solver.real).ravel(),
+            "v": still.astype(solver.real).ravel(),
+            "offset": np.zeros(3),
+            "time": 0.0,
+            "done": 0,
+        }
+    )
+
+
+def force(solver: TotalLagrangian) -> Floats:
+    """Force (free, 3) [N] on the free nodes where they are, by the kick of one substep.
+
+    The solver has to be at rest; it moves on by a frame.
+    """
+    before = solver.state()[1]
+    solver.advance(1, 1)
+    kick = solver.state()[1] - before
+    return solver.stencil.mass[:, None] * kick / solver.frame_time
+
+
+def virial(solver: TotalLagrangian) -> Floats:
+    """P (3, 3) [Pa] of a body that is strained evenly, from the forces on its nodes.
+
+    With every node free sum_i X_i (x) G_ip = I, and so -sum_i f_i (x) X_i = sum_p V0_p P.
+    """
+    f = force(solver)
+    return -f.T @ solver.stencil.free_X / float(solver.particles.V0.sum())
+
+
+def accelerate(solver: TotalLagrangian, b: Floats) -> None:
+    """Replace the body force of the frames to come; b (free, 3) [m/s^2]."""
+    solver.acceleration = b
+    solver.arrays["acceleration"].from_numpy(np.ascontiguousarray(b, dtype=solver.real).ravel())

@@ -1,4 +1,7 @@
-"""What a case is, and what it measures."""
+"""What a case is, and what it measures.
+
+Reading orders and frequencies off figures.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,11 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from gf_usd.core.arrays import Floats
 
 ABSOLUTE, RELATIVE, AT_LEAST = "absolute", "relative", "at least"
 
@@ -108,3 +116,28 @@ def rows(result: Result) -> list[dict[str, Any]]:
 
 def _number(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
+
+
+def order(h: Floats, error: Floats) -> float:
+    """Slope of ln error over ln h, by least squares."""
+    return float(np.polyfit(np.log(h), np.log(np.abs(error)), 1)[0])
+
+
+def frequency(t: Floats, q: Floats, guess: float) -> float:
+    """Angular frequency of q = a cos(w t) + b sin(w t) + c, by least squares from a guess."""
+
+    def basis(w: float) -> Floats:
+        return np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], 1)
+
+    def residual(w: Floats) -> Floats:
+        B = basis(float(w[0]))
+        return q - B @ np.linalg.lstsq(B, q, rcond=None)[0]
+
+    return float(least_squares(residual, [guess], x_scale=guess).x[0])
+
+
+def lowest(t: Floats, y: Floats) -> tuple[float, float]:
+    """Time and value of the least of sampled y, by a parabola through the three nearest."""
+    k = int(np.clip(np.argmin(y), 1, len(y) - 2))
+    a, b, c = np.polyfit(t[k - 1 : k + 2] - t[k], y[k - 1 : k + 2], 2)
+    return float(t[k] - b / (2.0 * a)), float(c - b * b / (4.0 * a))

@@ -1,8 +1,18 @@
-"""All cases, in the order of the table."""
+"""All cases, in the order of the table.
+
+Running cases one after another.
+"""
 
 from __future__ import annotations
 
-from gf_usd.verify import (
+import difflib
+import math
+import time
+from collections.abc import Iterator, Sequence
+
+from gf_usd.core.errors import SolverError, UsageError
+from gf_usd.verify.case import Case, Measure, Result
+from gf_usd.verify.cases import (
     bar,
     cantilever,
     drop,
@@ -13,16 +23,14 @@ from gf_usd.verify import (
     manufactured,
     patch,
     sides,
-    vertical,
 )
-from gf_usd.verify.case import Case
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
     *patch.CASES,
     *law.CASES,
     *bar.CASES,
-    *vertical.CASES,
+    *bar.VERTICAL_CASES,
     *cantilever.CASES,
     *locking.CASES,
     *manufactured.CASES,
@@ -30,3 +38,46 @@ CASES: tuple[Case, ...] = (
     *drop.CASES,
     *sides.CASES,
 )
+
+
+def select(names: Sequence[str] = ()) -> tuple[Case, ...]:
+    """The cases of these names, all without any, in the order of the registry.
+
+    Raises UsageError for a name that is none.
+    """
+
+    known = {case.name: case for case in CASES}
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            guess = f"did you mean {close[0]}? " if close else ""
+            raise UsageError(f"there is no case {name!r}", f"{guess}gf-usd verify --list shows all")
+    return tuple(case for case in CASES if not names or case.name in names)
+
+
+def verify(cases: Sequence[Case], *, full: bool = False, device: str = "cpu") -> Iterator[Result]:
+    """Run cases, those in double precision last: Taichi starts once for each precision.
+
+    Raises UsageError where the device is not there, before anything runs.
+    """
+    from gf_usd.system.taichi_runtime import init_taichi
+
+    init_taichi(device)
+    for case in sorted(cases, key=lambda case: case.f64):
+        yield run_case(case, full=full, device=device)
+
+
+def run_case(case: Case, *, full: bool = False, device: str = "cpu") -> Result:
+    """Run one case; a solver that gives up is a measure that failed."""
+    run = case.full if full and case.full else case.quick
+    began = time.perf_counter()
+    try:
+        measures = tuple(run(device))
+    except SolverError as error:
+        measures = (
+            Measure(
+                name="run", value=math.nan, target=0.0, bound=0.0,
+                why=f"the solver has to come to the end: {error.message}",
+            ),
+        )  # fmt: skip
+    return Result(case=case, measures=measures, seconds=time.perf_counter() - began)

@@ -1,1 +1,1 @@
-"""Pictures of a `gf_usd.scene.Scene`, drawn on a CPU without GL."""
+"""Scenes and recordings become pictures, films, an HTML page and a window."""

@@ -1,21 +1,34 @@
-"""A window that plays a bake, by open3d: an extra, for it is large and wants system libraries."""
+"""A window that plays a bake, by open3d: an extra, for it is large and wants system libraries.
+
+Which frame is on the screen: playing in real time, over and over, or stepped by hand.
+
+What a window needs of the machine, looked for before it is opened.
+
+What a window draws, as triangles and lines: mesh, Gaussians and floor.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import importlib
+import math
+import os
+import sys
 import time
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gf_usd.errors import UsageError
-from gf_usd.model import Floats
-from gf_usd.recording import MotionFrame, Recording
-from gf_usd.view.camera import fit_camera
-from gf_usd.view.report_thin import spread
-from gf_usd.view.window_clock import Clock
-from gf_usd.view.window_needs import INSTEAD, PACKAGES, import_open3d, require_display
-from gf_usd.view.window_shapes import Balls, Skin, floor_lines
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import UsageError
+from gf_usd.core.radiance import linear_to_srgb
+from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
+from gf_usd.view.render.camera import fit_camera
+from gf_usd.view.report.surface import make_skin, sample, spread
 
 SIZE = (1280, 800)  # pixels of the window
 LOOKS = 48  # frames of a longer motion that the camera is fitted to
@@ -190,3 +203,183 @@ class Window:
 
     def _ints(self, values: Floats) -> Any:
         return self._o3d.utility.Vector3iVector(np.ascontiguousarray(values, dtype=np.int32))
+
+
+ROUNDING = 1e-9  # [s] a time computed a little before a frame's own shows that frame
+
+
+class Clock:
+    """Playback of frames at given times.
+
+    times : [s] of playback, ascending.   now : a clock [s], e.g. `time.perf_counter`.
+    """
+
+    def __init__(self, times: Sequence[float], now: Callable[[], float]) -> None:
+        self._times, self._now = list(times), now
+        # the last frame is held as long as the one before it
+        self._length = times[-1] - times[0] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
+        self.frame = 0
+        self.playing = True
+        self._start = now()
+
+    def tick(self) -> bool:
+        """Move on to the frame that is due; True where that is another one."""
+        if not self.playing or self._length <= 0.0:
+            return False
+        at = self._times[0] + (self._now() - self._start) % self._length
+        frame = max(0, bisect_right(self._times, at + ROUNDING) - 1)
+        changed, self.frame = frame != self.frame, frame
+        return changed
+
+    def toggle(self) -> None:
+        """Play from the frame that is shown, or stop there."""
+        self.playing = not self.playing
+        self._start = self._now() - (self._times[self.frame] - self._times[0])
+
+    def step(self, by: int) -> None:
+        """Stop, and show the frame before or after; it goes round."""
+        self.playing = False
+        self.frame = (self.frame + by) % len(self._times)
+
+    def rewind(self) -> None:
+        """Back to the first frame."""
+        self.frame, self._start = 0, self._now()
+
+
+PACKAGES = "on Debian and Ubuntu: apt-get install libx11-6 libgl1 libegl1 libusb-1.0-0 libgomp1"
+INSTEAD = "gf-usd report makes a page that plays in a browser"
+
+
+def import_open3d() -> Any:
+    """The module open3d.
+
+    Raises UsageError where it, or a system library that it needs, is not installed.
+    """
+    try:
+        return importlib.import_module("open3d")
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"A window needs the Python module {error.name}, which is not installed.",
+            f"pip install 'gf-usd[open3d]'; without it, {INSTEAD}",
+        ) from error
+    except (ImportError, OSError) as error:
+        raise UsageError(
+            f"open3d is installed, but a system library that it needs is not: {error}.", PACKAGES
+        ) from error
+
+
+def require_display() -> None:
+    """Raise UsageError where no X display can be opened; elsewhere than on Linux all is well.
+
+    Without a display open3d crashes at the first use of its window.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    name = os.environ.get("DISPLAY")
+    if not name:
+        raise UsageError(
+            "There is no display: the environment variable DISPLAY is not set.",
+            f"run it on a desktop, or under xvfb-run; without a display, {INSTEAD}",
+        )
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError as error:
+        raise UsageError(
+            f"A system library that a window needs is not installed: {error}.", PACKAGES
+        ) from error
+    x11.XOpenDisplay.argtypes = [ctypes.c_char_p]
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    display = x11.XOpenDisplay(None)
+    if not display:
+        raise UsageError(
+            f"The display DISPLAY={name} cannot be opened.",
+            f"check that it runs and that you may use it; without a display, {INSTEAD}",
+        )
+    x11.XCloseDisplay(display)
+
+
+MOST_BALLS = 20_000  # more would not be moved in real time
+CELLS = 10  # of the floor's grid, each way from the middle
+
+
+class Skin:
+    """All meshes as one, with vertices split at creases and where the colour changes."""
+
+    def __init__(self, meshes: tuple[RenderMesh, ...]) -> None:
+        self._skin = make_skin(meshes, sum(len(mesh.points) for mesh in meshes))
+        self.triangles = self._skin.corners
+        self.colours = self._skin.colours / 255.0
+
+    def pose(self, meshes: tuple[Floats, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vertices and unit normals (D, 3) of the meshes' points; n = sum of a x b over faces."""
+        points = np.concatenate(meshes)[self._skin.kept][self._skin.source]
+        corners = points[self.triangles]
+        face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        shade = self._skin.shade
+        into = shade[self.triangles].reshape(-1)
+        each = np.repeat(face, 3, axis=0)
+        count = int(shade.max(initial=-1)) + 1
+        total = np.stack([np.bincount(into, each[:, i], minlength=count) for i in range(3)], axis=1)
+        normals = total[shade]
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return points, normals / np.where(length > 0.0, length, 1.0)
+
+
+class Balls:
+    """Gaussians as ellipsoids of one standard deviation, a few faces each."""
+
+    def __init__(self, cloud: GaussianSet) -> None:
+        self._chosen = sample(len(cloud), MOST_BALLS)
+        self._corners, faces = icosahedron()
+        count = len(self._chosen)
+        first = len(self._corners) * np.arange(count)[:, None, None]
+        self.triangles = (faces + first).reshape(-1, 3)
+        colours = linear_to_srgb(np.clip(cloud.colours[self._chosen], 0.0, 1.0))
+        self.colours = np.repeat(colours, len(self._corners), axis=0)
+
+    def pose(self, positions: Floats, axes: Floats) -> tuple[Floats, Floats]:
+        """Vertices x = c + A s and normals along A^-T s, both (12 n, 3)."""
+        A = np.asarray(axes)[self._chosen]
+        points = np.asarray(positions)[self._chosen][:, None, :] + self._corners @ A.mT
+        # cofactors are A^-T but for a factor, and exist where A is flat as well
+        cofactor = np.stack(
+            [np.cross(A[:, :, (i + 1) % 3], A[:, :, (i + 2) % 3]) for i in range(3)], axis=2
+        )
+        normals = self._corners @ cofactor.mT
+        normals *= np.sign(np.linalg.det(A))[:, None, None]
+        length = np.linalg.norm(normals, axis=2, keepdims=True)
+        normals = normals / np.where(length > 0.0, length, 1.0)
+        return points.reshape(-1, 3), normals.reshape(-1, 3)
+
+
+def icosahedron() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners (12, 3) on the unit ball and faces (20, 3), outward: the hull of (0, ±1, ±phi)."""
+    phi = 0.5 * (1.0 + math.sqrt(5.0))
+    corners = np.array(
+        [np.roll((0.0, a, b * phi), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)]
+    )
+    faces = []
+    for i, j, k in combinations(range(12), 3):
+        p, q, r = corners[[i, j, k]]
+        if all(abs(np.linalg.norm(d) - 2.0) < 1e-9 for d in (p - q, q - r, r - p)):
+            faces.append((i, j, k) if np.dot(np.cross(q - p, r - p), p) > 0.0 else (i, k, j))
+    return corners / np.linalg.norm(corners[0]), np.array(faces, dtype=np.int64)
+
+
+def floor_lines(low: Floats, high: Floats, up: Floats, ground: float) -> NDArray[np.float64]:
+    """(n, 2, 3) [m] lines of a grid under a box, at a height along up."""
+    axis = int(np.argmax(np.abs(up)))
+    across = [i for i in range(3) if i != axis]
+    middle = 0.5 * (np.asarray(low) + np.asarray(high))
+    reach = 0.75 * float(np.max(np.asarray(high) - low)) or 1.0
+    ticks = np.linspace(-reach, reach, 2 * CELLS + 1)
+    lines = []
+    for along, other in (across, across[::-1]):
+        ends = np.tile(middle, (len(ticks), 2, 1))
+        ends[:, :, axis] = ground
+        ends[:, :, other] += ticks[:, None]
+        ends[:, 0, along] -= reach
+        ends[:, 1, along] += reach
+        lines.append(ends)
+    return np.concatenate(lines)

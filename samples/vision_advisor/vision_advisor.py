@@ -17,8 +17,9 @@ import urllib.error
 import urllib.request
 from typing import Any
 
-from gf_usd.advice import Advice, Question
-from gf_usd.errors import BakeError
+from gf_usd.core.errors import BakeError
+from gf_usd.core.stage import Advice
+from gf_usd.prepare.advice import Question
 
 SECONDS = 90.0  # less than gf-usd waits, so that the words below are what a person sees
 

@@ -10,8 +10,8 @@ import trimesh
 from meetings import bricks, depth, half_space, meeting, momenta, obstacle, tilted
 from solids import cube, sphere, surface
 
-from gf_usd.materials import G0
-from gf_usd.summary import gain_of_frames
+from gf_usd.core.materials import G0
+from gf_usd.pipeline.health import gain_of_frames
 
 LEFT = sphere(centre=(-1.3, 0.0, 0.0), path="/Left")
 RIGHT = sphere(centre=(1.3, 0.2, 0.0), path="/Right")  # a little off the line: they spin too

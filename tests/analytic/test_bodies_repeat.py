@@ -8,7 +8,7 @@ from launching import WAYS, launched
 from meetings import half_space, meeting
 from solids import sphere
 
-from gf_usd.model import Health
+from gf_usd.core.frames import Health
 
 
 def falling(threads: int = 2, frames: int = 7):

@@ -7,7 +7,7 @@ import pytest
 from launching import WAYS, launched
 from solids import ball, look, settings
 
-from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
 def drop(threads: int, way: str, monkeypatch, frames: int = 8) -> np.ndarray:

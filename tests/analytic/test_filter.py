@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from solids import cube, fill, look, settings, solid, sphere
 
-from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 BODIES = {"ball": lambda: solid(sphere()), "plate": lambda: solid(cube(edge=(2.0, 0.2, 2.0)))}
 on_every_body = pytest.mark.parametrize("body", BODIES)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from solids import cube, fill, look, settings, solid
 
-from gf_usd.model import Particles
-from gf_usd.physics.laws import LAWS
-from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.core.frames import Particles
+from gf_usd.physics.laws.registry import LAWS
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 MAPS = {
     "shear": np.array([[1.0, 0.3, 0.0], [0.0, 1.0, 0.1], [0.0, 0.0, 1.0]]),

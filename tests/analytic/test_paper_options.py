@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from solids import look, settings, solid, sphere
 
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.sampling import sample_solid
-from gf_usd.model import SurfaceSamples
-from gf_usd.paper_options import PAPER_CAP, PAPER_CLAMP
-from gf_usd.physics.guard import GAIN, energy
-from gf_usd.physics.reanchor import wls_gradient
-from gf_usd.physics.solver import TotalLagrangian
-from gf_usd.slopes import slopes
+from gf_usd.physics.frame_loop import GAIN, energy
+from gf_usd.physics.total_lagrangian.shape_correction import wls_gradient
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.prepare.paper import PAPER_CAP, PAPER_CLAMP
 
 ALL = {"wls": True, "procrustes": 0.02, "clamp": PAPER_CLAMP, "stress_cap": PAPER_CAP * 1100 * 9.81}
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gf_usd.model import Floats, Frame, Material, Particles
-from gf_usd.physics.laws import MIXED, law_of
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Frame, Particles
+from gf_usd.core.materials import Material
+from gf_usd.physics.laws.registry import MIXED, law_of
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import block, elastic, settings
 

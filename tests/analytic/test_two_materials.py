@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh_tridiagonal
 
-from gf_usd.geometry.borders import smoothstep
-from gf_usd.model import Particles
-from gf_usd.own_values import of_materials
-from gf_usd.physics.solver import TotalLagrangian
+from gf_usd.core.frames import Particles, of_materials
+from gf_usd.geometry.bodies import smoothstep
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import MIDDLE, block, clamp, elastic, settings
-from gf_usd.verify.fit import frequency
+from gf_usd.verify.case import frequency
 
 CELLS, DENSITY = 24, 1000.0
 SOFT, STIFF = 2e5, 2e6  # [Pa]; the soft half is clamped, the bar is 1 m long

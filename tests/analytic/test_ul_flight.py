@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
-from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 SPIN = np.array([0.3, 2.0, -0.5])  # [rad/s]
 SQUEEZE = np.diag([0.4, -0.7, 0.3])  # [1/s]

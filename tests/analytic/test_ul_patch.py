@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from solids import ball, look, settings
-from test_patch import A, reference_stress, von_mises
 
-from gf_usd.physics.laws import LAWS
-from gf_usd.physics.updated_lagrangian import UpdatedLagrangian
+from gf_usd.physics.laws.registry import LAWS
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+from tests.analytic.test_patch import A, reference_stress, von_mises
 
 
 def strained(token: str, real: type, **changes):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gf_usd.verify.case import Case
-from gf_usd.verify.registry import CASES
-from gf_usd.verify.run import run_case
+from gf_usd.verify.registry import CASES, run_case
 
 # Double precision last, so that Taichi starts anew once.
 ORDERED = sorted(CASES, key=lambda case: case.f64)

@@ -34,50 +34,50 @@ class Fault:
 
 FAULTS = {
     "slope of the spline turned round": Fault(
-        "physics/stencil_kernel.py",
+        "physics/total_lagrangian/kernels/simd.py",
         "b = let(q[k] - q[i])\n",
         "b = let(q[i] - q[k])\n",
         "patch",
     ),
     "2/h^2 for 4/h^2 in APIC": Fault(
-        "physics/cell_kernel.py",
+        "physics/total_lagrangian/kernels/simd.py",
         "c1 = let(4.0 * m * dot(w[0], t1))",
         "c1 = let(2.0 * m * dot(w[0], t1))",
         "spin-apic",
     ),
     "no lambda in the Neo-Hookean stress": Fault(
-        "physics/laws.py",
+        "physics/laws/registry.py",
         "q = (lam * log_extended(J) - mu) *",
         "q = (0.0 - mu) *",
         "law-neoHookean",
     ),
     "half the shear modulus in the corotated stress": Fault(
-        "physics/laws.py", "m = 2.0 * mu", "m = mu", "law-corotated"
+        "physics/laws/registry.py", "m = 2.0 * mu", "m = mu", "law-corotated"
     ),
     "gravity upward": Fault(
-        "physics/node_kernel.py", "body.inverse_mass[node] + g", "body.inverse_mass[node] - g",
+        "physics/total_lagrangian/kernels/nodes.py", "body.inverse_mass[node] + g", "body.inverse_mass[node] - g",
         "free-fall",
     ),
     "a whole drift at the end of a frame": Fault(
-        "physics/kernels.py",
+        "physics/total_lagrangian/kernels/substep.py",
         "drift = 0.5 * dt",
         "drift = dt",
         "free-fall",
     ),
     "no damping in the floor": Fault(
-        "physics/contact_kernel.py", " - body.sample_damping[s] * vn", "", "bounce"
+        "physics/contact/kernels.py", " - body.sample_damping[s] * vn", "", "bounce"
     ),
     "pins mirror without the sign": Fault(
-        "physics/followers.py", "-interpolation(", "interpolation(", "bar"
+        "physics/grid/dependent_nodes.py", "-interpolation(", "interpolation(", "bar"
     ),
     "followers keep their forces": Fault(
-        "physics/node_kernel.py",
+        "physics/total_lagrangian/kernels/nodes.py",
         "return block_sum(body, node, plain) + leader_sum(body, node)",
         "return block_sum(body, node, plain)",
         "momentum",
     ),
     "no body force": Fault(
-        "physics/node_kernel.py", "a[d] += body.acceleration[3 * node + d]", "a[d] += 0.0",
+        "physics/total_lagrangian/kernels/nodes.py", "a[d] += body.acceleration[3 * node + d]", "a[d] += 0.0",
         "cantilever",
     ),
 }  # fmt: skip

@@ -12,9 +12,10 @@ import pytest
 from PIL import Image
 from small_bakes import SAMPLES, SMALL, names, strict
 
-from gf_usd import advising, preflight
-from gf_usd.advice.advisors import GROUP
-from gf_usd.errors import UsageError
+from gf_usd.core.errors import UsageError
+from gf_usd.pipeline.run import draw, prepare
+from gf_usd.prepare.advice import advise
+from gf_usd.prepare.advice.advisors import GROUP
 
 VISION = SAMPLES / "vision_advisor"
 
@@ -211,7 +212,7 @@ def vision(tmp_path, monkeypatch):
 
 
 def test_a_batch_takes_auto_and_asks_no_advisor(vision):
-    from gf_usd.batch.options import _materials
+    from gf_usd.batch.manifest import _materials
 
     assert _materials("auto", Path()) == "auto"
     with pytest.raises(UsageError, match="a batch asks no advisor"):
@@ -260,11 +261,11 @@ def test_a_model_that_babbles_is_an_error(gf_usd, here, stage, server, vision, m
 
 
 def test_the_picture_is_a_png_of_the_asset(tmp_path):
-    plan = preflight.prepare(SAMPLES / "duck.usda", output=str(tmp_path) + "/", particles=100)
+    plan = prepare(SAMPLES / "duck.usda", output=str(tmp_path) + "/", particles=100)
     path = tmp_path / "duck.png"
-    path.write_bytes(advising.picture(plan.asset))
+    path.write_bytes(advise.picture(plan.asset, draw))
     with Image.open(path) as picture:
-        assert (picture.format, picture.size) == ("PNG", advising.PICTURE)
+        assert (picture.format, picture.size) == ("PNG", advise.PICTURE)
         # A duck, and no empty backdrop, which has no color: yellow in a good part of the picture.
         red, _, blue = np.moveaxis(np.asarray(picture.convert("RGB"), float), 2, 0)
     assert 0.1 < (red > blue + 60.0).mean() < 0.8

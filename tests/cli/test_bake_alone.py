@@ -6,13 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from captures import ball, write_ply
 from resumed import require_whole, start, wait_for
 from small_bakes import names
 
-from gf_usd.baking import prepare, run
-from gf_usd.errors import UsageError
-from gf_usd.locks import acquire, lock_path
-from tests.captures import ball, write_ply
+from gf_usd.core.errors import UsageError
+from gf_usd.pipeline.run import prepare, run
+from gf_usd.system.file_locks import acquire, lock_path
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no file locks")
 STEM = "block.rubber"

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import ball, define, write_ply
 from pxr import Usd, UsdGeom
 from small_bakes import BLOCK, names
 
-from gf_usd.assets.splat_ply import read_splat_ply
-from gf_usd.assets.splat_raw import ROW
-from gf_usd.assets.splat_spz import read_spz
-from gf_usd.harmonics import Y_0
-from gf_usd.scene import gaussian_axes
-from tests.captures import ball, define, write_ply
+from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.radiance import Y_0
+from gf_usd.readers.splats.ply import read_splat_ply
+from gf_usd.readers.splats.raw import ROW
+from gf_usd.readers.splats.spz import read_spz
 
 SMALL = ("--particles", "200", "--frames", "4", "--drop", "0.1")
 SINGLE = 1e-6

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from small_bakes import BLOCK, Done, names
 
-from gf_usd.locks import acquire
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
+from gf_usd.system.file_locks import acquire
 
 Call = Callable[..., Done]
 SMALL = ("--particles", "150", "--frames", "2")

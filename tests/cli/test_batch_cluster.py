@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from small_bakes import BLOCK
 
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow

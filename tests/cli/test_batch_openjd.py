@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from resumed import require_same
 
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
 
 BESIDE = Path(sys.executable).with_name("openjd")
 OPENJD = str(BESIDE) if BESIDE.is_file() else shutil.which("openjd")

@@ -9,9 +9,9 @@ import pytest
 from pxr import Usd
 from small_bakes import SMALL, names, strict
 
-from gf_usd import choices
-from gf_usd.errors import SolverError
-from gf_usd.usd.check import check_file
+from gf_usd.core import frames
+from gf_usd.core.errors import SolverError
+from gf_usd.layers.check.run import check_file
 
 STEM = "block.rubber"
 WHOLE = [f"{STEM}.cache.usdc", f"{STEM}.clips", f"{STEM}.report.json", f"{STEM}.usda"]
@@ -54,7 +54,7 @@ def test_a_new_bake_leaves_no_clips_of_the_old_one(gf_usd, here: Path, block: Pa
 def test_a_failure_keeps_the_old_bake_and_shows_its_own(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd.physics.marching import Marcher
+    from gf_usd.physics.frame_loop import Marcher
 
     options = ("bake", block, *SMALL, "--clip-frames", "1", "-q")
     assert gf_usd(*options).status == 0
@@ -85,8 +85,8 @@ def test_a_failure_keeps_the_old_bake_and_shows_its_own(
 def test_a_large_cache_is_split_unasked(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(choices, "LARGE", 50_000)
-    monkeypatch.setattr(choices, "CLIP", 60_000)
+    monkeypatch.setattr(frames, "LARGE", 50_000)
+    monkeypatch.setattr(frames, "CLIP", 60_000)
     done = gf_usd("bake", block, *SMALL)
     assert done.status == 0
     assert "GB, is split into value clips of 2 frames: --clip-frames 0 keeps" in done.err

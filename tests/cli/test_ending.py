@@ -11,7 +11,7 @@ import pytest
 
 SAID = """
 import atexit, sys, threading, time
-from gf_usd.cli.ending import leave, prepare_to_leave
+from gf_usd.cli.exit import leave, prepare_to_leave
 prepare_to_leave()
 atexit.register(print, "last words")
 {more}
@@ -46,7 +46,7 @@ def test_a_full_disk_is_not_passed_over() -> None:
     """Python ends with 120 where it cannot write what is left of its output."""
     if not Path("/dev/full").exists():
         pytest.skip("this system has no device that is always full")
-    code = "from gf_usd.cli.ending import leave, prepare_to_leave\nprepare_to_leave()\n"
+    code = "from gf_usd.cli.exit import leave, prepare_to_leave\nprepare_to_leave()\n"
     code += "import sys\nsys.stdout = open(1, 'w')\nprint('no room for this')\nleave(0)"
     with open("/dev/full", "w") as full:
         done = subprocess.run([sys.executable, "-c", code], stdout=full, check=False)
@@ -61,7 +61,7 @@ ti.init(arch=ti.cpu, log_level=ti.ERROR)
 def twice(x: ti.f32) -> ti.f32:
     return 2.0 * x
 twice(2.0)
-from gf_usd.cli.ending import leave, prepare_to_leave
+from gf_usd.cli.exit import leave, prepare_to_leave
 prepare_to_leave()
 leave(0)
 """

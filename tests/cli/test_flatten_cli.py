@@ -14,8 +14,8 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdShade
 from small_bakes import SAMPLES, SMALL, names, strict
 
-from gf_usd.errors import SolverError
-from gf_usd.usd.check import check_file
+from gf_usd.core.errors import SolverError
+from gf_usd.layers.check.run import check_file
 
 
 @pytest.mark.parametrize("name", ["one.usdz", "one.usdc"])
@@ -112,7 +112,7 @@ def _read(resolved: str) -> bytes:
 def test_a_failure_leaves_the_layers_it_worked_on(
     gf_usd, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd.physics.marching import Marcher
+    from gf_usd.physics.frame_loop import Marcher
 
     sound = Marcher.next
 
@@ -134,7 +134,7 @@ def test_a_failure_leaves_the_layers_it_worked_on(
 
 
 def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) -> None:
-    from gf_usd.assets.usd_motion_read import BakedMotion
+    from gf_usd.readers.pictures.recording import BakedMotion
 
     assert gf_usd("bake", block, *SMALL, "-q", "-o", "a.usdz").status == 0
     motion = BakedMotion(here / "a.usdz")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import gf_usd as package
-from gf_usd.materials import LAW_TOKENS, LOOKS, PHYSICAL, presets
+from gf_usd.core.materials import LAW_TOKENS, LOOKS, PHYSICAL, presets
 
 
 def numbers(row: str) -> list[float]:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from gf_usd.cli.preview import preview
 from gf_usd.cli.preview_options import parse_size
-from gf_usd.errors import UsageError
+from gf_usd.core.errors import UsageError
 
 STAGE = """#usda 1.0
 (

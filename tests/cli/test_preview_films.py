@@ -6,11 +6,11 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
-from test_preview import STAGE, run
 
-import gf_usd.usd.schema  # noqa: F401  (before any test here opens a stage: one of them bakes)
+import gf_usd.system.usd_schema  # noqa: F401  (before any test here opens a stage: one of them bakes)
 from gf_usd.cli.preview_options import Span, parse_limits, parse_span, time_codes
-from gf_usd.errors import InputError, UsageError
+from gf_usd.core.errors import InputError, UsageError
+from tests.cli.test_preview import STAGE, run
 
 # 24 frames a second, from time code 1 to 3: three frames
 BOX = STAGE.replace("endTimeCode = 3", "endTimeCode = 3\n timeCodesPerSecond = 24")

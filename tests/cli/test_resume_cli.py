@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import ball, write_ply
 from resumed import require_same, require_whole, samples, start, wait_for
 from small_bakes import names
-
-from tests.captures import ball, write_ply
 
 STEM = "block.rubber"
 KEPT = f"{STEM}.checkpoint.npz"
@@ -179,7 +178,7 @@ def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, bloc
 def test_a_bake_cut_between_its_last_files_is_resumed(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd import baking
+    from gf_usd.pipeline import run
 
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "-o", "one/").status == 0
@@ -188,7 +187,7 @@ def test_a_bake_cut_between_its_last_files_is_resumed(
         raise SystemExit(137)
 
     with monkeypatch.context() as patch:
-        patch.setattr(baking, "publish_text", killed)
+        patch.setattr(run, "publish_text", killed)
         assert gf_usd(*words, "-o", "two/").status == 137
     assert (here / "two" / f"{STEM}.usda").exists()
     assert gf_usd(*words, "-o", "two/", "--resume").status == 0

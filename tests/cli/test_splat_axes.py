@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import ball, define, write_ply
 from pxr import Usd, UsdGeom
 from small_bakes import BLOCK
 
-from gf_usd.assets.splat_ply import read_splat_ply
-from gf_usd.assets.splat_spz import read_spz
-from gf_usd.harmonics import rotate
-from gf_usd.scene import gaussian_axes
-from tests.captures import ball, define, write_ply
+from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.radiance import rotate
+from gf_usd.readers.splats.ply import read_splat_ply
+from gf_usd.readers.splats.spz import read_spz
 
 SMALL = ("--particles", "200", "--frames", "3", "--drop", "0.1")
 HALF_TURN = np.diag([1.0, -1.0, -1.0])

@@ -10,7 +10,7 @@ import pytest
 from pxr import Sdf, Usd
 from small_bakes import names, strict
 
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
 
 SMALL = ("--particles", "300", "--drop", "20", "-q", "--json")
 BLOCK = "/World/Block"
@@ -194,9 +194,9 @@ def test_a_pin_follows_the_animation_between_frames(gf_usd, here: Path, tmp_path
 
 
 def test_a_report_draws_health_where_it_was(baked) -> None:
-    from gf_usd.assets.usd_motion_read import BakedMotion
-    from gf_usd.view.report_curves import _health
-    from gf_usd.view.report_record import load_report, make_record
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.view.report.curves import _health
+    from gf_usd.view.report.record import load_report, make_record
 
     root, _ = baked("part", "--range", "103:105", "--handles", "3", "--samples-per-frame", "2")
     recording = BakedMotion(root).recording()

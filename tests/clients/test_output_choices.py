@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 from client_runs import needs
-from test_usd_validation import findings
 
 import gf_usd
+from tests.clients.test_usd_validation import findings
 
 pytestmark = [pytest.mark.clients, needs("validation")]
 

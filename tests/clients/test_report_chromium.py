@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from recordings import FRAMES, FallingBox, report_of
 
-from gf_usd.view.report import Limits, build_report
+from gf_usd.view.report.report import Limits, build_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(

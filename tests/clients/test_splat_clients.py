@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import ball
 from client_runs import PROBES, needs, programs, run
 
-from gf_usd.assets import read_asset
-from gf_usd.assets.splat_ply import read_splat_ply
-from gf_usd.assets.splat_spz import read_spz
-from gf_usd.splat_files import ply_bytes, spz_bytes
-from gf_usd.splats import Splats
-from tests.captures import ball
+from gf_usd.core.asset import Splats
+from gf_usd.readers import read_asset
+from gf_usd.readers.splats.ply import read_splat_ply
+from gf_usd.readers.splats.spz import read_spz
+from gf_usd.readers.splats.write import ply_bytes, spz_bytes
 
 pytestmark = [pytest.mark.clients, needs("splats")]
 

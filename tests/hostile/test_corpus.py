@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from hostile_files import STAGE, broken, sound
 
-from gf_usd.errors import InputError
-from gf_usd.isolation import Limits, attempt, read_untrusted
+from gf_usd.core.errors import InputError
+from gf_usd.readers.trial import read_untrusted
+from gf_usd.system.sandbox import Limits, attempt
 
 EACH = Limits(time=30.0, memory=8e9, output=1e8)
 POINTS = STAGE.split("point3f[] points = ")[1].split("\n")[0]

@@ -12,9 +12,10 @@ from hostile_shapes import SCALES, SHAPES, ball, shells, usda
 from pxr import Sdf, Vt
 
 import gf_usd
-from gf_usd.errors import GfUsdError, InputError
-from gf_usd.isolation import Limits, attempt, read_untrusted
-from gf_usd.usd.check import check_file
+from gf_usd.core.errors import GfUsdError, InputError
+from gf_usd.layers.check.run import check_file
+from gf_usd.readers.trial import read_untrusted
+from gf_usd.system.sandbox import Limits, attempt
 
 EACH = Limits(time=60.0, memory=8e9, output=1e8)
 

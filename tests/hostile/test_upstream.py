@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from gf_usd.errors import InputError
-from gf_usd.isolation import Limits, attempt, read_untrusted
+from gf_usd.core.errors import InputError
+from gf_usd.readers.trial import read_untrusted
+from gf_usd.system.sandbox import Limits, attempt
 
 PAGE = Path(__file__).parents[2] / "docs" / "upstream.md"
 SCRIPTS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)

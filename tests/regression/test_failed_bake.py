@@ -13,8 +13,8 @@ import pytest
 from pxr import Usd
 
 import gf_usd
-from gf_usd.physics.guard import Guard
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
+from gf_usd.physics.frame_loop import Guard
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 # The paper's ten substeps a frame are some four hundred times too few for this one, and six

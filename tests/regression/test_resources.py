@@ -14,10 +14,11 @@ import pytest
 from pxr import Usd, UsdGeom
 
 import gf_usd
-from gf_usd import room
-from gf_usd.errors import BakeError, InputError, UsageError
-from gf_usd.runtime import import_taichi
-from gf_usd.usd.check import check_file
+from gf_usd.core.errors import BakeError, InputError, UsageError
+from gf_usd.layers.check.run import check_file
+from gf_usd.pipeline import budget
+from gf_usd.system import memory_and_disk
+from gf_usd.system.taichi_runtime import import_taichi
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 SIZE = 16_000_000  # [bytes] of the small disk
@@ -48,7 +49,7 @@ def fill_up(folder: Path, leave: int) -> Path:
     """Another program's file, which leaves so many bytes free."""
     other = folder / "other"
     with other.open("wb") as file:
-        file.write(bytes(int(room.free_disk(folder)) - leave))
+        file.write(bytes(int(memory_and_disk.free_disk(folder)) - leave))
     return other
 
 
@@ -63,8 +64,8 @@ def test_a_disk_that_is_too_small_is_refused_before_work(disk: Path) -> None:
 def test_a_memory_that_is_too_small_is_refused_before_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "free_memory", lambda: 1e6)
-    monkeypatch.setattr(room, "_swap", lambda: 0.0)
+    monkeypatch.setattr(memory_and_disk, "free_memory", lambda: 1e6)
+    monkeypatch.setattr(memory_and_disk, "_swap", lambda: 0.0)
     with pytest.raises(InputError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=4)
     assert "GB of memory, and 0.001 GB are free" in caught.value.message
@@ -101,12 +102,12 @@ def test_a_disk_that_others_fill_ends_the_bake_at_its_last_frame(disk: Path) -> 
 def test_want_of_memory_ends_the_bake_at_its_last_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "ASKED", 0.0)
+    monkeypatch.setattr(budget, "ASKED", 0.0)
 
     def others(done: int, total: int) -> None:
         if done == 3:
-            monkeypatch.setattr(room, "free_memory", lambda: 1e6)
-            monkeypatch.setattr(room, "_swap", lambda: 0.0)
+            monkeypatch.setattr(memory_and_disk, "free_memory", lambda: 1e6)
+            monkeypatch.setattr(memory_and_disk, "_swap", lambda: 0.0)
 
     with pytest.raises(BakeError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=6, progress=others)
@@ -204,7 +205,7 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
 def test_a_second_interrupt_ends_what_the_first_waits_for(tmp_path: Path) -> None:
     """A save that never comes back stands for a network disk that does not answer."""
     hang = (
-        "import time; from gf_usd.usd import cache\n"
+        "import time; from gf_usd.layers import cache\n"
         "first = cache.save\n"
         "def save(layer):\n"
         "    cache.save = lambda layer: time.sleep(600)\n"

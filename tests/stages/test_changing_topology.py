@@ -10,7 +10,7 @@ from production_layers import box, tuples
 from pxr import Usd, UsdGeom
 
 import gf_usd
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
 
 
 def sampled(kind: str, name: str, values: dict[int, object]) -> str:

@@ -14,10 +14,10 @@ from production_shot import write_shot
 from pxr import Sdf, Usd, UsdGeom
 
 import gf_usd
-from gf_usd.assets import read_asset
-from gf_usd.assets.usd_physics import read_physics
-from gf_usd.plan import BakeResult
-from gf_usd.usd.check import check_file
+from gf_usd.layers.check.run import check_file
+from gf_usd.pipeline.result import BakeResult
+from gf_usd.readers import read_asset
+from gf_usd.readers.usd_physics.scene import read_physics
 
 PROPS = "/World/Props"
 CRATE, TALL, BALL = f"{PROPS}/Crate/Box", f"{PROPS}/Mirror/Tall/Box", f"{PROPS}/Inches/Skin"

@@ -11,7 +11,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 import gf_usd
-from gf_usd.errors import InputError
+from gf_usd.core.errors import InputError
 
 CORNERS = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
 BOX = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]

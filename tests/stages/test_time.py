@@ -11,9 +11,9 @@ from production_layers import mesh
 from pxr import Usd
 
 import gf_usd
-from gf_usd.assets import read_asset
-from gf_usd.assets.usd_physics import read_physics
-from gf_usd.preflight import prepare
+from gf_usd.pipeline.run import prepare
+from gf_usd.readers import read_asset
+from gf_usd.readers.usd_physics.scene import read_physics
 
 BODY = f"""
 def Xform "World"

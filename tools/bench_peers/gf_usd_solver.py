@@ -11,7 +11,8 @@ import bench_play
 import bench_scene as scene
 import numpy as np
 
-from gf_usd.model import Material, Particles, Settings, SurfaceSamples
+from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.materials import Material
 from gf_usd.physics.solvers import make_solver
 
 

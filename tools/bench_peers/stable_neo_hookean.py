@@ -9,8 +9,8 @@ Smith, de Goes and Kim (2018), without the term for degenerate elements, as newt
 import numpy as np
 import taichi as ti
 
-from gf_usd.physics.lanes import cofactor, combination, determinant, double_dot
-from gf_usd.physics.laws import LAWS, Law
+from gf_usd.physics.laws.registry import LAWS, Law
+from gf_usd.physics.laws.simd3x3 import cofactor, combination, determinant, double_dot
 
 
 @ti.func

@@ -1,0 +1,124 @@
+"""What ``batch`` says while it runs: a table, lines, JSON, or the words of Open Job Description."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import typer
+
+from gf_usd.batch.board import Board, Row
+from gf_usd.batch.job import CALM
+from gf_usd.pipeline.budget import duration
+
+SHOWN = 12  # rows of a kind on the table
+COLOURS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}
+
+
+class Voice(Protocol):
+    """Hears every event, and None now and then."""
+
+    def __call__(self, event: dict[str, Any] | None) -> None: ...
+
+
+@contextmanager
+def voice(board: Board, *, as_json: bool, openjd: bool, quiet: bool) -> Iterator[Voice]:
+    """The way to say how it goes; events reach the board first."""
+
+    def told(event: dict[str, Any] | None) -> None:
+        row = None if event is None else board.hear(event)
+        if event is None:
+            return
+        if as_json:
+            typer.echo(json.dumps(event))
+        if openjd:
+            for line in openjd_lines(board, event, row):
+                typer.echo(line)
+        if not quiet:
+            for line in plain_lines(board, event, row):
+                typer.echo(line, err=True)
+
+    if quiet or as_json or openjd or not sys.stderr.isatty():
+        yield told
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(
+        table(board), console=Console(stderr=True), refresh_per_second=4, transient=True
+    ) as live:
+
+        def drawn(event: dict[str, Any] | None) -> None:
+            row = None if event is None else board.hear(event)
+            if event is not None and event["event"] == "finished" and event["state"] not in CALM:
+                for line in plain_lines(board, event, row):
+                    live.console.print(line, markup=False, highlight=False)
+            live.update(table(board))
+
+        yield drawn
+
+
+def plain_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[str]:
+    """Lines for a log: the end of every job, and every attempt but the first."""
+    kind = event["event"]
+    if kind == "retry":
+        return [f"{event['job']}: once more, {event['why']}"]
+    if kind != "finished" or row is None:
+        return []
+    at = f"[{len(board.ended)}/{len(board.rows)}]"
+    left = board.left
+    eta = f", about {duration(left)} left" if left and len(board.ended) < len(board.rows) else ""
+    if row.state == "kept":
+        return [f"{at} {row.name}: kept"]
+    if row.state == "done":
+        speed = f", {row.frames_per_second:.3g} frames/s" if row.frames_per_second else ""
+        return [f"{at} {row.name}: done in {row.seconds:.1f} s{speed}{eta}"]
+    return [f"{at} {row.name}: {row.state}: {row.message.splitlines()[0]}{eta}"]
+
+
+def openjd_lines(board: Board, event: dict[str, Any], row: Row | None) -> list[str]:
+    """Progress and status as Open Job Description reads them from stdout."""
+    if row is None or event["event"] not in ("started", "frame", "finished"):
+        return []
+    many = f"{len(board.ended)} of {len(board.rows)} done"
+    words = row.state if event["event"] != "frame" else f"frame {row.done} of {row.total}"
+    return [
+        f"openjd_progress: {100.0 * board.share:.1f}",
+        f"openjd_status: {many}; {row.name}: {words}",
+    ]
+
+
+def table(board: Board) -> Any:
+    """What runs, what failed, and how much is left."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    rows = Table(box=None, pad_edge=False)
+    rows.add_column("job", overflow="ellipsis", no_wrap=True, ratio=3)
+    rows.add_column("state")
+    for head in ("frames", "frames/s", "time", "left"):
+        rows.add_column(head, justify="right")
+    shown = [*board.bad[-SHOWN:], *board.of("done")[-3:], *board.of("running")[:SHOWN]]
+    for row in shown:
+        seconds = board.running_for(row) if row.state == "running" else row.seconds
+        again = f" ({row.attempt})" if row.attempt > 1 else ""
+        rows.add_row(
+            Text(row.name),
+            Text(row.state + again, style=COLOURS.get(row.state, "bold red")),
+            f"{row.done}/{row.total}" if row.total else "",
+            f"{row.frames_per_second:.3g}" if row.frames_per_second else "",
+            duration(seconds),
+            duration(row.left) if row.state == "running" and row.left is not None else "",
+        )
+    left = board.left
+    line = (
+        f"{len(board.ended)} of {len(board.rows)} jobs"
+        + (f", {len(board.bad)} of them not good" if board.bad else "")
+        + f", {len(board.of('running'))} running, {duration(board.seconds)}"
+        + (f", about {duration(left)} left" if left is not None else "")
+    )
+    return Group(rows, Text(line, style="bold"))

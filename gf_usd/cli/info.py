@@ -1,0 +1,135 @@
+"""gf-usd materials: the presets.
+
+gf-usd inputs: every file that an asset reads.
+
+gf-usd schema-path: where the schema library lies.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gf_usd.cli.options import LimitsOf
+from gf_usd.core.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def materials(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+) -> None:
+    """Show the material presets.
+
+    Looks are scale-free: moduli are in units of rho g0 r and times in T = sqrt(r / g0), with r the
+    radius of a ball of the body's volume and g0 = 9.81 m/s^2, so that every size squashes alike.
+    """
+    from gf_usd.core.materials import LAW_TOKENS, LOOKS, PHYSICAL
+
+    if as_json:
+        looks = [asdict(look) for look in LOOKS.values()]
+        physical = [asdict(p) for p in PHYSICAL.values()]
+        out = {"looks": looks, "physical": physical, "laws": list(LAW_TOKENS)}
+        typer.echo(json.dumps(out, indent=1))
+        return
+    from rich.console import Console
+
+    console = Console(markup=False, highlight=False)
+    looks = (
+        (m.name, m.mu, m.lam, m.density, m.damping, m.friction, m.restitution)
+        for m in LOOKS.values()
+    )
+    console.print(
+        _table(
+            "look", "mu\n[rho g0 r]", "lambda\n[rho g0 r]", "density\n[kg/m^3]", "damping\n[T]",
+            "friction", "restitution", rows=looks,
+        )
+    )  # fmt: skip
+    console.print()
+    for look in LOOKS.values():
+        console.print(f"{look.name}: {look.note}")
+    console.print()
+    physical = (
+        (m.name, m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time, m.friction,
+         m.restitution)
+        for m in PHYSICAL.values()
+    )  # fmt: skip
+    console.print(
+        _table(
+            "physical", "E\n[Pa]", "nu", "density\n[kg/m^3]", "damping\n[s]", "friction",
+            "restitution", rows=physical,
+        )
+    )  # fmt: skip
+    console.print()
+    for p in PHYSICAL.values():
+        console.print(f"{p.name}: {p.source}")
+    console.print()
+    console.print(f"laws: {', '.join(LAW_TOKENS)} (--law)")
+
+
+def _table(*heads: str, rows: Iterable[tuple[str | float, ...]]) -> Table:
+    """A table of a name and numbers, narrow enough for a terminal of 80 columns."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for head in heads:
+        # As Text: rich takes a unit in brackets for a style, and leaves it out.
+        table.add_column(Text(head), no_wrap=True, justify="left" if head == heads[0] else "right")
+    for row in rows:
+        table.add_row(*(value if isinstance(value, str) else f"{value:.4g}" for value in row))
+    return table
+
+
+def inputs(
+    assets: Annotated[list[Path], typer.Argument(help="Assets, or USD files with a material.")],
+    limits: LimitsOf = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object on a line for each asset.")
+    ] = False,
+) -> None:
+    """List every file that an asset is made of, with its SHA-256: what a farm has to be sent.
+
+    Exit status 3 if one of them cannot be read.
+    """
+    from gf_usd.readers.inputs import read_inputs
+    from gf_usd.system.sandbox import attempt, parse_limits
+
+    most = parse_limits(limits)
+    refused: InputError | None = None
+    for path in assets:
+        out: dict[str, Any] = {"asset": str(path)}
+        try:
+            attempt(path, lambda path=path: read_inputs(path), most)
+            found = read_inputs(path)
+        except InputError as error:
+            refused = error
+            out |= {"error": error.message, "hint": error.hint}
+            if not as_json:
+                typer.echo(f"error: {error}", err=True)
+        else:
+            out |= {"files": [list(row) for row in found.files], "missing": list(found.missing)}
+            if not as_json:
+                typer.echo(f"{path}")
+                for name, content in found.files:
+                    typer.echo(f"  {content[:16]}  {name}")
+                for name in found.missing:
+                    typer.echo(f"  missing           {name}")
+        if as_json:
+            # at once, so that whoever reads knows which asset a crash was at
+            typer.echo(json.dumps(out))
+    if refused is not None:
+        raise typer.Exit(refused.exit_status)
+
+
+def schema_path() -> None:
+    """Print the folder of the gaussianFlesh schema, for PXR_PLUGINPATH_NAME of other programs."""
+    from gf_usd.system.usd_schema import schema_path as locate
+
+    typer.echo(str(locate()))

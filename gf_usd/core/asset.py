@@ -1,0 +1,269 @@
+"""What colours a surface: the diffuse look of a material that is bound to it.
+
+Where a bake begins and how its time codes run, where the source leaves it open.
+
+The rest pose, the physics, the pins and the settings of a bake all ask here, so that the first
+frame is the source at one and the same time.
+
+Captured Gaussians: what every splat file means, in one value.
+
+    alpha(x) = o exp(-(x - p)^T Sigma^-1 (x - p) / 2),    Sigma = R diag(s^2) R^T
+    c(d) = 1/2 + sum_k h_k Y_k(d)
+
+with d the direction from the camera to the Gaussian in its own space.  Files differ in how they
+store the numbers (logarithms, logits, bytes); here opacities lie in 0..1, scales are linear
+standard deviations, quaternions are (w, x, y, z), and the coefficients are those of UsdVol: raw
+f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its three colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import AXES, Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.radiance import DEGREE, Y_0
+from gf_usd.core.units import StageUnits
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceMaterial:
+    """The diffuse look of a bound material."""
+
+    path: str
+    colour: tuple[float, float, float]  # constant diffuse, linear
+    texture: Texture | None = None  # multiplies nothing: replaces the constant where present
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageFacts:
+    """What the source says of itself."""
+
+    path: Path  # the file as the user named it
+    units: StageUnits
+    up_axis: str  # "Y" or "Z"
+    time_codes_per_second: float | None  # None where the source authors none
+    start_time_code: float | None
+    end_time_code: float | None
+    root_prims: tuple[str, ...]  # every root prim path, in order
+    default_prim: str | None
+    animated: bool = False  # a layer of it holds time samples
+    says_physics: bool = False  # a UsdPhysics scene or API is authored on the stage
+    notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """Unit vector (3,) of the up axis."""
+        return np.eye(3)[AXES[self.up_axis]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """A colour texture as stored in its file."""
+
+    pixels: NDArray[np.uint8]  # (H, W, 3), row 0 at the top
+    srgb: bool  # True: pixels are sRGB-encoded; False: linear
+    wrap_s: str = "repeat"  # repeat | clamp | mirror | black
+    wrap_t: str = "repeat"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """One mesh of the asset, posed at the first frame."""
+
+    path: str  # prim path in the source
+    type_name: str  # "Mesh", "Sphere", ...; anything but Mesh is an implicit shape
+    points: Floats  # (V, 3) [m], world
+    face_counts: Ints  # (P,) as authored
+    face_indices: Ints  # (C,) as authored
+    triangles: Ints  # (T, 3) into points, right-handed whatever the authored orientation
+    triangle_corners: Ints  # (T, 3) into face_indices: the corner each triangle vertex came from
+    normals: Floats | None = None  # (K, 3) authored normals, world, unit; None where none
+    normals_interpolation: str = ""  # vertex | varying | faceVarying | uniform | ""
+    normal_points: Ints | None = None  # (K,) the point whose deformation carries each normal
+    triangle_colours: Floats | None = None  # (T, 3, 3) displayColor at triangle corners, linear
+    triangle_uvs: Floats | None = None  # (T, 3, 2) of the primvar that the texture reads
+    triangle_materials: Ints | None = None  # (T,) into materials; -1 where nothing is bound
+    materials: tuple[SurfaceMaterial, ...] = ()
+    skinned: bool = False  # posed by UsdSkel: the cache must not let it be skinned again
+    splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asset:
+    """What a reader makes of a file."""
+
+    facts: StageFacts
+    surfaces: tuple[Surface, ...]
+    skipped: tuple[tuple[str, str], ...] = ()  # (prim path, reason) of what is left as it is
+    splats: tuple[Splats, ...] = ()  # captured Gaussians, not yet given a surface
+
+
+FIRST = 1.0  # the time code of the first frame where neither the source nor the user says one
+USD_RATE = 24.0  # what USD takes for the time codes per second of a file that says none
+
+
+def first_time_code(facts: StageFacts, asked: float | None = None) -> float:
+    """The time code asked for, else the source's startTimeCode, else 1."""
+    if asked is not None:
+        return asked
+    return FIRST if facts.start_time_code is None else facts.start_time_code
+
+
+def authored_rate(facts: StageFacts) -> float | None:
+    """Time codes per second that a bake must keep; None where no time sample depends on them."""
+    if facts.time_codes_per_second is None and facts.animated:
+        return USD_RATE
+    return facts.time_codes_per_second
+
+
+LARGEST = 1e31  # of any number: single precision still holds a box around it
+BRIGHTEST = 1e4  # a coefficient is held to this: turned ones are written in half precision
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splats:
+    """A set of Gaussians in a space of their own, and where that space is."""
+
+    positions: Floats  # (N, 3) [local units]
+    orientations: Floats  # (N, 4) unit, (w, x, y, z)
+    scales: Floats  # (N, 3) [local units] standard deviations along the axes of R
+    opacities: Floats  # (N,) 0..1
+    harmonics: Floats  # (N, (degree + 1)^2, 3)
+    path: str = ""  # prim path; "" for what comes from no stage
+    to_world: Floats = field(default_factory=lambda: np.eye(4))  # (4, 4) x_world [m] = x M
+    half: bool = False  # the coefficients are authored in half precision only
+    anchors: Floats | None = None  # (N, 3) [m] the points of the body that carry them, world
+    labels: Mapping[str, Ints] = field(default_factory=dict)  # (N,) of each whole-number property
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return round(self.harmonics.shape[1] ** 0.5) - 1
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """(N, 3) [m] centres, world."""
+        return np.asarray(self.positions, float) @ self.to_world[:3, :3] + self.to_world[3, :3]
+
+    @cached_property
+    def axes(self) -> NDArray[np.float64]:
+        """(N, 3, 3) [m] A with Sigma = A A^T, world: its columns are the scaled axes."""
+        return self.to_world[:3, :3].T @ gaussian_axes(self.orientations, self.scales)
+
+    @property
+    def riding(self) -> Floats:
+        """(N, 3) [m] the points that ride on the body: the centres, or what carries them."""
+        return self.points if self.anchors is None else self.anchors
+
+    @property
+    def colours(self) -> NDArray[np.float64]:
+        """(N, 3) of degree 0, encoded as the capture is: sRGB in practice."""
+        return np.clip(0.5 + Y_0 * np.asarray(self.harmonics[:, 0], float), 0.0, 1.0)
+
+    @property
+    def frame_bytes(self) -> int:
+        """Of one frame in the cache: positions, orientations, scales, and halves for radiance."""
+        halves = 6 * self.harmonics.shape[1] if self.degree else 0
+        return len(self) * (12 + 16 + 12 + halves)
+
+    def take(self, rows: Ints) -> Splats:
+        """Some of them, in the given order."""
+        return Splats(
+            positions=self.positions[rows],
+            orientations=self.orientations[rows],
+            scales=self.scales[rows],
+            opacities=self.opacities[rows],
+            harmonics=self.harmonics[rows],
+            path=self.path,
+            to_world=self.to_world,
+            half=self.half,
+            labels={name: values[rows] for name, values in self.labels.items()},
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatPose:
+    """Captured Gaussians at one time; all but the positions in the space of their prim."""
+
+    positions: Floats  # (N, 3) [m] world
+    orientations: Floats  # (N, 4) unit, continuous in time
+    scales: Floats  # (N, 3) [local units] standard deviations
+    harmonics: Floats | None = None  # (N, K, 3) turned; None where the degree is 0
+
+
+def tidy(splats: Splats, where: str, note: Callable[[str], None]) -> Splats:
+    """The Gaussians that can be what was meant: finite, of some size, with unit quaternions.
+
+    `note` gets what was changed, in words.  Raises InputError where none is left.
+    """
+    norm = np.linalg.norm(np.asarray(splats.orientations, float), axis=1)
+    finite = np.isfinite(norm) & np.isfinite(splats.opacities)
+    for values in (splats.positions, splats.scales, splats.harmonics):
+        held = np.abs(np.asarray(values, float)) <= LARGEST  # and is a number
+        finite &= held.all(axis=tuple(range(1, np.ndim(values))))
+    sized = (np.asarray(splats.scales) >= np.finfo(np.float32).tiny).all(axis=1)
+    lost, flat = int((~finite).sum()), int((finite & ~sized).sum())
+    if lost:
+        note(f"{lost} of {len(splats)} Gaussians are not finite: left out")
+    if flat:
+        note(f"{flat} of {len(splats)} Gaussians have a scale of 0 or less: left out")
+    keep = finite & sized
+    if not keep.any():
+        raise InputError(
+            f"{where}: none of its {len(splats)} Gaussians is finite and has a size",
+            "export it again, with at least one Gaussian",
+        )
+    turned = int((keep & (norm == 0.0)).sum())
+    if turned:
+        note(f"{turned} Gaussians have a quaternion of length 0: no rotation is assumed")
+    length = np.where(norm > 0.0, norm, 1.0)[:, None]
+    unit = np.where(norm[:, None] > 0.0, splats.orientations / length, (1.0, 0.0, 0.0, 0.0))
+    beyond = keep & ((splats.opacities < 0.0) | (splats.opacities > 1.0))
+    if beyond.any():
+        note(f"{int(beyond.sum())} opacities lie outside 0..1: clipped")
+    count = splats.harmonics.shape[1]
+    most = (DEGREE + 1) ** 2
+    if count > most:
+        note(f"spherical harmonics above degree {DEGREE} are left out")
+    harmonics = splats.harmonics[:, :most]
+    bright = keep[:, None, None] & (np.abs(harmonics) > BRIGHTEST)
+    if bright.any():
+        many = int(bright.sum())
+        note(f"{many} spherical harmonics coefficients are beyond {BRIGHTEST:g}: clipped")
+        harmonics = np.clip(harmonics, -BRIGHTEST, BRIGHTEST)
+    sound = Splats(
+        positions=splats.positions,
+        orientations=unit,
+        scales=splats.scales,
+        opacities=np.clip(splats.opacities, 0.0, 1.0),
+        harmonics=harmonics,
+        path=splats.path,
+        to_world=splats.to_world,
+        half=splats.half,
+        labels=splats.labels,
+    )
+    return sound if keep.all() else sound.take(np.flatnonzero(keep))
+
+
+def joined(sets: Sequence[Splats]) -> Splats:
+    """Several sets in one space as one; of different degrees, the lower are filled with zeros."""
+    most = max(s.harmonics.shape[1] for s in sets)
+    padded = [np.pad(s.harmonics, ((0, 0), (0, most - s.harmonics.shape[1]), (0, 0))) for s in sets]
+    return Splats(
+        positions=np.concatenate([s.positions for s in sets]),
+        orientations=np.concatenate([s.orientations for s in sets]),
+        scales=np.concatenate([s.scales for s in sets]),
+        opacities=np.concatenate([s.opacities for s in sets]),
+        harmonics=np.concatenate(padded),
+    )

@@ -1,0 +1,331 @@
+"""The immutable values that cross rooms: SI, in the source stage's world frame and up axis.
+
+Quaternions (w, x, y, z); linear Rec. 709.
+
+What of a bake is written, and in which form: output choices as resolved.
+
+Material values of single particles: their material's, or their own where a body is mixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import UsageError
+from gf_usd.core.materials import Material
+
+if TYPE_CHECKING:
+    from gf_usd.core.asset import SplatPose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Particles:
+    """Quadrature points of the solid and their rest Gaussians."""
+
+    X: Floats  # (N, 3) [m] rest positions, world
+    V0: Floats  # (N,) [m^3] rest volumes
+    material: Ints  # (N,) into the materials of the bake
+    orientation: Floats  # (N, 4) rest orientation; axis 0 is the surface normal
+    scale: Floats  # (N, 3) [m] rest standard deviations (sigma_r, sigma_t, sigma_t)
+    colour: Floats  # (N, 3) linear
+    opacity: Floats  # (N,)
+    surface: Ints  # (N,) index of the nearest surface: where the particle came from
+    spacing: float  # [m] mean distance s = (V / N)^(1/3)
+    volume: float  # [m^3] of the solid
+    lattice: float  # [m] edge of the strata the particles were drawn from
+    corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
+    body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
+    own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
+
+    def __len__(self) -> int:
+        return len(self.X)
+
+    @property
+    def radius(self) -> float:
+        """r = (3 V / 4 pi)^(1/3) [m]: the body's scale."""
+        return float((3.0 * self.volume / (4.0 * np.pi)) ** (1.0 / 3.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceSamples:
+    """Points that feel contact, spread over the surfaces about one spacing apart."""
+
+    X: Floats  # (n, 3) [m] rest positions, world
+    area: Floats  # (n,) [m^2] of surface that each stands for
+    normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
+    body: Ints | None = None  # (n,) as in Particles
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Everything that decides a bake, resolved: no None is left to interpret."""
+
+    frames: int  # number of frames simulated; the last is written
+    fps: float  # frames per second of playback
+    time_codes_per_second: float  # of the output layers
+    start: float  # time code of the first frame
+    gravity: tuple[float, float, float]  # [m/s^2], world
+    up: tuple[float, float, float]  # unit
+    floor: float | None = 0.0  # distance of the floor from the origin along its normal [m]
+    lift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] rigid offset of the whole asset
+    seed: int = 0
+    filter_rate: float = 0.0  # APIC filter rate r [1/s]; inf = TL-APIC, 0 = Lagrangian limit
+    drag: float = 0.0  # [1/s] linear drag on velocity
+    safety: float = 0.5  # fraction of the stable step
+    device: str = "cpu"  # cpu | cuda
+    threads: int | None = None  # CPU threads; None: all
+    time_scale: float = 1.0  # simulated seconds per second of playback
+    substeps: int | None = None  # a frame; None: from the stable step
+    cell: float | None = None  # [m] grid spacing h; None: two strata
+    contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
+    sampling: str = "strata"  # strata | rejection
+    followers: bool = True  # light nodes follow the others; False: every node is free
+    deformation_gradients: bool = False  # write F of every particle
+    stress: bool = False  # write the von Mises stress of every particle
+    skin: str = "embed"  # embed | idw | paper: how meshes follow the body
+    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM
+    floor_normal: tuple[float, float, float] | None = None  # unit; None: up
+    wls: bool = False  # tl: recompute F once a frame from the positions (GaussianFlesh 3.2)
+    procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
+    clamp: tuple[float, float] | None = None  # limits of the singular values of F
+    stress_cap: float | None = None  # [Pa] largest Frobenius norm of P
+    samples_per_frame: int = 1  # states written a frame, for motion blur
+    first: int = 0  # frame that is written first; below 0 the rest pose is held
+    shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
+
+    def time_code(self, index: float) -> float:
+        """Time code of a frame."""
+        return self.start + index * self.time_codes_per_second / self.fps
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit vector (3,) out of the floor."""
+        return np.asarray(self.up if self.floor_normal is None else self.floor_normal, float)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """A set of points that rides on the body, at one time."""
+
+    x: Floats  # (n, 3) [m]
+    v: Floats  # (n, 3) [m/s]
+    F: Floats  # (n, 3, 3) deformation gradient
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """What the solver measured during one frame."""
+
+    substeps: int = 0
+    kinetic: float = 0.0  # [J]
+    elastic: float = 0.0  # [J]
+    potential: float = 0.0  # [J] of gravity, relative to the floor (or the origin)
+    contact: float = 0.0  # [J] stored in the penalty springs
+    mass: float = 0.0  # [kg]
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] centre of mass
+    momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m/s]
+    angular_momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m^2/s] about the origin
+    min_J: float = 1.0
+    max_J: float = 1.0
+    min_stretch: float = 1.0  # smallest singular value of F
+    max_stretch: float = 1.0
+    inverted: int = 0  # particles with J <= 0
+    penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
+    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
+    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    friction_capped: int = 0  # contact samples whose friction met its stability limit
+    rollbacks: int = 0  # times the frame was redone with half the step
+    work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
+    clamped: int = 0  # particles whose singular values of F were clipped during the frame
+    stress_capped: int = 0  # particles whose stress was cut during the frame
+    flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
+    sleeping: int = 0  # bodies that slept, in a frame without substeps
+    injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One frame out of a solver."""
+
+    index: int  # 0 for the first
+    time: float  # [s] simulated
+    particles: Pose
+    riders: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
+    stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
+    health: Health = field(default_factory=Health)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshPose:
+    """A deformed mesh, world."""
+
+    points: Floats  # (V, 3) [m]
+    velocities: Floats  # (V, 3) [m/s of playback]
+    normals: Floats | None = None  # (K, 3) unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianPose:
+    """Deformed Gaussians, world."""
+
+    positions: Floats  # (N, 3) [m]
+    velocities: Floats  # (N, 3) [m/s of playback]
+    orientations: Floats  # (N, 4) unit, continuous in time
+    scales: Floats  # (N, 3) [m] standard deviations
+    F: Floats | None = None  # (N, 3, 3) deformation gradient, where asked for
+    stress: Floats | None = None  # (N,) [Pa] von Mises, where asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakedFrame:
+    """What the cache writer receives, one at a time."""
+
+    index: int
+    time_code: float
+    meshes: Mapping[str, MeshPose]  # by Surface.path
+    gaussians: GaussianPose
+    health: Health
+    splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeInfo:
+    """What a bake says of itself in its layers and its report."""
+
+    look: str  # variant name, e.g. "rubber"
+    materials: tuple[Material, ...]
+    settings: Settings
+    command: str
+    version: str
+    input_hash: str  # sha256 of the source file
+
+
+SHAPES = ("mesh", "gaussians", "points")
+# Caches above LARGE bytes are split into value clips of about CLIP bytes unasked: a file of tens of
+# gigabytes can neither be copied in parts nor resumed.
+LARGE = 2_000_000_000
+CLIP = 500_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """Output choices of a bake, resolved."""
+
+    shapes: tuple[str, ...] = SHAPES  # of SHAPES, in that order: what the cache holds
+    half: bool = False  # half precision where the schema has it and it is safe
+    clip_frames: int = 0  # frames of a value clip; 0: the cache is one file
+    flat: bool = False  # one file instead of layers
+
+    @property
+    def mesh(self) -> bool:
+        """Whether the meshes move."""
+        return "mesh" in self.shapes
+
+    @property
+    def particles(self) -> bool:
+        """Whether any form of the particles is written."""
+        return "gaussians" in self.shapes or "points" in self.shapes
+
+
+def parse_only(text: str | None) -> tuple[str, ...]:
+    """The shapes of "mesh" or "gaussians,points", in the order of SHAPES; None: all of them.
+
+    Raises UsageError for words that are none of them.
+    """
+    if text is None:
+        return SHAPES
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word not in SHAPES:
+            raise UsageError(
+                f"--only {text}: there is no {word!r}",
+                f"give one or more of {', '.join(SHAPES)}, with commas between",
+            )
+    return tuple(shape for shape in SHAPES if shape in words)
+
+
+def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:
+    """Frames of a clip: as asked, or by the size of the cache; 0: one file.
+
+    frame_bytes : of one frame with all its samples; frames : how many are written.
+    """
+    if asked is not None:
+        return asked
+    if frame_bytes * frames <= LARGE:
+        return 0
+    return max(1, int(CLIP / frame_bytes))
+
+
+SOURCE_VARIANT = "none"  # taken: usd.variants calls the asset without a bake so
+
+
+# What a particle may have of its own; the rest follows from these.
+FREE = ("density", "mu", "lam", "damping_time", "friction", "restitution")
+REPORTED = ("youngs_modulus", "poissons_ratio", "density")
+SAME = 1e-6  # relative: float32 holds no finer difference
+
+
+def of_materials(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
+    """(N,) of each of FREE, as the material of each particle has it."""
+    index = np.asarray(particles.material)
+    return {name: np.array([getattr(m, name) for m in materials])[index] for name in FREE}
+
+
+def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
+    """Material values of particles, (N,) each, in SI: FREE, and what follows from it.
+
+    E = mu (3 lam + 2 mu) / (lam + mu), nu = lam / (2 (lam + mu)), c = sqrt((lam + 2 mu) / rho).
+    """
+    return with_derived({**of_materials(particles, materials), **(particles.own or {})})
+
+
+def with_derived(values: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The values, with youngs_modulus, poissons_ratio and wave_speed as in `spread`."""
+    mu, lam = values["mu"], values["lam"]
+    return {
+        **values,
+        "youngs_modulus": mu * (3.0 * lam + 2.0 * mu) / (lam + mu),
+        "poissons_ratio": lam / (2.0 * (lam + mu)),
+        "wave_speed": np.sqrt((lam + 2.0 * mu) / values["density"]),
+    }
+
+
+def summary(particles: Particles, materials: Sequence[Material]) -> dict[str, Any]:
+    """How many particles differ from their material, and the range of values of all, in SI.
+
+    Empty where all are as their materials say.
+    """
+    if particles.own is None:
+        return {}
+    plain = with_derived(of_materials(particles, materials))
+    mine = spread(particles, materials)
+    differs = np.zeros(len(particles), bool)
+    for name in (*FREE, *REPORTED):
+        differs |= ~np.isclose(mine[name], plain[name], rtol=SAME, atol=0.0)
+    ranges = {name: [float(mine[name].min()), float(mine[name].max())] for name in REPORTED}
+    return {"particles": int(differs.sum()), **ranges}
+
+
+def sampled(settings: Settings) -> Settings:
+    """The settings under which every sample is a frame: those of the solver and its inputs."""
+    n = settings.samples_per_frame
+    if n == 1:
+        return settings
+    return replace(
+        settings,
+        fps=settings.fps * n,
+        frames=(settings.frames - 1) * n + 1,
+        first=settings.first * n,
+        samples_per_frame=1,
+    )
+
+
+def written(settings: Settings) -> int:
+    """Number of frames written, those that hold the rest pose included."""
+    return settings.frames - settings.first

@@ -1,0 +1,228 @@
+"""Topology of polygon meshes: triangles, welds, edges, shells, volume.
+
+Nothing here knows of a file format.  Triangles are (T, 3) indices, counter-clockwise seen from
+outside; lengths are in whatever unit the points have.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.neighbors import components, pairs_within
+
+# Float32 points carry about 1e-7 of their size: ten times that is the same point.
+WELD_FRACTION = 1e-6
+
+
+def weld(points: Floats, tolerance: float | None = None) -> tuple[NDArray[np.int64], int]:
+    """Points that coincide, as one representative each.
+
+    Parameters
+    ----------
+    points : (V, 3), finite.
+    tolerance : distance within which points are one (up to three times as far may join; the
+        relation is transitive); None: 1e-6 of the bounding box's diagonal.
+
+    Returns
+    -------
+    representative : (V,) index into `points` of the first point of each point's cluster, so that
+        ``representative[triangles]`` is the welded mesh over the same points.
+    n_unique : number of clusters.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64), 0
+    low = points.min(axis=0)
+    if tolerance is None:
+        tolerance = WELD_FRACTION * float(np.linalg.norm(points.max(axis=0) - low))
+    if tolerance <= 0.0:
+        cell_of = _rows_as_labels(points)
+        return _first_of_each(cell_of), int(cell_of.max()) + 1
+    # Cells far below the tolerance come first: a million points in one spot stay linear work,
+    # where the pair search alone would be quadratic.
+    cell = tolerance / 4.0
+    cell_of = _rows_as_labels(np.floor((points - low) / cell))
+    centres = points[np.unique(cell_of, return_index=True)[1]]
+    reach = tolerance + 2.0 * np.sqrt(3.0) * cell
+    pairs = pairs_within(centres, reach)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centres),) * 2)
+    n_unique, cluster = components(graph)
+    return _first_of_each(cluster[cell_of]), int(n_unique)
+
+
+def _rows_as_labels(rows: Floats) -> NDArray[np.int64]:
+    """(V,) the same label for equal rows of a (V, 3) array."""
+    order = np.lexsort(rows.T)
+    step = np.any(np.diff(rows[order], axis=0) != 0.0, axis=1)
+    labels = np.empty(len(rows), dtype=np.int64)
+    labels[order] = np.concatenate(([0], np.cumsum(step)))
+    return labels
+
+
+def _first_of_each(labels: Ints) -> NDArray[np.int64]:
+    """(V,) index of the first element that has each element's label."""
+    _, first, back = np.unique(labels, return_index=True, return_inverse=True)
+    return first[back].astype(np.int64)
+
+
+def proper(triangles: Ints) -> NDArray[np.bool_]:
+    """(T,) True where a triangle has three different vertices."""
+    a, b, c = np.asarray(triangles).reshape(-1, 3).T
+    return (a != b) & (b != c) & (c != a)
+
+
+def _edges(triangles: Ints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Directed edges (3T, 2), three of a triangle in a row, and a (3T,) id without direction."""
+    triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    span = int(high.max()) + 1 if len(high) else 1
+    return edges, np.unique(low * span + high, return_inverse=True)[1].reshape(-1)
+
+
+def boundary_edges(triangles: Ints) -> NDArray[np.int64]:
+    """(E, 2) edges that belong to one triangle only, directed as in it; closed meshes have none.
+
+    `triangles` (T, 3) must be welded; collapsed triangles are ignored.
+    """
+    edges, ids = _edges(np.asarray(triangles).reshape(-1, 3)[proper(triangles)])
+    return edges[np.bincount(ids, minlength=1)[ids] == 1]
+
+
+def shells(triangles: Ints) -> NDArray[np.int64]:
+    """(T,) label 0, 1, ... of the edge-connected part each triangle belongs to.
+
+    `triangles` (T, 3) must be welded.  A collapsed triangle counts to the part of its edge.
+    """
+    triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    _, ids = _edges(triangles)
+    count, n_edges = len(triangles), int(ids.max()) + 1 if len(ids) else 0
+    # A graph of triangles and edges as nodes: linear even where many triangles share one edge.
+    owner = np.repeat(np.arange(count), 3)
+    graph = coo_matrix((np.ones(len(ids)), (owner, count + ids)), shape=(count + n_edges,) * 2)
+    labels = components(graph)[1][:count]
+    return np.unique(labels, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def signed_volume(points: Floats, triangles: Ints) -> float:
+    """V = 1/6 sum a . (b x c) over the triangles; positive where they face outward.
+
+    Meaningful for a closed mesh.  Taken about the mesh's own centre, so that an asset far from
+    the origin loses no digits.
+    """
+    triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    if len(triangles) == 0:
+        return 0.0
+    corners = np.asarray(points, dtype=np.float64)[triangles]
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0)
+
+
+def triangulate(
+    points: Floats, counts: Ints, indices: Ints
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Polygons to triangles of the same winding, in the order of the faces.
+
+    A quad is cut along its shorter diagonal that leaves two upright triangles; a larger polygon is
+    a fan where that is valid, and cut ear by ear where it is not (concave, or corners in line).
+    Faces with fewer than three corners give nothing.
+
+    Parameters
+    ----------
+    points : (V, 3).   counts : (P,) corners of each face.   indices : (sum of counts,) into points.
+
+    Returns
+    -------
+    triangles (T, 3) into points, corners (T, 3) into indices, faces (T,) into counts.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    counts = np.asarray(counts, dtype=np.int64)
+    indices = np.asarray(indices, dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    corners, faces = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for n in np.unique(counts[counts >= 3]):
+        group = np.flatnonzero(counts == n)
+        rings = starts[group][:, None] + np.arange(n)
+        corners.append(_cut(points[indices[rings]], rings).reshape(-1, 3))
+        faces.append(np.repeat(group, n - 2))
+    corner, face = np.concatenate(corners), np.concatenate(faces)
+    order = np.argsort(face, kind="stable")
+    return indices[corner[order]], corner[order], face[order]
+
+
+def _cut(polygons: Floats, rings: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(m, n - 2, 3) elements of `rings` (m, n) that triangulate `polygons` (m, n, 3)."""
+    n = rings.shape[1]
+    fan = np.stack([np.zeros(n - 2, dtype=np.int64), np.arange(1, n - 1), np.arange(2, n)], axis=1)
+    if n == 3:
+        return rings[:, fan]
+    local = polygons - polygons.mean(axis=1, keepdims=True)
+    normal = np.cross(local, np.roll(local, -1, axis=1)).sum(axis=1)  # Newell: twice the area
+    size = np.einsum("mi,mi->m", normal, normal)
+
+    def worst(pattern: Ints) -> Floats:
+        """(m,) smallest signed area of the pattern's triangles over the polygon's area."""
+        a, b, c = np.moveaxis(local[:, pattern], 2, 0)
+        area = np.einsum("mti,mi->mt", np.cross(b - a, c - a), normal)
+        return area.min(axis=1) / np.where(size > 0.0, size, 1.0)
+
+    # Relative to the polygon: below this a triangle is a line.
+    flat = 1e-9
+    fan_worst = worst(fan)
+    cut = rings[:, fan]
+    if n == 4:
+        other = np.array([[0, 1, 3], [1, 2, 3]])
+        other_worst = worst(other)
+        length = np.linalg.norm(local[:, [0, 1]] - local[:, [2, 3]], axis=2)
+        shorter = length[:, 1] < (1.0 - 1e-6) * length[:, 0]
+        swap = np.where(fan_worst > flat, shorter & (other_worst > flat), other_worst > fan_worst)
+        cut[swap] = rings[swap][:, other]
+        return cut
+    for row in np.flatnonzero((fan_worst <= flat) & (size > 0.0)):
+        cut[row] = rings[row][_ears(local[row], normal[row])]
+    return cut
+
+
+def _ears(ring: Floats, normal: Floats) -> NDArray[np.int64]:
+    """(n - 2, 3) corners of a simple polygon (n, 3), cut off ear by ear, shortest cut first.
+
+    A polygon that crosses itself has no triangulation; what is left when no ear remains is a fan.
+    """
+    axis = int(np.argmax(np.abs(normal)))
+    flat = np.delete(ring, axis, axis=1) * ([1.0, 1.0] if axis != 1 else [-1.0, 1.0])
+    flat = flat * ([1.0, 1.0] if normal[axis] > 0 else [-1.0, 1.0])
+    tiny = 1e-12 * float(np.ptp(flat, axis=0).max()) ** 2
+    left, ears = np.arange(len(ring)), []
+    while len(left) > 3 and (k := _next_ear(flat[left], tiny)) is not None:
+        ears.append((left[k - 1], left[k], left[(k + 1) % len(left)]))
+        left = np.delete(left, k)
+    ears.extend((left[0], left[i], left[i + 1]) for i in range(1, len(left) - 1))
+    return np.array(ears, dtype=np.int64)
+
+
+def _next_ear(ring: Floats, tiny: float) -> int | None:
+    """The corner of a plane polygon (n, 2) to cut off next; None where there is no ear."""
+    before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
+    reach = np.linalg.norm(after - before, axis=1)
+    upright = _cross2(ring - before, after - ring) > tiny
+    for k in np.argsort(reach, kind="stable"):
+        if upright[k] and not _covers(before[k], ring[k], after[k], ring):
+            return int(k)
+    return None
+
+
+def _covers(a: Floats, b: Floats, c: Floats, others: Floats) -> bool:
+    """True where the triangle covers one of `others` (n, 2), its own corners' places aside."""
+    inside = (_cross2(b - a, others - a) >= 0.0) & (_cross2(c - b, others - b) >= 0.0)
+    inside &= _cross2(a - c, others - c) >= 0.0
+    for corner in (a, b, c):
+        inside &= np.any(others != corner, axis=1)
+    return bool(inside.any())
+
+
+def _cross2(u: Floats, v: Floats) -> Floats:
+    """(...,) z of the cross product of plane vectors."""
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]

@@ -1,0 +1,135 @@
+"""What is near each other, and what hangs together: SciPy's searches where they are worth it.
+
+Importing `scipy.spatial` and `scipy.sparse.csgraph` takes 0.15 CPU seconds, as long as a small body
+takes to be read, filled and set up.  So they are imported where they are used, and what is few is
+found without them, to the bit as they find it.
+
+Derivatives at scattered points by least squares over neighbours, as one sparse operator.
+
+    da/dX = [sum_j w_j (a_j - a) d_j] M^+,   M = sum_j w_j d_j d_j^T,   d_j = X_j - X
+
+exact for affine a where the neighbours fill space.  Along a direction in which there are none M is
+singular, and the derivative of least norm, 0 along it, is taken.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+
+if TYPE_CHECKING:
+    from scipy.sparse import coo_matrix
+    from scipy.spatial import cKDTree
+
+
+FEW = 200_000  # pairs of points of which a table of distances is made
+SMALL = 50_000  # nodes of a graph, beyond which SciPy is three times as fast as libigl
+SWEEPS = 8  # neighbours along a line that are looked at before a tree is taken
+WAY = np.array([0.532, 0.311, 0.788])  # of that line: askew, since meshes love the axes
+
+
+def kd_tree(points: Floats) -> cKDTree:
+    """SciPy's k-d tree of points (n, 3)."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
+def nearest(points: Floats, at: Floats, k: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distances and indices (m, k) of the k of points (n, 3) that are nearest to each at (m, 3).
+
+    k is at most n.  As ``kd_tree(points).query`` finds them.
+    """
+    if len(points) * len(at) > FEW:
+        distance, index = kd_tree(points).query(at, k=list(range(1, k + 1)))
+        return distance, index
+    squared = squared_distances(at, points)
+    index = np.argsort(squared, axis=1, kind="stable")[:, :k]
+    return np.sqrt(np.take_along_axis(squared, index, 1)), index
+
+
+def squared_distances(a: Floats, b: Floats) -> NDArray[np.float64]:
+    """|a_i - b_j|^2, (m, n) of a (m, 3) and b (n, 3)."""
+    x, y, z = zip(np.asarray(a, float).T[:, :, None], np.ascontiguousarray(np.asarray(b, float).T))
+    out = np.subtract(*x)
+    out *= out
+    difference = np.subtract(*y)
+    difference *= difference
+    out += difference
+    np.subtract(*z, out=difference)
+    difference *= difference
+    out += difference
+    return out
+
+
+def pairs_within(points: Floats, reach: float) -> Ints:
+    """(p, 2) pairs of points (n, 3) at most `reach` apart.
+
+    Such points are as close along any line: points in order along one that lies askew have few
+    others within reach, of which all but the pairs themselves are there by chance.
+    """
+    along = points @ (WAY / np.linalg.norm(WAY))
+    order = np.argsort(along)
+    along, found = along[order], [np.zeros((0, 2), np.int64)]
+    # Rounding of the places along the line must not part a pair.
+    slack = reach * (1.0 + 1e-6) + 8.0 * np.finfo(float).eps * np.abs(along).max(initial=0.0)
+    for step in range(1, min(SWEEPS, len(points) - 1) + 1):
+        close = np.flatnonzero(along[step:] - along[:-step] <= slack)
+        if not len(close):
+            return np.concatenate(found)
+        a, b = order[close], order[close + step]
+        gap = points[a] - points[b]
+        near = np.sqrt((gap * gap).sum(1)) <= reach
+        found.append(np.stack([a[near], b[near]], 1))
+    if len(points) <= SWEEPS + 1:
+        return np.concatenate(found)
+    return kd_tree(points).query_pairs(reach, output_type="ndarray")
+
+
+def components(graph: coo_matrix) -> tuple[int, Ints]:
+    """How many parts of an undirected graph hang together, and the part of each node (n,)."""
+    count = graph.shape[0]
+    if not graph.nnz:
+        return count, np.arange(count)
+    if count > SMALL:
+        from scipy.sparse.csgraph import connected_components
+
+        parts, part = connected_components(graph, directed=False)
+        return int(parts), np.asarray(part, np.int64)
+    import igl
+
+    ends = np.concatenate([graph.row, graph.col]), np.concatenate([graph.col, graph.row])
+    both = sparse.csc_matrix((np.ones(2 * graph.nnz, np.int64), ends), shape=graph.shape)
+    parts, part, _ = igl.connected_components(both)
+    return int(parts), np.asarray(part, np.int64)
+
+
+FLAT = 1e-9  # eigenvalue of M, beside the largest, of a direction without neighbours
+
+
+def operator(near: Ints, d: Floats, w: Floats) -> sparse.csr_matrix:
+    """(3 N, N) [1/m], row 3 p + b of da/dX_b at point p.
+
+    near : (N, k) points beside each; d : (N, k, 3) [m] from it to them; w : (N, k) weights.
+    """
+    n, k = near.shape
+    M = np.einsum("nk,nka,nkb->nab", w, d, d)
+    B = np.einsum("nk,nka,nab->nbk", w, d, np.linalg.pinv(M, rcond=FLAT, hermitian=True))
+    own = np.repeat(np.arange(n, dtype=np.int32), 3)
+    columns = np.concatenate([np.repeat(near.astype(np.int32), 3, axis=0), own[:, None]], 1)
+    values = np.concatenate([B.reshape(3 * n, k), -B.sum(2).reshape(3 * n, 1)], 1)
+    start = np.arange(0, columns.size + 1, k + 1)
+    D = sparse.csr_matrix((values.ravel(), columns.ravel(), start), shape=(3 * n, n))
+    D.sum_duplicates()
+    return D
+
+
+def slopes(D: sparse.csr_matrix, values: Floats) -> NDArray[np.float64]:
+    """(N, c, 3) of values (N, c): derivative by X_b of component a in place [:, a, b]."""
+    n, c = values.shape
+    return np.ascontiguousarray((D @ values).reshape(n, 3, c).swapaxes(1, 2))

@@ -1,0 +1,454 @@
+"""What a stage says of physics and of its own bake: gravity, obstacles, bodies, settings.
+
+SI, world frame of the source, row per point: as in `gf_usd.core.frames`.  A prim path names where a
+value comes from; None: the stage says nothing.
+
+What the bodies of a bake may meet besides the floor: obstacles, each other, themselves.
+
+Regions of the rest body, and pins: regions whose motion is given.  SI, world, as `model`.
+
+What a physics material says, by the names that the field uses, in SI.
+
+Moduli, density and friction are read in this order: UsdPhysics and the AOUSD proposal for
+deformables (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).  All are in the
+stage's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.  Only what is authored counts: a
+schema's fallback is nobody's word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.materials import LAW_TOKENS, Material
+from gf_usd.core.units import StageUnits
+
+Triple = tuple[float, float, float]
+
+RIGID = 1e-5  # how far a motion may stretch space and still count as rigid: float32 matrices
+
+
+WATER = 1000.0  # [kg/m^3] what UsdPhysics assumes where no density is given
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialWords:
+    """What one physics material says; None: nothing."""
+
+    path: str = ""  # of the Material prim; empty where none is bound
+    density: float | None = None  # [kg/m^3]
+    youngs_modulus: float | None = None  # [Pa]
+    poissons_ratio: float | None = None  # None also where no Young's modulus is stated
+    static_friction: float | None = None  # Coulomb
+    dynamic_friction: float | None = None  # Coulomb
+    restitution: float | None = None
+    law: str | None = None
+    damping_time: float | None = None  # Kelvin-Voigt tau [s]
+
+    @property
+    def elastic(self) -> bool:
+        """Whether it says how stiff it is."""
+        return self.youngs_modulus is not None
+
+    @property
+    def friction(self) -> float | None:
+        """The dynamic friction; where only the static one is stated, that."""
+        return self.static_friction if self.dynamic_friction is None else self.dynamic_friction
+
+    def whole(self, density: float = WATER) -> Material | None:
+        """The material, None where it is not elastic; density [kg/m^3]: where none is stated."""
+        if self.youngs_modulus is None or self.poissons_ratio is None:
+            return None
+        return Material(
+            name=self.path.rpartition("/")[2],
+            law=self.law or DEFAULT_LAW,
+            density=_or(self.density, density),
+            youngs_modulus=self.youngs_modulus,
+            poissons_ratio=self.poissons_ratio,
+            damping_time=_or(self.damping_time, 0.0),
+            friction=_or(self.friction, FRICTION),
+            restitution=_or(self.restitution, RESTITUTION),
+        )
+
+    def over(self, base: Material) -> Material:
+        """`base` with what is stated in its place; the whole material where it is elastic."""
+        return self.whole(base.density) or Material(
+            name=base.name,
+            law=self.law or base.law,
+            density=_or(self.density, base.density),
+            youngs_modulus=base.youngs_modulus,
+            poissons_ratio=base.poissons_ratio,
+            damping_time=_or(self.damping_time, base.damping_time),
+            friction=_or(self.friction, base.friction),
+            restitution=_or(self.restitution, base.restitution),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collider:
+    """An obstacle that the bodies meet: posed at rest, and where it is at each frame.
+
+    At frame f a point x of the rest pose is at ``linear[f] @ x + offset[f]``, unless `deformed`
+    gives the points outright.
+    """
+
+    path: str  # prim path
+    shape: str  # "mesh", or "plane": the half space behind its two triangles, without end
+    points: Floats  # (V, 3) [m] at rest
+    triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
+    linear: Floats  # (F, 3, 3); F = 1: it stays where it is at rest
+    offset: Floats  # (F, 3) [m]
+    deformed: Floats | None = None  # (F, V, 3) [m] at each frame, of points that move by themselves
+    words: MaterialWords = field(default_factory=MaterialWords)  # friction, restitution
+    approximation: str = "none"  # of UsdPhysics, as authored
+    role: str = "static"  # static | kinematic | dynamic: what UsdPhysics would do with it
+
+    @property
+    def frames(self) -> int:
+        """F: number of frames; 1: it stays."""
+        return len(self.linear if self.deformed is None else self.deformed)
+
+    @property
+    def moves(self) -> bool:
+        """Whether any frame differs from another."""
+        return self.frames > 1
+
+    @property
+    def rigid(self) -> bool:
+        """Whether all distances in it stay as at rest, so that one distance field does."""
+        if self.deformed is not None:
+            return False
+        gram = np.swapaxes(self.linear, 1, 2) @ self.linear
+        return bool(
+            np.abs(gram - np.eye(3)).max() <= RIGID and np.linalg.det(self.linear).min() > 0
+        )
+
+    def positions(self, frame: int) -> NDArray[np.float64]:
+        """Points (V, 3) [m] at a frame; one that stays has every frame."""
+        k = min(frame, self.frames - 1) if self.frames == 1 else frame
+        if self.deformed is not None:
+            return np.asarray(self.deformed[k], np.float64)
+        return self.points @ self.linear[k].T + self.offset[k]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubsetMaterial:
+    """The physics material of some faces of a body."""
+
+    path: str  # of the GeomSubset
+    faces: Ints  # (n,) sorted, into Surface.face_counts
+    words: MaterialWords
+    material: Material | None  # None: says nothing of elasticity
+
+    def resolve(self, base: Material, density: float | None = None) -> Material:
+        """The material of these faces; arguments as in `BodyPhysics.resolve`."""
+        made = self.material or self.words.over(base)
+        return made if density is None else replace(made, density=density)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyPhysics:
+    """What the stage says of one surface that is baked."""
+
+    path: str  # Surface.path
+    role: str = ""  # "" | static | kinematic | dynamic, as in UsdPhysics
+    owner: str = ""  # the rigid or deformable body prim that it belongs to; empty: none
+    collides: bool = True  # False: its own collision is switched off
+    mass: float | None = None  # [kg] of all baked surfaces with the same mass_of together
+    mass_of: str = ""  # the prim that states the mass
+    density: float | None = None  # [kg/m^3] of PhysicsMassAPI: goes before the material's
+    velocity: Triple | None = None  # [m/s] of the center of mass
+    angular_velocity: Triple | None = None  # [rad/s]
+    center: Triple | None = None  # [m] of mass, as authored; None: that of the volume
+    moving: Floats | None = None  # (V, 3) [m/s of playback] of the animation that ends at rest
+    words: MaterialWords = field(default_factory=MaterialWords)  # of the bound physics material
+    material: Material | None = None  # None: nothing is said of elasticity
+    subsets: tuple[SubsetMaterial, ...] = ()
+
+    def resolve(self, base: Material) -> Material:
+        """The body's material: what is stated, and the rest from `base`.
+
+        An elastic material of the stage stands alone (`material`); of one that is not, density,
+        friction and restitution go over those of `base`.  The mass is not in it.
+        """
+        made = self.material or self.words.over(base)
+        return made if self.density is None else replace(made, density=self.density)
+
+    def initial_velocities(self, points: Floats, center: Floats) -> NDArray[np.float64] | None:
+        """(n, 3) [m/s] of points (n, 3) [m] by the rigid velocities; None where none are stated.
+
+        center : (3,) [m] of mass, taken where the stage gives none.
+        """
+        if self.velocity is None and self.angular_velocity is None:
+            return None
+        arm = np.asarray(points) - np.asarray(center if self.center is None else self.center)
+        turning = np.cross(np.asarray(self.angular_velocity or (0.0, 0.0, 0.0)), arm)
+        return turning + np.asarray(self.velocity or (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagePhysics:
+    """All of UsdPhysics that concerns a bake."""
+
+    gravity: Triple | None = None  # [m/s^2] world; None: there is no scene
+    scene: str = ""  # path of the PhysicsScene that gave it
+    colliders: tuple[Collider, ...] = ()
+    bodies: tuple[BodyPhysics, ...] = ()  # one for each baked surface, in their order
+    ignored: tuple[tuple[str, str], ...] = ()  # (body, body or collider): they pass through
+    notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrimBake:
+    """The bake settings that hold for one prim: its own or those of the nearest prim above."""
+
+    path: str
+    enabled: bool | None = None
+    material: str | None = None  # name of a preset
+    spacing: float | None = None  # [m]; never beside particles
+    particles: int | None = None  # of all prims with the same particles_of together
+    particles_of: str = ""  # the prim that states it
+    seed: int | None = None
+    solver: str | None = None  # tl | ul, as in Settings
+    role: str = ""  # "" | static | kinematic | dynamic, as in UsdPhysics
+
+    @property
+    def obstacle(self) -> bool:
+        """UsdPhysics has it as a collider that no force moves, and no bake is asked for here."""
+        return self.role in ("static", "kinematic") and not self.enabled
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What is known by name of a surface that is to be soft."""
+
+    path: str  # prim path
+    looks: tuple[str, ...] = ()  # paths of the bound materials, that of most faces first
+    labels: tuple[str, ...] = ()  # of UsdSemantics, on the prim itself
+    labels_above: tuple[str, ...] = ()  # on the prims above it, nearest first
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """What a surface is said to be made of."""
+
+    path: str  # prim path
+    material: str  # name of a preset; of a material of the stage where `by` is "stage"
+    confidence: float  # 0 to 1
+    reason: str
+    by: str = "names"  # names | stage | name of an advisor
+
+    @property
+    def note(self) -> str:
+        """One line for a person."""
+        how = f"{self.confidence:.2f}" + ("" if self.by == "names" else f", by {self.by}")
+        return f"<{self.path}> is {self.material} ({how}): {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skin:
+    """The surface of a body that others meet, closed and seen from outside."""
+
+    points: Floats  # (V, 3) [m] at rest
+    triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encounters:
+    """Who meets whom."""
+
+    skins: tuple[Skin, ...]  # one a body
+    colliders: tuple[Collider, ...] = ()
+    through: frozenset[tuple[int, int]] = frozenset()  # (body, body) that pass through each other
+    through_colliders: frozenset[tuple[int, int]] = frozenset()  # (body, collider)
+    self_contact: bool = False  # a body meets itself
+
+    def lowest(self, normal: Floats) -> float:
+        """[m] of the lowest obstacle with an end along a normal (3,); inf where there is none."""
+        ends = [c for c in self.colliders if c.shape != "plane"]
+        return min((float((c.positions(0) @ normal).min()) for c in ends), default=float("inf"))
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to meet."""
+        return len(self.skins) > 1 or bool(self.colliders) or self.self_contact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """A part of space that is bounded by triangles, and where its points go over the frames."""
+
+    name: str  # as asked for
+    kind: str  # "volume": what the triangles enclose; "patch": a part of a body's surface
+    points: Floats  # (V, 3) [m] at rest, world
+    triangles: Ints  # (T, 3) into points
+    path: Floats  # (F, V, 3) [m] at each frame; F = 1: they stay
+    body: str = ""  # of a patch: prim path of the mesh it is a part of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pin:
+    """A region whose motion is given: held where it is, or following the source's animation.
+
+    The region's anchors are points whose place is known at every frame; between them it moves by
+    an affine fit.
+    """
+
+    name: str  # as asked for, e.g. "/Duck/mesh:feet"
+    inside: Callable[[Floats], Floats]  # X (n, 3) [m] at rest -> (n,) bool: held
+    nearest: Callable[[Floats], Floats]  # X (n, 3) [m] -> (n, 3) on the boundary of the region
+    anchors: Floats  # (k, 3) [m] at rest, world
+    path: Floats  # (T, k, 3) [m] where the anchors are at each frame; T = 1: they stay
+    axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageWords:
+    """What is said; empty for an asset that is no USD file."""
+
+    bakes: dict[str, PrimBake] = field(default_factory=dict)  # by prim path of a surface
+    physics: StagePhysics = field(default_factory=StagePhysics)
+    advice: dict[str, Advice] = field(default_factory=dict)  # of --material auto, by prim path
+    painted: dict[str, dict[str, Floats]] = field(default_factory=dict)  # see `read_painted`
+
+    @property
+    def bodies(self) -> dict[str, BodyPhysics]:
+        """By prim path of a surface."""
+        return {body.path: body for body in self.physics.bodies}
+
+    @property
+    def says_material(self) -> bool:
+        """Whether any prim asks for a material of its own."""
+        named = any(bake.material for bake in self.bakes.values())
+        bound = any(
+            body.material or any(subset.material for subset in body.subsets)
+            for body in self.physics.bodies
+        )
+        return named or bound or bool(self.painted)
+
+
+PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
+OURS = "gaussianFlesh:"
+DEFAULT_LAW = "neoHookean"
+FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of them
+POISSON = 0.3  # the fallback of our schema, of Newton's and of the AOUSD proposal
+INCOMPRESSIBLE = 0.47  # what a displacement method carries without locking
+
+
+Authored = Callable[[str], Any]  # attribute name -> its authored value, None where there is none
+Assume = Callable[[str], None]  # told, in words, what had to be assumed
+
+
+def read_words(
+    authored: Authored,
+    path: str,
+    units: StageUnits,
+    *,
+    where: str,
+    assume: Assume | None = None,
+) -> MaterialWords:
+    """What the Material prim at `path` says.
+
+    where : file and prim, for messages.
+    assume : without it a Young's modulus needs a Poisson's ratio beside it, and both values that
+        the vocabularies give a meaning of their own (0 or -inf: not stated; 0.5: incompressible)
+        and missing ones are refused.  With it they are settled, and it is told how.
+
+    Raises InputError for a value that is not a number in its range, or a law that is none.
+    """
+    lenient = assume is not None
+    young = _number(authored, "youngsModulus", where, unstated=lenient)
+    nu = None
+    if young is not None:
+        young = _within(where, "Young's modulus [Pa]", young * units.pressure, 0.0, 1e13)
+        nu = _poissons_ratio(authored, where, assume)
+    density = _number(authored, "density", where, unstated=lenient)
+    if density is not None:
+        density = _within(where, "density [kg/m^3]", density * units.density, 0.0, 1e6)
+    law = authored(OURS + "law")
+    if law is not None and law not in LAW_TOKENS:
+        raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAW_TOKENS)}")
+    return MaterialWords(
+        path=path,
+        density=density,
+        youngs_modulus=young,
+        poissons_ratio=nu,
+        static_friction=_up_to(authored, "staticFriction", where, "static friction", 100.0),
+        dynamic_friction=_up_to(authored, "dynamicFriction", where, "friction", 100.0),
+        restitution=_up_to(authored, "restitution", where, "restitution", 1.0),
+        law=law,
+        damping_time=_damping_time(authored, where, units, young),
+    )
+
+
+def states_modulus(authored: Authored) -> bool:
+    """Whether a Young's modulus is authored, whatever its value."""
+    return any(authored(prefix + "youngsModulus") is not None for prefix in PREFIXES)
+
+
+def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> float | None:
+    nu = _number(authored, "poissonsRatio", where)
+    if assume is None:
+        return None if nu is None else _within(where, "Poisson's ratio", nu, -1.0, 0.5)
+    if nu is None:
+        assume(f"no Poisson's ratio is stated: {POISSON:g} is assumed")
+        return POISSON
+    if nu == 0.5:
+        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} stands for it")
+        return INCOMPRESSIBLE
+    return _within(where, "Poisson's ratio", nu, -1.0, 0.5)
+
+
+def _damping_time(
+    authored: Authored, where: str, units: StageUnits, young: float | None
+) -> float | None:
+    """Ours [s], else Newton's viscosity [pressure time] over Young's modulus."""
+    tau = _float(authored(OURS + "dampingTime"), OURS + "dampingTime", where)
+    viscosity = _float(authored(PREFIXES[1] + "elasticDamping"), "elasticDamping", where)
+    if tau is None and viscosity is not None and young is not None:
+        tau = viscosity * units.pressure / young
+    return None if tau is None else _closed(where, "damping time [s]", tau, 1e6)
+
+
+def _number(authored: Authored, name: str, where: str, *, unstated: bool = False) -> float | None:
+    """The first vocabulary's value; unstated: 0 and -inf leave the word to the next one."""
+    for prefix in PREFIXES:
+        value = _float(authored(prefix + name), prefix + name, where)
+        if value is not None and not (unstated and value in (0.0, float("-inf"))):
+            return value
+    return None
+
+
+def _float(value: Any, name: str, where: str) -> float | None:
+    if value is None or isinstance(value, float | int):
+        return None if value is None else float(value)
+    raise InputError(f"{where}: {name} is {value!r}, which is no number", "author it as a float")
+
+
+def _within(where: str, name: str, value: float, low: float, high: float) -> float:
+    if not low < value < high:
+        raise InputError(
+            f"{where}: {name} is {value:g}", f"give a value between {low:g} and {high:g}"
+        )
+    return value
+
+
+def _up_to(authored: Authored, name: str, where: str, shown: str, high: float) -> float | None:
+    value = _number(authored, name, where)
+    return None if value is None else _closed(where, shown, value, high)
+
+
+def _closed(where: str, name: str, value: float, high: float) -> float:
+    if not 0.0 <= value <= high:
+        raise InputError(f"{where}: {name} is {value:g}", f"give a value from 0 to {high:g}")
+    return value
+
+
+def _or(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value

@@ -1,0 +1,77 @@
+"""Stage units to SI and back: the only place where the two meet.
+
+A stage measures length in units of ``meters_per_unit`` [m] and mass in units of
+``kilograms_per_unit`` [kg]; inside the program everything is SI.
+
+Numbers out of options, or a UsageError that says what a right one looks like.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gf_usd.core.errors import UsageError
+
+LEAST, MOST = 1e-30, 1e30  # of a length: its cube and the ratio of two stay numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageUnits:
+    """Sizes of a stage's units.  Multiply a stage value by the property to get SI."""
+
+    meters_per_unit: float = 1.0
+    kilograms_per_unit: float = 1.0
+
+    @property
+    def length(self) -> float:
+        """[m] per stage length."""
+        return self.meters_per_unit
+
+    @property
+    def volume(self) -> float:
+        """[m^3] per stage volume."""
+        return self.meters_per_unit**3
+
+    @property
+    def mass(self) -> float:
+        """[kg] per stage mass."""
+        return self.kilograms_per_unit
+
+    @property
+    def density(self) -> float:
+        """[kg/m^3] per stage density."""
+        return self.kilograms_per_unit / self.meters_per_unit**3
+
+    @property
+    def pressure(self) -> float:
+        """[Pa] per stage pressure: E[Pa] = E[stage] * kilogramsPerUnit / metersPerUnit."""
+        return self.kilograms_per_unit / self.meters_per_unit
+
+
+def check_unit(meters_per_unit: float | None) -> None:
+    """Raise UsageError for an option that is no size of a unit."""
+    if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:
+        raise UsageError(
+            f"--meters-per-unit {meters_per_unit:g} is not a size",
+            "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+        )
+
+
+def number(option: str, text: str, what: str) -> float:
+    """A finite number out of words; what : it should have been, for the hint."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{option}: {text!r} is no number", f"give {what}")
+    return value
+
+
+def positive(option: str, value: float | None) -> None:
+    """Raise UsageError unless a number is above 0 and of a size that can be worked with."""
+    if value is not None and not (math.isfinite(value) and value > 0):
+        raise UsageError(f"{option} is {value:g}", "give a number above 0")
+    if value is not None and not LEAST < value < MOST:
+        raise UsageError(f"{option} is {value:g}", f"give a number from {LEAST:g} to {MOST:g}")

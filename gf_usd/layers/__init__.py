@@ -1,0 +1,1 @@
+"""Frames become USD layers, and layers are checked."""

@@ -1,0 +1,298 @@
+"""The cache layer: one bake's frames, streamed into ``NAME.partial.usdc``.
+
+The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
+the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
+the number of frames, because the layer is saved as it goes; a save also leaves a readable file
+behind should the process be killed.  Saving goes on beside the simulation of the next frame.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from pxr import Sdf, Usd
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import BakeError
+from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles
+from gf_usd.layers.clips import ClipStore
+from gf_usd.layers.stage import (
+    author_facts,
+    clock,
+    find_home,
+    new_layer,
+    open_source,
+    require,
+    roots_of,
+    save,
+)
+from gf_usd.layers.tracks.bounds import block_hints, skel_bounds
+from gf_usd.layers.tracks.captured import SplatTrack
+from gf_usd.layers.tracks.health import HealthTrack, bake_root
+from gf_usd.layers.tracks.meshes import MeshTrack, free_instances
+from gf_usd.layers.tracks.particles import ParticleTrack
+from gf_usd.system.atomic_files import partial_path
+from gf_usd.system.background import Beside
+
+SAVE = 64e6  # [bytes] that are held before they are saved
+
+
+@dataclass(frozen=True, kw_only=True)
+class CacheSummary:
+    """A finished cache, not yet published."""
+
+    path: Path  # final name; the file is still ``partial_path(path)``
+    partial: Path
+    bytes: int
+    frames: int
+    clips: tuple[Path, ...] = ()  # published already
+    notes: tuple[str, ...] = ()  # what was left out, in words
+
+
+class CacheWriter:
+    """Write baked frames, one at a time, in order.
+
+    A context manager: after the block the file is complete under its partial name; after an
+    exception it holds the frames up to there.  Publish it with ``publish(path)``.
+
+    Parameters
+    ----------
+    path : final name, for example ``duck.rubber.cache.usdc``.
+    asset : what was baked.
+    particles : its particles.
+    info : look, materials and settings of the bake.
+    source : the USD file to lie over; default the asset's own.
+    choices : which shapes are written, and whether in clips; default all in one file.
+    since : the `state` of a writer of the same bake, to go on from; its clips stay as they are.
+    save_every : samples between two saves; default about SAVE bytes, 24 at most.
+
+    Raises
+    ------
+    InputError, UsageError, BakeError : see ``open_source``, ``new_layer``, ``Space``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        asset: Asset,
+        particles: Particles,
+        info: BakeInfo,
+        *,
+        source: Path | None = None,
+        choices: Choices | None = None,
+        save_every: int | None = None,
+        since: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        choices = choices or Choices()
+        surfaces = asset.surfaces if choices.mesh else ()
+        self._every = save_every or _samples_in(SAVE, asset, particles)
+        self._frames = 0  # written, each sample one
+        self._per_frame = info.settings.samples_per_frame
+        self._time_code = float("-inf")
+        self._summary: CacheSummary | None = None
+        self._lost: BakeError | None = None
+        self._known = None  # the layer in which every attribute has its spec
+        self._beside = Beside()  # while it is busy nothing touches the layers
+        source_path = source or asset.facts.path
+        stage = open_source(source_path)
+        time = clock(stage, info.settings)
+        home = find_home(stage, asset, choices)
+        prims = [require(stage, source_path, s.path) for s in asset.surfaces]
+        self._layer = new_layer(self.path, source_path)
+        author_facts(self._layer, asset.facts, info.settings, stage)
+        self._layer.startTimeCode = time.start
+        self._layer.endTimeCode = time.start
+        self._layer.defaultPrim = (home.root if home.inside else home.scope).name
+        self._clips = None
+        if choices.clip_frames:
+            length = choices.clip_frames * self._per_frame
+            self._clips = ClipStore(self.path, self._layer, length, since)
+        self._stage = self._clips.stage if self._clips else Usd.Stage.Open(self._layer)
+        for prim in prims:
+            free_instances(self._stage, prim)
+        unit = asset.facts.units.length
+        self._meshes = {
+            surface.path: MeshTrack(self._stage, prim, surface, time, unit)
+            for surface, prim in zip(surfaces, prims)
+            if surface.splats is None
+        }
+        self._splats = {
+            surface.path: SplatTrack(self._stage, prim, surface, time, unit)
+            for surface, prim in zip(surfaces, prims)
+            if surface.splats is not None
+        }
+        # every root prim that a display hides something of has its payload
+        for path in roots_of(asset, home):
+            self._stage.OverridePrim(path)
+        root = stage.GetPrimAtPath(home.root)
+        self._particles = None
+        if choices.particles:
+            self._particles = ParticleTrack(
+                self._stage, root, home, asset, particles, info, time, choices
+            )
+        moving = [*self._meshes.values(), *self._splats.values()]
+        tracks = [*moving, *([self._particles] if self._particles else [])]
+        block_hints(self._stage, stage, tracks)
+        # the particles of a mesh are inside its box
+        self._bounds = skel_bounds(self._stage, stage, moving or tracks, time)
+        self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
+        self._source = stage  # the tracks read its transforms frame by frame
+        save(self._layer)
+        if self._clips:
+            self._clips.begin()
+        if since:
+            self._frames, self._time_code = int(since["samples"]), since["clips"][-1][-1]
+            if self._particles:
+                self._particles.errors = since["errors"]
+
+    @property
+    def full(self) -> bool:
+        """Whether the last sample that was written completed a value clip."""
+        return self._clips is not None and self._clips.full
+
+    @property
+    def unsaved(self) -> int:
+        """Samples that are held in memory until the next save."""
+        return self._frames % self._every + (self._every if self._beside.busy else 0)
+
+    def state(self) -> dict[str, Any]:
+        """What another writer goes on from, where this one is `full`; plain values."""
+        assert self._clips is not None
+        errors = self._particles.errors if self._particles else []
+        return {**self._clips.state(), "samples": self._frames, "errors": errors}
+
+    def write(self, frame: BakedFrame) -> None:
+        """Add one frame.
+
+        Raises
+        ------
+        BakeError : a mesh is missing or not of this asset, an array has the wrong length or holds
+            numbers that are not finite, time goes backwards, or the disk is full.
+        """
+        self._settle()
+        time_code = float(frame.time_code)
+        if not time_code > self._time_code:
+            raise BakeError(
+                f"frame {frame.index} has time code {time_code:g}, after {self._time_code:g}.",
+                "this is a fault of the bake, not of the asset: please report it",
+            )
+        for what, poses, tracks in (
+            ("meshes", frame.meshes, self._meshes),
+            ("Gaussians", frame.splats, self._splats),
+        ):
+            if set(poses) != set(tracks):
+                raise BakeError(
+                    f"frame {frame.index} has {what} {_list(poses)}, "
+                    f"the asset has {_list(tracks)}.",
+                    "this is a fault of the bake, not of the asset: please report it",
+                )
+        layer = self._stage.GetEditTarget().GetLayer()
+        # One notice a frame; attributes that get their specs in a new layer want theirs at once.
+        with Sdf.ChangeBlock() if layer == self._known else contextlib.nullcontext():
+            self._write_tracks(frame, time_code)
+        self._known = layer
+        if self._clips:
+            self._guarded(partial(self._clips.keep, time_code))
+        self._time_code = time_code
+        self._frames += 1
+        if self._frames % self._every == 0:
+            self._layer.endTimeCode = time_code
+            self._beside.start(self._save_layers)
+
+    def _write_tracks(self, frame: BakedFrame, time_code: float) -> None:
+        for path, pose in frame.meshes.items():
+            self._meshes[path].write(pose, time_code)
+        for path, pose in frame.splats.items():
+            self._splats[path].write(pose, time_code)
+        if self._particles:
+            self._particles.write(frame.gaussians, time_code)
+        for bound in self._bounds:
+            bound.write(time_code)
+        self._health.write(frame.health, time_code)
+
+    def close(self) -> CacheSummary:
+        """Save what is left and let go of the file under its partial name; again: the summary."""
+        if self._summary is None:
+            self._save()
+            if self._clips:
+                self._clips.close()
+            partial = partial_path(self.path)
+            files = [partial, *(self._clips.files if self._clips else ())]
+            self._summary = CacheSummary(
+                path=self.path,
+                partial=partial,
+                bytes=sum(file.stat().st_size for file in files),
+                frames=-(-self._frames // self._per_frame),
+                clips=tuple(files[1:]),
+                notes=self._notes(),
+            )
+            self._release()
+        return self._summary
+
+    def __enter__(self) -> CacheWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        elif self._summary is None:
+            # what went wrong first is what the user has to hear
+            with contextlib.suppress(BakeError):
+                self._save()
+            self._release()
+
+    def _save(self) -> None:
+        self._settle()
+        if self._frames:
+            self._layer.endTimeCode = self._time_code
+        self._guarded(self._save_layers)
+
+    def _save_layers(self) -> None:
+        save(self._layer)
+        if self._clips:
+            self._clips.save()
+
+    def _settle(self) -> None:
+        """Wait for the last save.  USD crashes when a layer that met a full disk is touched."""
+        if self._lost is not None:
+            raise self._lost
+        self._guarded(self._beside.settle)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BakeError as error:
+            self._lost = error
+            raise
+
+    def _notes(self) -> tuple[str, ...]:
+        of_meshes = (note for track in self._meshes.values() for note in track.notes)
+        return (*of_meshes, *(self._particles.notes if self._particles else ()))
+
+    def _release(self) -> None:
+        del self._meshes, self._splats, self._bounds, self._particles, self._health
+        del self._stage, self._source, self._layer, self._known, self._clips
+
+
+def _samples_in(size: float, asset: Asset, particles: Particles) -> int:
+    """How many samples are about so many bytes: 1 to 24."""
+    each = 76 * len(particles)
+    for s in asset.surfaces:
+        each += 24 * len(s.points) if s.splats is None else s.splats.frame_bytes
+    return int(min(24, max(1, size // each)))
+
+
+def _list(paths: Iterable[str]) -> str:
+    return ", ".join(f"<{path}>" for path in sorted(paths)) or "none"

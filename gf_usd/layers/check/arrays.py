@@ -1,0 +1,299 @@
+"""Rules about how many elements arrays have, compared at every time where either has a sample.
+
+Rules about meshes: faces that fit their points and normals that fit their faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from pxr import Usd, UsdGeom, UsdVol
+
+from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.read import (
+    Array,
+    Track,
+    authored,
+    joint_times,
+    lengths,
+    numbers,
+    position_attribute,
+    prims,
+)
+
+PARTICLE_ARRAYS = tuple(
+    f"gaussianFlesh:{name}"
+    for name in (
+        "restPositions",
+        "restOrientations",
+        "restScales",
+        "restVolumes",
+        "masses",
+        "materialIndices",
+        "youngsModulus",
+        "poissonsRatio",
+        "densities",
+        "velocities",
+        "deformationGradients",
+        "vonMisesStress",
+    )
+)
+FIELD_ARRAYS = (
+    ("orientations", "orientationsh"),
+    ("scales", "scalesh"),
+    ("opacities", "opacitiesh"),
+)
+POINT_ARRAYS = ("velocities", "accelerations", "ids")
+HARMONICS = "radiance:sphericalHarmonics"
+Mismatch = tuple[Usd.TimeCode, int, int]
+
+
+def mismatches(count: Track[int], points: Track[int]) -> Iterator[Mismatch]:
+    """(time, have, want) wherever two lengths differ; nothing where one has no value."""
+    for time in joint_times(count, points):
+        have, want = count.at(time), points.at(time)
+        if have is not None and want is not None and have != want:
+            yield time, have, want
+
+
+def told(found: Iterable[Mismatch]) -> str:
+    """Mismatches in words; empty where there are none."""
+    return once((time, f"{have} elements for {want} points") for time, have, want in found)
+
+
+@rule("particle-lengths", "every array of GaussianFleshParticlesAPI has one element per particle")
+def particle_lengths(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        arrays = [a for name in PARTICLE_ARRAYS if (a := authored(prim, name))]
+        if not arrays:
+            continue
+        points = lengths(position_attribute(prim))
+        for attribute in arrays:
+            if problem := told(mismatches(lengths(attribute), points)):
+                yield about("particle-lengths", prim).error(
+                    f"{attribute.GetName()} has {problem}",
+                    "author one element per particle, in the order of the positions",
+                )
+
+
+@rule("point-lengths", "the per-point arrays that USD defines are as long as the points")
+def point_lengths(stage: Usd.Stage) -> Iterator[Finding]:
+    """Empty arrays count as not authored, as in USD.
+
+    A particle field's array that is too long is cut off by renderers (a warning); one that is too
+    short is thrown away whole.  A point-based prim's velocities, accelerations and ids are unused
+    unless they fit.
+    """
+    for prim in prims(stage):
+        position = position_attribute(prim)
+        if position is None:
+            continue
+        field = prim.IsA(UsdVol.ParticleField)
+        arrays = list(_field_arrays(prim) if field else _point_arrays(prim))
+        if not arrays:
+            continue
+        points = lengths(position)
+        for attribute in arrays:
+            found = [m for m in mismatches(lengths(attribute), points) if m[1] > 0]
+            if not found:
+                continue
+            cut_off = field and all(have > want for _, have, want in found)
+            speak = about("point-lengths", prim)
+            say = speak.warning if cut_off else speak.error
+            yield say(
+                f"{attribute.GetName()} has {told(found)}",
+                "author one element per point at every time sample",
+            )
+
+
+def _field_arrays(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    for names in FIELD_ARRAYS:
+        if attribute := authored(prim, *names):
+            yield attribute
+
+
+def _point_arrays(prim: Usd.Prim) -> Iterator[Usd.Attribute]:
+    for name in POINT_ARRAYS:
+        if attribute := authored(prim, name):
+            yield attribute
+    if prim.IsA(UsdGeom.Points):
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
+        widths = UsdGeom.Points(prim).GetWidthsAttr()
+        if primvar and primvar.HasAuthoredValue():
+            interpolation, widths = primvar.GetInterpolation(), primvar.GetAttr()
+        else:
+            interpolation = UsdGeom.Points(prim).GetWidthsInterpolation()
+        per_point = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+        if widths.HasAuthoredValue() and per_point:
+            yield widths
+
+
+@rule("sh-count", "spherical harmonics of degree d have (d + 1)^2 coefficients per particle")
+def sh_count(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        coefficients = authored(prim, f"{HARMONICS}Coefficients", f"{HARMONICS}Coefficientsh")
+        position = position_attribute(prim)
+        if coefficients is None or position is None:
+            continue
+        degree = _degree(prim)
+        speak = about("sh-count", prim)
+        if degree < 0:
+            yield speak.error(f"{HARMONICS}Degree is {degree}", "author the degree as 0, 1, 2 or 3")
+            continue
+        if problem := once(_sh_problems(lengths(coefficients), lengths(position), degree)):
+            yield speak.error(
+                f"{coefficients.GetName()} has {problem}",
+                f"author {(degree + 1) ** 2} coefficients per particle, or the degree that fits",
+            )
+
+
+def _degree(prim: Usd.Prim) -> int:
+    """The degree of a particle field; USD's fallback 3 where none is authored."""
+    value = numbers(authored(prim, f"{HARMONICS}Degree"), Usd.TimeCode.Default())
+    return 3 if value is None or value.ndim else int(value)
+
+
+def _sh_problems(
+    count: Track[int], points: Track[int], degree: int
+) -> Iterator[tuple[Usd.TimeCode, str]]:
+    each = (degree + 1) ** 2
+    for time in joint_times(count, points):
+        have, particles = count.at(time), points.at(time)
+        if have and particles is not None and have != each * particles:
+            yield (
+                time,
+                f"{have} coefficients, degree {degree} with {particles} particles wants "
+                f"{each * particles}",
+            )
+
+
+@dataclass(frozen=True)
+class Span:
+    """What a topology array comes down to."""
+
+    count: int
+    total: int
+    low: int
+    high: int
+
+
+def span(array: Array) -> Span:
+    """Length, sum and limits of an integer array."""
+    if not array.size:
+        return Span(0, 0, 0, 0)
+    return Span(array.size, int(array.sum(dtype="int64")), int(array.min()), int(array.max()))
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The topology of one mesh over time."""
+
+    counts: Track[Span]  # of faceVertexCounts
+    indices: Track[Span]  # of faceVertexIndices
+    points: Track[int]
+
+    @staticmethod
+    def of(prim: Usd.Prim) -> Faces:
+        return Faces(
+            Track(authored(prim, "faceVertexCounts"), span),
+            Track(authored(prim, "faceVertexIndices"), span),
+            lengths(authored(prim, "points")),
+        )
+
+
+@rule("mesh-topology", "faceVertexIndices are as many as faces want and lead to points")
+def mesh_topology(stage: Usd.Stage) -> Iterator[Finding]:
+    """A vertex that no face uses is no error; a face without its vertex is one."""
+    for prim in prims(stage):
+        if not prim.IsA(UsdGeom.Mesh):
+            continue
+        if problem := once(_face_problems(Faces.of(prim))):
+            yield about("mesh-topology", prim).error(
+                problem, "author faces whose corners are points of this mesh, at every time sample"
+            )
+
+
+def _face_problems(faces: Faces) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time in joint_times(faces.counts, faces.indices, faces.points):
+        counts, indices = faces.counts.at(time), faces.indices.at(time)
+        if counts is None or indices is None:
+            continue
+        points = faces.points.at(time) if faces.points else 0
+        if counts.count and counts.low < 3:
+            yield time, f"faceVertexCounts has a face of {counts.low} corners"
+        elif counts.total != indices.count:
+            yield (
+                time,
+                f"faceVertexCounts add up to {counts.total}, "
+                f"faceVertexIndices has {indices.count} elements",
+            )
+        elif points is not None and indices.count and not 0 <= indices.low <= indices.high < points:
+            yield (
+                time,
+                f"faceVertexIndices run from {indices.low} to {indices.high}, "
+                f"the mesh has {points} points",
+            )
+
+
+@rule("point-count", "a mesh of constant topology has as many points in every sample")
+def point_count(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        if not prim.IsA(UsdGeom.Mesh):
+            continue
+        faces = Faces.of(prim)
+        if len(faces.counts.codes) > 1 or len(faces.indices.codes) > 1:
+            continue
+        sizes = faces.points.facts
+        first = next(iter(sizes), 0)
+        changes = (
+            (Usd.TimeCode(code), f"{size} points where the first sample has {first}")
+            for code, size in zip(faces.points.codes, sizes)
+            if size != first
+        )
+        if problem := once(changes):
+            yield about("point-count", prim).error(
+                f"points has {problem}, with one topology for all",
+                "author the same points in every sample, or topology samples that go with them",
+            )
+
+
+@rule("normals-length", "normals are as many as their interpolation wants")
+def normals_length(stage: Usd.Stage) -> Iterator[Finding]:
+    """primvars:normals, where authored, is what USD reads instead of normals."""
+    for prim in prims(stage):
+        if not prim.IsA(UsdGeom.PointBased):
+            continue
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+        if primvar and primvar.HasAuthoredValue():
+            name, interpolation = "primvars:normals", primvar.GetInterpolation()
+            attribute = primvar.GetIndicesAttr() if primvar.IsIndexed() else primvar.GetAttr()
+        else:
+            name, attribute = "normals", authored(prim, "normals")
+            interpolation = UsdGeom.PointBased(prim).GetNormalsInterpolation()
+        mesh = prim.IsA(UsdGeom.Mesh)
+        if attribute is None or (not mesh and interpolation not in ("vertex", "constant")):
+            continue
+        if problem := once(_normal_problems(lengths(attribute), Faces.of(prim), interpolation)):
+            yield about("normals-length", prim).error(
+                f"{name} has {problem}",
+                "author as many normals as the interpolation wants, or set the one that fits",
+            )
+
+
+def _normal_problems(
+    normals: Track[int], faces: Faces, interpolation: str
+) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time in joint_times(normals, faces.points, faces.indices):
+        have = normals.at(time)
+        counts, indices = faces.counts.at(time), faces.indices.at(time)
+        want = {
+            "constant": 1,
+            "uniform": counts.count if counts else None,
+            "varying": faces.points.at(time),
+            "vertex": faces.points.at(time),
+            "faceVarying": indices.count if indices else None,
+        }.get(interpolation)
+        # an empty array means that there are no normals
+        if have and want is not None and have != want:
+            yield time, f"{have} elements, interpolation {interpolation} wants {want}"

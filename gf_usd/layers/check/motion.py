@@ -1,0 +1,286 @@
+"""The rule that velocities are the velocities of the points, per second.
+
+With five samples around a time, let ``v2`` be the central difference of the inner three and ``v4``
+the derivative of the polynomial through all five.  Where the motion is smooth on the scale of the
+samples, both agree, and ``|v2 - v4|`` bounds the error of ``v4``.  Around a contact, or where a
+vibration is faster than the samples, they disagree, and nothing can be said there.
+
+What is judged is one number per window, ``a = sum v . v4 / sum v4 . v4`` over its smooth places:
+the factor by which the authored velocities ``v`` stretch the motion.  A vibration too fast for the
+samples is in ``v`` but not in ``v4``; it has no direction of its own, so it drops out of ``a``
+although it can exceed ``v4`` at every single point.  A window counts where most of what moves in
+it moves smoothly: in the others it does so by chance, and a small body that rings at twice the rate
+of the samples then looks as if it moved at a part of its speed (seen on a duck of 10 cm at 24 a
+second: 0.6).  The median over the windows, each weighed by its smooth places, is the verdict, if
+the windows agree on which side of 1 it lies.  A wrong unit stretches them all alike; bounces at a
+third of the rate of the samples stretch each window in another way (seen on the same duck, stiff:
+0.29 to 1.41).
+
+The rule that bounds bound.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdVol
+
+from gf_usd.core.arrays import columns, corners
+from gf_usd.layers.check.base import Finding, Verdict, about, once, rule
+from gf_usd.layers.check.read import (
+    Array,
+    authored,
+    numbers,
+    position_attribute,
+    prims,
+    times,
+    vectors,
+)
+
+# v4 is trusted where v2 is within 5 % of it.
+SMOOTH = 0.05
+# 24 taken for 30 samples a second gives a factor of 0.8 or 1.25.  Lattices of springs dropped and
+# bouncing at 24 and 60 samples a second, radius 0.025 to 5, soft to stiff, undamped (so that every
+# vibration lasts), gave 0.98 to 1.01 for their own velocities: 0.12 lies between.
+WRONG = 0.12
+# Slower than a thousandth of the body per sample, blur cannot be seen and jitter rules.
+STILL = 1e-3
+# Random motion looks smooth by chance in about SMOOTH^3 of its places, motion that the samples
+# resolve in far more.
+FEWEST_SHARE = 0.05
+FEWEST = 8
+# A window counts where this share of what moves in it is smooth.
+MAJORITY = 0.5
+WINDOW = 5
+MIDDLE = WINDOW // 2
+# Of more windows than this the verdict of so many, all along the motion, is the same.
+MOST = 64
+# A factor is wrong where windows of this share of the smooth places lie on its side of 1.
+AGREE = 0.9
+
+Vectors = NDArray[np.floating]
+
+
+class Sample(NamedTuple):
+    """Positions at one time."""
+
+    code: float
+    x: Vectors  # (3 n,) float64, by columns
+    rounding: float  # of the numbers as they were read, relative
+
+
+@dataclass
+class Tally:
+    """What was seen of one prim: counts, and two numbers per window."""
+
+    moving: int = 0  # places (points in windows) that move, or are said to
+    smooth: int = 0  # of these, where v4 is trusted
+    frozen: int = 0  # of these, where the positions stand still and the velocities do not
+    factors: list[float] = field(default_factory=list)  # a of each window
+    weights: list[int] = field(default_factory=list)  # and its smooth places
+
+    def add(self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float) -> None:
+        """Count the points of one window; v, v2 and v4 are (3, n).
+
+        Nothing counts as moving below the speed ``floor``; positions that move at less than
+        ``noise``, their rounding per sample, stand still.
+        """
+        squares = (v4 * v4).sum(0)
+        speed, said = np.sqrt(squares), np.sqrt((v * v).sum(0))
+        moving = np.maximum(speed, said) > floor
+        off = np.sqrt(((v2 - v4) ** 2).sum(0))
+        smooth = moving & (off <= SMOOTH * np.maximum(speed, floor))
+        self.moving += int(moving.sum())
+        if smooth.sum() < MAJORITY * moving.sum():
+            return
+        self.smooth += int(smooth.sum())
+        self.frozen += int((smooth & (speed <= noise)).sum())
+        square = float(squares[smooth].sum())
+        if square > 0.0:
+            self.factors.append(float((v * v4).sum(0)[smooth].sum()) / square)
+            self.weights.append(int(smooth.sum()))
+
+    @property
+    def decided(self) -> bool:
+        return self.smooth >= max(FEWEST, FEWEST_SHARE * self.moving)
+
+    @property
+    def agreed(self) -> float:
+        """Share of the smooth places whose window lies on the factor's side of 1."""
+        side = np.sign(np.array(self.factors) - 1.0) == np.sign(self.factor - 1.0)
+        return float(np.array(self.weights)[side].sum() / sum(self.weights))
+
+    @property
+    def factor(self) -> float:
+        """Authored velocities over the motion's: the weighed median over the windows."""
+        order = np.argsort(self.factors)
+        reached = np.cumsum(np.array(self.weights)[order])
+        return self.factors[order[np.searchsorted(reached, 0.5 * reached[-1])]]
+
+
+@rule("velocities", "velocities are the motion of the points in units per second")
+def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
+    rate = stage.GetTimeCodesPerSecond()
+    for prim in prims(stage):
+        position = position_attribute(prim)
+        if position is None:
+            continue
+        name = "gaussianFlesh:velocities" if prim.IsA(UsdVol.ParticleField) else "velocities"
+        velocity = authored(prim, name)
+        count = position.GetNumTimeSamples()
+        if velocity is None or count < 2:
+            continue
+        speak = about("velocities", prim)
+        if position.GetName() == "positionsh":
+            yield speak.skip(f"{name}: positions in half precision are too coarse to judge by")
+            continue
+        if count < WINDOW:
+            yield speak.skip(f"{name}: {count} samples of motion, {WINDOW} are wanted to judge")
+            continue
+        tally = tally_of(position, velocity, rate)
+        if not tally.moving:
+            continue
+        fix = f"author stage units per second; this stage has {rate:g} time codes in a second"
+        if not tally.decided:
+            yield speak.skip(
+                f"{name}: the motion is smooth in {tally.smooth} of {tally.moving} places only, "
+                "too few to judge"
+            )
+        elif tally.frozen > 0.5 * tally.smooth:
+            yield speak.error(
+                f"{name} is not zero where {position.GetName()} stands still, in {tally.frozen} of "
+                f"{tally.smooth} places",
+                fix,
+            )
+        elif abs(tally.factor - 1.0) > WRONG and tally.agreed < AGREE:
+            yield speak.skip(
+                f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the motion, "
+                "from moment to moment: it is too fast for the samples"
+            )
+        elif abs(tally.factor - 1.0) > WRONG:
+            yield speak.error(
+                f"{name} is {tally.factor:.3g} times the motion of {position.GetName()} per second "
+                f"(over {tally.smooth} places)",
+                fix,
+            )
+
+
+def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> Tally:
+    """Compare a prim's velocities with its positions, five samples in memory at a time."""
+    tally = Tally()
+    window: deque[Sample] = deque(maxlen=WINDOW)
+    codes = position.GetTimeSamples()
+    windows = len(codes) - WINDOW + 1
+    judged = set(np.linspace(0, windows - 1, max(min(windows, MOST), 0)).astype(int) + WINDOW - 1)
+    for number, code in enumerate(codes):
+        x = vectors(position, Usd.TimeCode(code))
+        if x is None or (window and len(window[-1].x) != x.size):
+            window.clear()
+        if x is None or not len(x):
+            continue
+        window.append(Sample(code, columns(x).astype(np.float64).ravel(), np.finfo(x.dtype).eps))
+        if len(window) == WINDOW and number in judged:
+            _judge(tally, window, vectors(velocity, Usd.TimeCode(window[MIDDLE].code)), rate)
+    return tally
+
+
+def _judge(tally: Tally, window: deque[Sample], v: Vectors | None, rate: float) -> None:
+    codes, x = [sample.code for sample in window], window[MIDDLE].x.reshape(3, -1)
+    if v is None or len(v) != x.shape[1]:
+        return
+    size = float(np.linalg.norm(x.max(1) - x.min(1)))
+    reach = float(np.abs(x).max())
+    if not np.isfinite(size + reach) or not np.isfinite(v).all():
+        return
+    step = (codes[-1] - codes[0]) / (rate * (WINDOW - 1))
+    noise = 100.0 * window[MIDDLE].rounding * reach / step
+    weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
+    v2, v4 = (weights @ np.array([sample.x for sample in window])).reshape(2, 3, -1)
+    tally.add(columns(v), v2, v4, max(STILL * size / step, noise), noise)
+
+
+@cache
+def _derivatives(offsets: tuple[float, ...]) -> Vectors:
+    """(2, WINDOW) weights of samples at these times from the middle one, for v2 and v4.
+
+    A derivative at the middle is that of the polynomial through some of the samples: its weights w
+    solve sum_k w_k t_k^n = [n = 1] for n below their number.
+    """
+    out = np.zeros((2, WINDOW))
+    for row, some in zip(out, (slice(MIDDLE - 1, MIDDLE + 2), slice(WINDOW))):
+        times = np.array(offsets[some])
+        scale = float(np.abs(times).max())
+        powers = np.vander(times / scale, increasing=True).T
+        row[some] = np.linalg.solve(powers, np.eye(len(times))[1]) / scale
+    return out
+
+
+# Extents are floats, often computed in doubles or printed with six digits: what sticks out by less
+# than 1e-5 of the largest coordinate is rounding, not a point outside.
+ROUNDING = 1e-5
+
+
+@rule("extent", "extent encloses the points at every sample")
+def extent(stage: Usd.Stage) -> Iterator[Finding]:
+    """Required: min and max of the points, for Points those of their balls (width / 2 around).
+
+    For particle fields the centers have to be inside; how far their kernels reach is left to the
+    author.  Without an extent USD computes one for meshes and points (slowly), for particle fields
+    it takes an empty box.  Curves and patches bend away from their points and are not judged.
+    """
+    for prim in prims(stage):
+        position = position_attribute(prim)
+        curved = prim.IsA(UsdGeom.PointBased) and not (
+            prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.Points)
+        )
+        if position is None or curved:
+            continue
+        speak = about("extent", prim)
+        box = authored(prim, "extent")
+        if box is None:
+            if prim.GetTypeName():
+                yield speak.warning(
+                    f"no extent is authored around {position.GetName()}",
+                    "author extent at every time sample of the points",
+                )
+            continue
+        if problem := once(_outside(prim, position, box)):
+            yield speak.error(
+                f"extent {problem}", "compute extent from the points at every time sample"
+            )
+
+
+def _outside(
+    prim: Usd.Prim, position: Usd.Attribute, box: Usd.Attribute
+) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time in times(position, box):
+        points, ends = vectors(position, time), vectors(box, time)
+        if points is None or ends is None or not len(points):
+            continue
+        if len(ends) != 2:
+            yield time, f"has {len(ends)} corners instead of 2"
+            continue
+        radius = _radius(prim, time, len(points))
+        low, high = corners(points - radius)[0], corners(points + radius)[1]
+        # NaN is named by the rule ``finite``
+        slack = ROUNDING * max(np.abs(low).max(), np.abs(high).max())
+        box_low, box_high = ends.astype(np.float64)
+        out = np.maximum(box_low - low, high - box_high).max()
+        if out > slack:
+            yield time, f"leaves points up to {out:.3g} outside"
+
+
+def _radius(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> Array | float:
+    """Radius of the ball around each point: (N, 1), or one number."""
+    if not prim.IsA(UsdGeom.Points):
+        return 0.0
+    widths = numbers(authored(prim, "primvars:widths", "widths"), time)
+    if widths is None or widths.ndim != 1 or len(widths) not in (1, count):
+        return 0.0
+    return widths[:, None] * 0.5

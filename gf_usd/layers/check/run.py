@@ -1,0 +1,152 @@
+"""``gf-usd check``: everything that can be known to be wrong with a USD file.
+
+The stage is judged as it composes: with every payload loaded and the variants that are selected.
+
+The check that every bake ends with: faults of the result that its source does not have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Tf, Usd
+
+from gf_usd.core.errors import InputError
+from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreadable
+from gf_usd.layers.check.read import prims
+from gf_usd.layers.check.structure import TIME_CODES
+from gf_usd.layers.check.validators import run_validators
+from gf_usd.layers.stage import VARIANT_SET
+from gf_usd.system import usd_schema  # noqa: F401  (the rules ask USD for the schema's definitions)
+
+UNSAFE = "not run: the time codes of a layer stand still, reading its samples would never end"
+VALIDATORS = "usd"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResult:
+    """What a check found."""
+
+    path: str
+    findings: tuple[Finding, ...]  # errors first
+    skipped: tuple[Skip, ...]  # what could not be judged, and why
+    layers: int
+    prims: int
+    rules: int  # rules of ours that ran
+
+    @property
+    def errors(self) -> int:
+        return sum(finding.severity == "error" for finding in self.findings)
+
+    @property
+    def warnings(self) -> int:
+        return len(self.findings) - self.errors
+
+    @property
+    def ok(self) -> bool:
+        """No errors; warnings are allowed."""
+        return self.errors == 0
+
+
+def check_file(path: str | Path) -> CheckResult:
+    """Judge a file by USD's validators and by every rule of ours.
+
+    Raises
+    ------
+    InputError : there is no such file, or USD cannot open it.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise InputError(f"{file} is no file.", "give the path of a usd, usda, usdc or usdz file")
+    if not Usd.Stage.IsSupportedFile(str(file)):
+        raise InputError(
+            f"{file} is not USD, as far as its name says.",
+            "give a file that ends in usd, usda, usdc or usdz",
+        )
+    try:
+        stage = Usd.Stage.Open(str(file), Usd.Stage.LoadAll)
+    except Tf.ErrorException as error:
+        raise InputError(
+            f"{file} cannot be opened as USD: {reason(error)}",
+            "write the file again; what it claims to be and what it holds differ",
+        ) from error
+    return check_stage(stage)
+
+
+def check_stage(stage: Usd.Stage) -> CheckResult:
+    """Judge a stage as it is composed now, for example with another variant selected."""
+    findings = [found for found in RULES[TIME_CODES](stage) if isinstance(found, Finding)]
+    skipped: list[Skip] = []
+    safe = not findings
+    ran = 1
+    for name, rule in RULES.items():
+        if name == TIME_CODES:
+            continue
+        if rule.reads_samples and not safe:
+            skipped.append(Skip(rule=name, prim_path="/", reason=UNSAFE))
+            continue
+        ran += 1
+        for verdict in _judge(rule, stage):
+            if isinstance(verdict, Skip):
+                skipped.append(verdict)
+            else:
+                findings.append(verdict)
+    if safe:
+        findings += run_validators(stage)
+    else:
+        skipped.append(Skip(rule=VALIDATORS, prim_path="/", reason=UNSAFE))
+    findings.sort(key=lambda finding: finding.severity != "error")
+    return CheckResult(
+        path=stage.GetRootLayer().realPath or stage.GetRootLayer().identifier,
+        findings=tuple(findings),
+        skipped=tuple(skipped),
+        layers=len(stage.GetUsedLayers()),
+        prims=sum(1 for _ in prims(stage)),
+        rules=ran,
+    )
+
+
+def _judge(rule: Rule, stage: Usd.Stage) -> Iterable[Finding | Skip]:
+    """A rule's verdicts; where USD itself fails to read a value, that is the finding."""
+    try:
+        yield from rule(stage)
+    except Tf.ErrorException as error:
+        yield unreadable(rule.name, error)
+
+
+def review(root: Path, source: Path) -> list[dict[str, str]]:
+    """Errors in every variant of a root layer, less those that are in its source already.
+
+    A finding is the same where rule and prim agree: numbers in its words may differ.
+    """
+    known = {_key(f) for f in check_file(source).findings}
+    stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
+    prims = [p for p in stage.GetPseudoRoot().GetAllChildren()
+             if p.GetVariantSets().HasVariantSet(VARIANT_SET)]  # fmt: skip
+    # a flattened bake has no variants of looks: it is checked as it is
+    sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
+    names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]
+    stage.SetEditTarget(stage.GetSessionLayer())
+    seen: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        for prim in prims:
+            prim.GetVariantSet(VARIANT_SET).SetVariantSelection(name)
+        for finding in check_stage(stage).findings:
+            if finding.severity == "error" and _key(finding) not in known:
+                seen.setdefault(_key(finding), _plain(finding))
+    return list(seen.values())
+
+
+def _key(finding: Finding) -> tuple[str, str]:
+    return finding.rule, str(finding.prim_path)
+
+
+def _plain(finding: Finding) -> dict[str, str]:
+    return {
+        "rule": finding.rule,
+        "prim": str(finding.prim_path),
+        "message": finding.message,
+        "fix": finding.fix,
+    }

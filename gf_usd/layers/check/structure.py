@@ -1,0 +1,182 @@
+"""Rules about what belongs together: relationships, indices into them, schemas and prim types.
+
+Rules about the metadata of layers and the time line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from pxr import Usd, UsdGeom, UsdShade
+
+from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.read import applied_names, authored, prims, samples
+from gf_usd.system.usd_schema import APIS
+
+MATERIALS = "gaussianFlesh:materials"
+INDICES = "gaussianFlesh:materialIndices"
+TARGET_TYPES = {
+    MATERIALS: ("a Material", UsdShade.Material),
+    "gaussianFlesh:sourceMeshes": ("a geometric prim", UsdGeom.Gprim),
+}
+PREFIX = "GaussianFlesh"
+
+
+@rule(
+    "dangling-relationship",
+    "relationships of ours lead to prims of the right type",
+    reads_samples=False,
+)
+def dangling_relationship(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        for relationship in prim.GetAuthoredPropertiesInNamespace("gaussianFlesh"):
+            if not isinstance(relationship, Usd.Relationship):
+                continue
+            name = relationship.GetName()
+            speak = about("dangling-relationship", prim)
+            for path in relationship.GetTargets():
+                target = stage.GetPrimAtPath(path)
+                if not target:
+                    yield speak.error(
+                        f"{name} leads to <{path}>, where there is no prim",
+                        "author the path of a prim on this stage, or remove the target",
+                    )
+                elif name in TARGET_TYPES and not _may_be(target, TARGET_TYPES[name][1]):
+                    wanted = TARGET_TYPES[name][0]
+                    yield speak.error(
+                        f"{name} leads to <{path}>, a {target.GetTypeName()}, not {wanted}",
+                        f"author the path of {wanted}",
+                    )
+
+
+def _may_be(prim: Usd.Prim, schema: type[Usd.SchemaBase]) -> bool:
+    """Whether the prim has this type, or a type that is not known here (an over, a plugin's)."""
+    return prim.GetPrimTypeInfo().GetSchemaType().isUnknown or prim.IsA(schema)
+
+
+@rule("material-indices", "material indices count the targets of gaussianFlesh:materials")
+def material_indices(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        indices = authored(prim, INDICES)
+        if indices is None:
+            continue
+        relationship = prim.GetRelationship(MATERIALS)
+        targets = len(relationship.GetTargets()) if relationship else 0
+        if problem := once(_beyond(indices, targets)):
+            yield about("material-indices", prim).error(
+                f"{INDICES} has {problem}, {MATERIALS} has {targets} targets",
+                "author the missing materials as targets, or indices of those that are there",
+            )
+
+
+def _beyond(attribute: Usd.Attribute, targets: int) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time, array in samples(attribute):
+        if array.size and (array.min() < 0 or array.max() >= targets):
+            yield time, f"values from {array.min()} to {array.max()}"
+
+
+@rule("applied-schema", "API schemas are applied to prims they are made for", reads_samples=False)
+def applied_schema(stage: Usd.Stage) -> Iterator[Finding]:
+    """USD keeps the limits of every API but never enforces them on a file.
+
+    A prim without a type here (an over, or a plugin's type) may have the right one elsewhere.
+    """
+    for prim in prims(stage):
+        for name in applied_names(prim):
+            speak = about("applied-schema", prim)
+            family, instance = Usd.SchemaRegistry.GetTypeNameAndInstance(name)
+            api = Usd.SchemaRegistry.GetAPITypeFromSchemaTypeName(family)
+            if api.isUnknown:
+                if family.startswith(PREFIX):
+                    yield speak.error(
+                        f"apiSchemas names {name}, which the schema library does not have",
+                        f"apply one of {', '.join(APIS)}",
+                    )
+                continue
+            if prim.GetPrimTypeInfo().GetSchemaType().isUnknown:
+                continue
+            able = prim.CanApplyAPI(api, instance) if instance else prim.CanApplyAPI(api)
+            if not able:
+                types = Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(family, instance)
+                made_for = f"made for {', '.join(types)}" if types else "not made for it"
+                yield speak.error(
+                    f"{name} is applied to a {prim.GetTypeName()}; it is {made_for}",
+                    "remove the API from this prim and apply it to a prim of such a type",
+                )
+
+
+TIME_CODES = "time-codes-per-second"
+
+
+@rule(
+    TIME_CODES,
+    "timeCodesPerSecond and framesPerSecond of every layer are positive and finite",
+    reads_samples=False,
+)
+def time_codes_per_second(stage: Usd.Stage) -> Iterator[Finding]:
+    """Zero or NaN over a sublayer makes USD search for samples for ever, so this comes first."""
+    for layer in stage.GetUsedLayers():
+        for key, said in (
+            ("timeCodesPerSecond", layer.HasTimeCodesPerSecond()),
+            ("framesPerSecond", layer.HasFramesPerSecond()),
+        ):
+            value = getattr(layer, key)
+            if said and not (math.isfinite(value) and value > 0.0):
+                yield about(TIME_CODES, "/").error(
+                    f"layer {layer.identifier} authors {key} = {value:g}",
+                    f"author a positive {key} in that layer, for example 24",
+                )
+
+
+@rule("stage-units", "metersPerUnit and kilogramsPerUnit are positive", reads_samples=False)
+def stage_units(stage: Usd.Stage) -> Iterator[Finding]:
+    """Unauthored is fine: USD then means 0.01 and 1."""
+    for key in ("metersPerUnit", "kilogramsPerUnit"):
+        if not stage.HasAuthoredMetadata(key):
+            continue
+        value = stage.GetMetadata(key)
+        usable = isinstance(value, (int, float)) and math.isfinite(value) and value > 0.0
+        if not usable:
+            yield about("stage-units", "/").error(
+                f"the stage authors {key} = {value}",
+                f"author the size of a unit as a positive number, for example {key} = 1",
+            )
+
+
+@rule("time-range", "every time sample lies between startTimeCode and endTimeCode")
+def time_range(stage: Usd.Stage) -> Iterator[Finding]:
+    """Samples outside are no error: a shot may use a part of a longer animation."""
+    speak = about("time-range", "/")
+    start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    bounded = stage.HasAuthoredTimeCodeRange()
+    if bounded and not start <= end:
+        yield speak.error(
+            f"startTimeCode {start:g} lies after endTimeCode {end:g}",
+            "author the first and the last time code of the animation",
+        )
+        return
+    animated = 0
+    for prim in prims(stage):
+        outside: list[str] = []
+        low, high = math.inf, -math.inf
+        for attribute in prim.GetAuthoredAttributes():
+            codes = attribute.GetTimeSamples()
+            if not codes:
+                continue
+            animated += 1
+            if codes[0] < start or codes[-1] > end:
+                outside.append(attribute.GetName())
+                low, high = min(low, codes[0]), max(high, codes[-1])
+        if bounded and outside:
+            yield about("time-range", prim).warning(
+                f"{len(outside)} attributes ({', '.join(outside[:3])}"
+                f"{', ...' if len(outside) > 3 else ''}) have samples from {low:g} to {high:g}, "
+                f"the stage runs from {start:g} to {end:g}",
+                "widen startTimeCode and endTimeCode, or drop the samples outside",
+            )
+    if animated and not bounded:
+        yield speak.warning(
+            f"{animated} attributes have time samples, but the stage says no time range",
+            "author startTimeCode and endTimeCode in the root layer",
+        )

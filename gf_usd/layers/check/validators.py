@@ -1,0 +1,62 @@
+"""USD's own validators, their errors as findings.
+
+All that the installation has are run, plugins' too.  They know nothing of arrays and time samples;
+the rules of ours begin where they end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pxr import Tf, Usd, UsdValidation
+
+from gf_usd.layers.check.base import Finding, Severity, unreadable
+
+SEVERITIES: dict[UsdValidation.ValidationErrorType, Severity] = {
+    UsdValidation.ValidationErrorType.Error: "error",
+    UsdValidation.ValidationErrorType.Warn: "warning",
+    UsdValidation.ValidationErrorType.Info: "warning",
+}
+FIXES = {
+    "MissingDefaultPrim": "author defaultPrim in the root layer: the root prim to be referenced",
+    "MissingMetersPerUnitMetadata": "author metersPerUnit in the root layer",
+    "MissingUpAxisMetadata": 'author upAxis = "Y" or "Z" in the root layer',
+    "MissingMaterialBindingAPI": "apply MaterialBindingAPI to the prim that binds the material",
+    "CompositionError": "correct the path of the layer or prim that cannot be composed",
+    "UnresolvableDependency": "correct the path of the file, or put the file there",
+}
+
+
+def run_validators(stage: Usd.Stage) -> Iterator[Finding]:
+    """Findings named ``usd:VALIDATOR.ERROR``, with the validator's own words."""
+    registry = UsdValidation.ValidationRegistry()
+    # the registry has no order of its own
+    for validator in sorted(registry.GetOrLoadAllValidators(), key=lambda v: v.GetMetadata().name):
+        metadata = validator.GetMetadata()
+        # one at a time: a validator that stumbles over a damaged layer must not silence the others
+        try:
+            errors = UsdValidation.ValidationContext([validator]).Validate(stage)
+        except Tf.ErrorException as error:
+            yield unreadable(f"usd:{metadata.name}", error)
+            continue
+        for error in errors:
+            if error.HasNoError():
+                continue
+            yield Finding(
+                rule=f"usd:{error.GetIdentifier()}",
+                severity=SEVERITIES[error.GetType()],
+                prim_path=_path(error),
+                message=" ".join(error.GetMessage().split()),
+                fix=FIXES.get(str(error.GetName()))
+                or f"meet the rule: {' '.join(metadata.doc.split())}",
+            )
+
+
+def _path(error: UsdValidation.ValidationError) -> str:
+    """The first prim that the error is about; "/" for layers and the stage."""
+    for site in error.GetSites():
+        if site.IsPrim():
+            return str(site.GetPrim().GetPath())
+        if site.IsProperty():
+            return str(site.GetProperty().GetPrim().GetPath())
+    return "/"

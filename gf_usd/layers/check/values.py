@@ -1,0 +1,209 @@
+"""Rules about what values mean something, sample by sample.
+
+The rule that numbers are numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from pxr import Usd, UsdVol
+
+from gf_usd.layers.check.base import Finding, about, once, rule
+from gf_usd.layers.check.read import Array, array_of, authored, prims, samples, times
+
+# Half floats round to 2^-11 = 4.9e-4 of a component, so a rounded unit quaternion is within that
+# of unit length; twice as much is a quaternion that nobody normalized.
+UNIT_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Numbers from low to high; an open end does not belong to it."""
+
+    low: float
+    high: float
+    open_low: bool = False
+    open_high: bool = False
+
+    def outside(self, values: Array) -> np.ndarray:
+        """True where a value lies outside; NaN does not (the rule ``finite`` names it)."""
+        below = values <= self.low if self.open_low else values < self.low
+        above = values >= self.high if self.open_high else values > self.high
+        return below | above
+
+    def __str__(self) -> str:
+        left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
+        return f"{left}{self.low:g}, {self.high:g}{right}"
+
+
+INF = float("inf")
+POSITIVE = Interval(0.0, INF, open_low=True)
+NOT_NEGATIVE = Interval(0.0, INF)
+UNIT = Interval(0.0, 1.0)
+POISSON = Interval(-1.0, 0.5, open_low=True, open_high=True)
+
+LIMITS: dict[str, Interval] = {
+    "opacities": UNIT,
+    "opacitiesh": UNIT,
+    "scales": POSITIVE,
+    "scalesh": POSITIVE,
+    "widths": NOT_NEGATIVE,
+    "gaussianFlesh:restScales": POSITIVE,
+    "gaussianFlesh:restVolumes": POSITIVE,
+    "gaussianFlesh:masses": POSITIVE,
+    "gaussianFlesh:youngsModulus": POSITIVE,
+    "gaussianFlesh:densities": POSITIVE,
+    "gaussianFlesh:poissonsRatio": POISSON,
+    "gaussianFlesh:vonMisesStress": NOT_NEGATIVE,
+    "gaussianFlesh:dampingTime": NOT_NEGATIVE,
+    "gaussianFlesh:spacing": NOT_NEGATIVE,
+    "gaussianFlesh:particles": NOT_NEGATIVE,
+    "gaussianFlesh:seed": NOT_NEGATIVE,
+    "physics:youngsModulus": NOT_NEGATIVE,  # 0: not stated
+    "physics:poissonsRatio": POISSON,
+    "physics:density": NOT_NEGATIVE,  # 0: not stated
+    "physics:staticFriction": NOT_NEGATIVE,
+    "physics:dynamicFriction": NOT_NEGATIVE,
+    "physics:restitution": UNIT,
+}
+# other prims have attributes of these names too: a PointInstancer mirrors with negative scales
+FIELD_ONLY = frozenset(("opacities", "opacitiesh", "scales", "scalesh"))
+
+
+@rule("value-range", "opacities, sizes, masses and material numbers lie in their ranges")
+def value_range(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        field = prim.IsA(UsdVol.ParticleField)
+        for name, interval in LIMITS.items():
+            attribute = authored(prim, name)
+            if attribute is None or (name in FIELD_ONLY and not field):
+                continue
+            if problem := once(_outside(attribute, interval)):
+                yield about("value-range", prim).error(
+                    f"{name} has {problem}", f"author values in {interval}"
+                )
+
+
+def _outside(attribute: Usd.Attribute, interval: Interval) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time, array in samples(attribute):
+        values = array.reshape(-1)
+        bad = np.flatnonzero(interval.outside(values))
+        if not len(bad):
+            continue
+        first = f"{values[bad[0]]:g}" + (f" at [{bad[0]}]" if array.ndim else "")
+        many = f"{len(bad)} of {len(values)} values outside {interval}, the first is "
+        yield time, (many if array.ndim else f"a value outside {interval}: ") + first
+
+
+@rule("unit-quaternions", "orientations are unit quaternions")
+def unit_quaternions(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        names = ["gaussianFlesh:restOrientations"]
+        if prim.IsA(UsdVol.ParticleField):
+            names += ["orientations", "orientationsh"]
+        for attribute in (a for name in names if (a := authored(prim, name))):
+            if problem := once(_not_unit(attribute)):
+                yield about("unit-quaternions", prim).error(
+                    f"{attribute.GetName()} has {problem}",
+                    "divide each quaternion by its length",
+                )
+
+
+def _not_unit(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
+    for time, array in samples(attribute):
+        if array.ndim != 2 or array.shape[1] != 4:
+            continue
+        length = np.linalg.norm(array, axis=1)
+        bad = np.flatnonzero(np.abs(length - 1.0) > UNIT_TOLERANCE)
+        if len(bad):
+            first = f"[{bad[0]}] has length {length[bad[0]]:g}"
+            yield time, f"{len(bad)} of {len(length)} quaternions that are not unit, {first}"
+
+
+@rule("allowed-tokens", "tokens of ours are among the words that the schema allows")
+def allowed_tokens(stage: Usd.Stage) -> Iterator[Finding]:
+    for prim in prims(stage):
+        for attribute in prim.GetAuthoredPropertiesInNamespace("gaussianFlesh"):
+            if not isinstance(attribute, Usd.Attribute):
+                continue
+            allowed = attribute.GetMetadata("allowedTokens")
+            value = attribute.Get()
+            if allowed and value is not None and value not in allowed:
+                yield about("allowed-tokens", prim).error(
+                    f'{attribute.GetName()} = "{value}" is none of {", ".join(allowed)}',
+                    f"author one of {', '.join(allowed)}",
+                )
+
+
+NAMES = frozenset(
+    (
+        "points",
+        "positions",
+        "positionsh",
+        "velocities",
+        "accelerations",
+        "angularVelocities",
+        "normals",
+        "primvars:normals",
+        "widths",
+        "primvars:widths",
+        "scales",
+        "scalesh",
+        "orientations",
+        "orientationsh",
+        "opacities",
+        "opacitiesh",
+        "radiance:sphericalHarmonicsCoefficients",
+        "radiance:sphericalHarmonicsCoefficientsh",
+        "primvars:displayColor",
+        "primvars:displayOpacity",
+        "extent",
+        "extentsHint",
+        "physics:youngsModulus",
+        "physics:poissonsRatio",
+    )
+)
+PREFIXES = ("gaussianFlesh:", "xformOp:")
+
+
+@rule("finite", "no sample of a geometric attribute holds NaN or infinity")
+def finite(stage: Usd.Stage) -> Iterator[Finding]:
+    """Only attributes that mean geometry: elsewhere infinity may be a value, as in UsdPhysics."""
+    for prim in prims(stage):
+        for attribute in prim.GetAuthoredAttributes():
+            name = attribute.GetName()
+            if name not in NAMES and not name.startswith(PREFIXES):
+                continue
+            if problem := once(_problems(attribute)):
+                yield about("finite", prim).error(
+                    f"{name} holds {problem}",
+                    "write the file again from finite numbers; after a bake this means that the "
+                    "simulation went wrong: try a smaller step or a softer material",
+                )
+
+
+def _problems(attribute: Usd.Attribute) -> Iterator[tuple[Usd.TimeCode, str]]:
+    value_at = Usd.AttributeQuery(attribute).Get
+    for time in times(attribute):
+        value = value_at(time)
+        if isinstance(value, float) and isfinite(value):
+            continue
+        array = array_of(value)
+        if array is None:
+            continue
+        if array.dtype.kind != "f":
+            return
+        if np.isfinite(array).all():
+            continue
+        elements = array.reshape(len(array), -1) if array.ndim > 1 else array.reshape(-1, 1)
+        bad = np.flatnonzero(~np.isfinite(elements).all(axis=1))
+        if len(bad):
+            yield (
+                time,
+                f"{len(bad)} of {len(elements)} elements that are not finite, "
+                f"the first is [{bad[0]}]",
+            )

@@ -1,0 +1,277 @@
+"""Value clips: the samples of a cache in files of so many frames each.
+
+    duck.rubber.cache.usdc       the constant values, and on its root prims the metadata ``clips``
+    duck.rubber.clips/
+        manifest.usda            which attributes vary
+        0001.usdc, 0002.usdc     their samples
+
+A clip also holds the first sample of the next one.  Values between the two are then interpolated
+within one file, and at the border both say the same: the composed stage has the samples and the
+values of a single file, to the bit.
+
+A clip gets its final name as soon as it is full, and the cache, which still has its partial name,
+then lists it.  So memory does not grow, and what is full outlives an interrupt.  A folder that is
+there already is never written to: the clips of an earlier bake stay whole until nothing refers to
+them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pxr import Gf, Sdf, Tf, Usd, Vt
+
+from gf_usd.core.errors import BakeError
+from gf_usd.layers.stage import VARIANT_SET, asset_path, new_layer, refresh, save
+from gf_usd.system.atomic_files import partial_path, publish
+
+FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
+MANIFEST = "manifest.usda"
+# USD saves to NAME.partial.XXXXXX first, which a kill leaves
+OURS = re.compile(
+    r"(\d{4,}(\.partial)?\.usdc|manifest(\.partial)?\.usda|(\d{4,}|manifest)\.partial\.\w{6})"
+)
+
+
+@dataclass
+class _Clip:
+    """One file that is being written."""
+
+    path: Path  # final
+    layer: Sdf.Layer
+    first: float  # time code of its first sample
+    times: list[float] = field(default_factory=list)
+
+
+class ClipStore:
+    """Takes the samples of a cache that has no room for them.
+
+    Samples are authored on `stage`, whose edit target is a layer in memory; `keep` moves them on.
+
+    Parameters
+    ----------
+    path : final name of the cache.
+    cache : its layer, with the metadata of the bake; constant values are authored there.
+    samples : of a clip, the repeated one not counted.
+    since : a `state` to go on from; its clips stay as they are.
+
+    Raises
+    ------
+    BakeError : the folder or the disk refuses.
+    """
+
+    def __init__(
+        self, path: Path, cache: Sdf.Layer, samples: int, since: Mapping[str, Any] | None = None
+    ) -> None:
+        self._cache, self._samples = cache, samples
+        self.folder = path.with_name(since["folder"]) if since else _free(folder_of(path))
+        self._moving = Sdf.Layer.CreateAnonymous("moving.usda")
+        self._moving.timeCodesPerSecond = cache.timeCodesPerSecond
+        self.stage = Usd.Stage.Open(cache, self._moving)
+        self.stage.SetEditTarget(cache)
+        self._done: list[_Clip] = []
+        self._clip: _Clip | None = None
+        self._roots: list[Sdf.Path] = []
+        self._border: dict[Sdf.Path, object] = {}  # values of the last sample of the last clip
+        if since:
+            self._go_on(since["clips"])
+        try:
+            self.folder.mkdir(parents=True, exist_ok=since is not None)
+        except OSError as error:
+            raise BakeError(
+                f"{self.folder} cannot be created: {error.strerror}.",
+                f"check that {self.folder.absolute().parent} is writable and has space left",
+            ) from error
+        where = asset_path(self.folder, path.parent)
+        cache.customLayerData = {**cache.customLayerData, VARIANT_SET: {FOLDER: where}}
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Final names of what is complete: the manifest and the clips."""
+        return (self.folder / MANIFEST, *(clip.path for clip in self._done)) if self._done else ()
+
+    def begin(self) -> None:
+        """From here on samples are authored, no longer constants."""
+        self.stage.SetEditTarget(self._moving)
+        if self._done:
+            self._list()
+
+    @property
+    def full(self) -> bool:
+        """Whether the last sample that was kept completed a clip."""
+        return self._clip is None and bool(self._done)
+
+    def state(self) -> dict[str, Any]:
+        """What another store goes on from, where this one is `full`."""
+        return {
+            "folder": self.folder.name,
+            "clips": [[clip.times[0], clip.times[-1]] for clip in self._done],
+        }
+
+    def _go_on(self, clips: Sequence[Sequence[float]]) -> None:
+        """Take over the clips with these first and last time codes, and what the next repeats."""
+        for count, times in enumerate(clips, 1):
+            path = self.folder / f"{count:04d}.usdc"
+            partial_path(path).unlink(missing_ok=True)
+            self._done.append(
+                _Clip(path=path, layer=self._moving, first=times[0], times=list(times))
+            )
+        partial_path(self.folder / f"{len(clips) + 1:04d}.usdc").unlink(missing_ok=True)
+        manifest = _open_complete(self.folder / MANIFEST)
+        self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(manifest)})
+        last = self._done[-1]
+        self._border = _values(_open_complete(last.path), last.times[-1])
+
+    def keep(self, time_code: float) -> None:
+        """Move what was authored at this time code into the clip; complete it if it is full."""
+        if self._clip is None and not self._done:
+            self._write_manifest()
+            self._clip = self._open(time_code)
+        elif self._clip is None:
+            self._clip = self._open(self._done[-1].times[-1])
+            for path, value in self._border.items():
+                self._put(path, self._clip.first, value)
+            self._clip.times.append(self._clip.first)
+        for path in _attributes(self._moving):
+            value = self._moving.QueryTimeSample(path, time_code)
+            if value is not None:
+                self._put(path, time_code, value)
+                self._moving.EraseTimeSample(path, time_code)
+        self._clip.times.append(time_code)
+        if len(self._clip.times) > self._samples:
+            self._border = _values(self._clip.layer, time_code)
+            self._finish(self._clip)
+            self._clip = None
+
+    def save(self) -> None:
+        """Write unsaved samples to the disk."""
+        if self._clip is not None:
+            save(self._clip.layer)
+
+    def close(self) -> None:
+        """Complete the last clip, full or not."""
+        if self._clip is not None:
+            self._finish(self._clip)
+            self._clip = None
+
+    def _put(self, path: Sdf.Path, time_code: float, value: object) -> None:
+        layer = self._clip.layer if self._clip else None
+        assert layer is not None
+        if layer.GetAttributeAtPath(path) is None:
+            _declare(layer, self._moving.GetAttributeAtPath(path))
+        layer.SetTimeSample(path, time_code, value)
+
+    def _open(self, first: float) -> _Clip:
+        path = self.folder / f"{len(self._done) + 1:04d}.usdc"
+        # it may be there: of a bake that was killed before it could tell, and is gone on with
+        layer = new_layer(path, self.folder)
+        for name in ("upAxis", "metersPerUnit", "timeCodesPerSecond", "framesPerSecond"):
+            layer.pseudoRoot.SetInfo(name, self._cache.pseudoRoot.GetInfo(name))
+        return _Clip(path=path, layer=layer, first=first)
+
+    def _finish(self, clip: _Clip) -> None:
+        """Publish a clip and list it in the cache."""
+        clip.layer.startTimeCode, clip.layer.endTimeCode = clip.times[0], clip.times[-1]
+        save(clip.layer)
+        # publish renames the file under the layer: nothing may touch it afterwards
+        clip.layer = self._moving
+        publish(clip.path)
+        refresh(clip.path)
+        self._done.append(clip)
+        self._list()
+
+    def _list(self) -> None:
+        """Say in the cache which clips there are."""
+        folder = Path(self._cache.realPath).parent
+        paths = [Sdf.AssetPath(asset_path(done.path, folder)) for done in self._done]
+        active = [Gf.Vec2d(done.first, k) for k, done in enumerate(self._done)]
+        manifest = Sdf.AssetPath(asset_path(self.folder / MANIFEST, folder))
+        for root in self._roots:
+            told = {
+                "assetPaths": Sdf.AssetPathArray(paths),
+                "active": Vt.Vec2dArray(active),
+                "manifestAssetPath": manifest,
+                "primPath": str(root),
+            }
+            # a name of our own: clip sets of one name are merged with those of the source
+            self._cache.GetPrimAtPath(root).SetInfo("clips", {VARIANT_SET: told})
+        self._cache.endTimeCode = self._done[-1].times[-1]
+        save(self._cache)
+
+    def _write_manifest(self) -> None:
+        """Declare every attribute that has a sample; those at the first frame are all there are."""
+        path = self.folder / MANIFEST
+        layer = new_layer(path, path)
+        for attribute in _attributes(self._moving):
+            _declare(layer, self._moving.GetAttributeAtPath(attribute))
+        self._roots = sorted({p.GetPrefixes()[0] for p in _attributes(self._moving)})
+        save(layer)
+        del layer
+        publish(path)
+
+
+def folder_of(cache: Path) -> Path:
+    """``duck.rubber.cache.usdc`` -> ``duck.rubber.clips``, beside it."""
+    return cache.with_name(f"{cache.stem.removesuffix('.cache')}.clips")
+
+
+def clips_of(cache: Path) -> Path | None:
+    """The folder in which a cache has its clips; None where it has none, or is no file."""
+    if not cache.is_file():
+        return None
+    try:
+        layer = Sdf.Layer.OpenAsAnonymous(str(cache), metadataOnly=True)
+    except Tf.ErrorException:
+        return None
+    told = layer.customLayerData.get(VARIANT_SET, {}) if layer else {}
+    return cache.parent / told[FOLDER] if FOLDER in told else None
+
+
+def remove_clips(folder: Path) -> None:
+    """Delete the clips in a folder, and the folder unless something else is in it."""
+    if not folder.is_dir():
+        return
+    for path in sorted(folder.iterdir()):
+        if OURS.fullmatch(path.name):
+            path.unlink()
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def _free(folder: Path) -> Path:
+    path, count = folder, 1
+    while path.exists():
+        count += 1
+        path = folder.with_name(f"{folder.name}-{count}")
+    return path
+
+
+def _attributes(layer: Sdf.Layer) -> list[Sdf.Path]:
+    sites: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, sites.append)
+    return [site for site in sites if site.IsPropertyPath()]
+
+
+def _values(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, object]:
+    """What has a sample at this time code."""
+    found = {path: layer.QueryTimeSample(path, time_code) for path in _attributes(layer)}
+    return {path: value for path, value in found.items() if value is not None}
+
+
+def _open_complete(path: Path) -> Sdf.Layer:
+    try:
+        return Sdf.Layer.FindOrOpen(str(path.absolute()))
+    except Tf.ErrorException as error:
+        raise BakeError(
+            f"{path} cannot be read, which the bake goes on from.",
+            "bake without --resume, which begins anew",
+        ) from error
+
+
+def _declare(layer: Sdf.Layer, spec: Sdf.AttributeSpec) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, spec.path.GetPrimPath())
+    Sdf.AttributeSpec(prim, spec.name, spec.typeName, spec.variability, spec.custom)

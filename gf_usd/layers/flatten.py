@@ -1,0 +1,249 @@
+"""One file instead of layers: a bake flattened with its source, as a layer or a usdz package.
+
+What is selected is what is kept: the baked look, and the variants of the source as they are chosen.
+The display variants are made again, so that the file still switches between its shapes.
+
+The files that a flattened layer refers to: kept where they are, or put into a package.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import zipfile
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+
+from pxr import Ar, Sdf, Tf, Usd, UsdShade, UsdUtils
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import BakeError
+from gf_usd.core.frames import Choices
+from gf_usd.layers.root import RootSummary
+from gf_usd.layers.stage import asset_path, find_home, open_source
+from gf_usd.layers.variants import hidden
+from gf_usd.system.atomic_files import partial_path
+
+PACKAGE = ".usdz"
+NOWHERE = "nowhere"
+
+
+def write_flat(
+    path: Path,
+    root: RootSummary,
+    asset: Asset,
+    *,
+    source: Path,
+    choices: Choices,
+    moved: Mapping[Path, Path] | None = None,
+) -> tuple[str, ...]:
+    """Write the file under its partial name, ready to be published.
+
+    Parameters
+    ----------
+    path : final name; .usdz becomes a package with every file it needs, anything else a layer
+        that refers to textures by relative paths.
+    root : the root layer over source and cache, with the bake selected.
+    asset, source, choices : of the bake, as for `layout.write_root`.
+    moved : files that go with the result, from where they are now to where they will be.
+
+    Returns
+    -------
+    Notes in words: files that could not be found.
+
+    Raises
+    ------
+    BakeError : the folder or the disk refuses.
+    """
+    stage = Usd.Stage.Open(str(root.path), Usd.Stage.LoadAll)
+    session = stage.GetSessionLayer()
+    for switch in root.switches:
+        # a variant that is not there, so that nothing is hidden in the prims themselves
+        Sdf.CreatePrimInLayer(session, switch).variantSelections[root.display_set] = NOWHERE
+    layer = stage.Flatten(addSourceFileComment=False)
+    anchor_tiles(stage, layer)
+    _restore_displays(layer, root, asset, source, choices)
+    if path.suffix != PACKAGE:
+        files = Beside(path.parent.absolute(), moved or {})
+        UsdUtils.ModifyAssetPaths(layer, files.place)
+        _export(layer, partial_path(path))
+        return tuple(files.notes)
+    with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
+        package = Package(Path(folder))
+        UsdUtils.ModifyAssetPaths(layer, package.place)
+        # AR clients want a crate as the first file
+        first = Path(folder) / f"{path.stem}.usdc"
+        _export(layer, first)
+        package.write(partial_path(path), first)
+    return tuple(package.notes)
+
+
+def _restore_displays(
+    layer: Sdf.Layer, root: RootSummary, asset: Asset, source: Path, choices: Choices
+) -> None:
+    """Variants that hide what a display hides; visibility of these prims moves into them."""
+    home = find_home(open_source(source), asset, choices)
+    for switch in map(Sdf.Path, root.switches):
+        spec = layer.GetPrimAtPath(switch)
+        spec.variantSetNameList.prependedItems = [root.display_set]
+        spec.variantSelections[root.display_set] = choices.shapes[0]
+        modes = Sdf.VariantSetSpec(spec, root.display_set)
+        hides = {mode: hidden(mode, switch, asset, home, choices) for mode in choices.shapes}
+        for mode, paths in hides.items():
+            inner = Sdf.VariantSpec(modes, mode).primSpec.path
+            for path in {p for paths in hides.values() for p in paths}:
+                mine = inner.AppendPath(path.MakeRelativePath(switch)).AppendProperty("visibility")
+                authored = path.AppendProperty("visibility")
+                if path in paths:
+                    prim = Sdf.CreatePrimInLayer(layer, mine.GetPrimOrPrimVariantSelectionPath())
+                    spec_of = Sdf.AttributeSpec(prim, "visibility", Sdf.ValueTypeNames.Token)
+                    spec_of.default = "invisible"
+                elif layer.GetPropertyAtPath(authored):
+                    Sdf.CreatePrimInLayer(layer, mine.GetPrimOrPrimVariantSelectionPath())
+                    Sdf.CopySpec(layer, authored, layer, mine)
+        for path in {p for paths in hides.values() for p in paths}:
+            authored = layer.GetPropertyAtPath(path.AppendProperty("visibility"))
+            if authored:
+                layer.GetPrimAtPath(path).RemoveProperty(authored)
+
+
+def _export(layer: Sdf.Layer, path: Path) -> None:
+    try:
+        done = layer.Export(str(path))
+    except Tf.ErrorException as error:
+        raise refused(path) from error
+    if not done:
+        raise refused(path)
+
+
+FOLDER = "files"  # in a package
+TILES = "<UDIM>"
+# what a usdz may hold beside layers (OpenUSD's specification of the format)
+ALLOWED = {".png", ".jpg", ".jpeg", ".exr", ".avif", ".m4a", ".mp3", ".wav"}
+
+
+class Files(ABC):
+    """Says what becomes of each path; `place` is for ``UsdUtils.ModifyAssetPaths``."""
+
+    def __init__(self) -> None:
+        self.notes: dict[str, None] = {}  # in words, each once and in order
+
+    def place(self, path: str) -> str:
+        """The new path; what is no file of this machine, a URI for instance, is left as it is."""
+        outer, inner = path, ""
+        if Ar.IsPackageRelativePath(path):
+            outer, inner = Ar.SplitPackageRelativePathOuter(path)
+        file = Path(outer)
+        return self._placed(file, inner) if file.is_absolute() else path
+
+    @abstractmethod
+    def _placed(self, file: Path, inner: str) -> str: ...
+
+
+class Beside(Files):
+    """Files stay where they are; paths are relative to the folder of the result.
+
+    moved : files that go with the result, from where they are to where they will be.
+    """
+
+    def __init__(self, folder: Path, moved: Mapping[Path, Path]) -> None:
+        super().__init__()
+        self._folder, self._moved = folder, moved
+
+    def _placed(self, file: Path, inner: str) -> str:
+        placed = asset_path(self._moved.get(file, file), self._folder)
+        return Ar.JoinPackageRelativePath(placed, inner) if inner else placed
+
+
+class Package(Files):
+    """Files go into a usdz.
+
+    scratch : a folder for what has to be taken out of other packages, and that stays until the
+        package is written: packages within packages are not allowed.
+    """
+
+    def __init__(self, scratch: Path) -> None:
+        super().__init__()
+        self._scratch = scratch
+        self._names: dict[Path, str] = {}  # file -> name in the package
+
+    def _placed(self, file: Path, inner: str) -> str:
+        if inner:
+            file = self._taken_out(file, inner)
+        if TILES in file.name:
+            pattern = re.escape(file.name).replace(re.escape(TILES), r"\d{4}")
+            tiles = sorted(p for p in file.parent.glob("*") if re.fullmatch(pattern, p.name))
+            if tiles:
+                for tile in tiles:
+                    self._add(tile, file)
+                return self._name(file)
+        if not file.is_file():
+            self.notes[f"{file} could not be found: it is not in the package"] = None
+            return file.name
+        return self._add(file, file)
+
+    def _add(self, file: Path, named: Path) -> str:
+        name = self._name(named).removesuffix(named.name) + file.name
+        self._names[file] = name
+        if file.suffix.lower() not in ALLOWED:
+            self.notes[f"{file.name} is in the package, where AR clients allow no such file"] = None
+        return name
+
+    def _name(self, file: Path) -> str:
+        """One folder for each folder that files come from: names stay apart."""
+        folders = list(dict.fromkeys([*(p.parent for p in self._names), file.parent]))
+        return f"{FOLDER}/{folders.index(file.parent)}/{file.name}"
+
+    def _taken_out(self, package: Path, inner: str) -> Path:
+        target = self._scratch / f"{package.stem}{len(self._names)}" / Path(inner).name
+        try:
+            with zipfile.ZipFile(package) as archive:
+                data = archive.read(inner)
+        except (OSError, KeyError, zipfile.BadZipFile):
+            return package / inner  # which is no file, and said so
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+        return target
+
+    def write(self, path: Path, layer: Path) -> None:
+        """Write the package, uncompressed and aligned, with the layer as its first file.
+
+        Raises BakeError where the disk refuses.
+        """
+        try:
+            writer = Sdf.ZipFileWriter.CreateNew(str(path))
+            done = bool(writer) and writer.AddFile(str(layer), layer.name)
+            for file, name in self._names.items():
+                done = done and writer.AddFile(str(file), name)
+            done = done and writer.Save()
+        except Tf.ErrorException as error:
+            raise refused(path) from error
+        if not done:
+            raise refused(path)
+
+
+def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
+    """Make the paths of UDIM textures absolute that flattening leaves as they were authored.
+
+    It resolves every path but those without ./ whose file has another name, which UDIMs are; once
+    the layer that says them is gone they would mean nothing.
+    """
+    for prim in stage.Traverse():
+        for attribute in prim.GetAuthoredAttributes():
+            spec = flat.GetAttributeAtPath(attribute.GetPath())
+            value = attribute.Get() if attribute.GetTypeName() == Sdf.ValueTypeNames.Asset else None
+            if value is None or spec is None or TILES not in value.path:
+                continue
+            layers = (opinion.layer for opinion in attribute.GetPropertyStack())
+            found = (UsdShade.UdimUtils.ResolveUdimPath(value.path, layer) for layer in layers)
+            if path := next((path for path in found if path), ""):
+                spec.default = Sdf.AssetPath(path)
+
+
+def refused(path: Path) -> BakeError:
+    """The disk did not take a file."""
+    return BakeError(
+        f"{path} could not be written.",
+        f"check that {path.absolute().parent} is writable and has space left",
+    )

@@ -1,0 +1,122 @@
+"""The materials of a bake as prims: UsdShade Materials with physics attributes in stage units.
+
+Each speaks three vocabularies, so that other simulators read it: UsdPhysics with the moduli of the
+AOUSD proposal for deformables (``physics:``), Newton's (``newton:mpm:``), and ours for what neither
+has words for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+
+from gf_usd.core.arrays import Ints
+from gf_usd.core.materials import Material
+from gf_usd.core.units import StageUnits
+from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
+
+Types = Sdf.ValueTypeNames
+
+# API schemas of others, known by name only: usd-core has no definition of them
+VOLUME_MATERIAL_API = "PhysicsVolumeDeformableMaterialAPI"  # AOUSD proposal
+NEWTON_MATERIAL_API = "NewtonMPMMaterialAPI"
+
+
+def write_materials(
+    stage: Usd.Stage,
+    parent: Sdf.Path,
+    materials: Sequence[Material],
+    look: str,
+    units: StageUnits,
+) -> list[Sdf.Path]:
+    """Define one Material prim for each material under the Scope ``parent``.
+
+    The prim is called after the material; a name that occurs again gets a number.
+
+    Returns
+    -------
+    Paths in the order of ``materials``, to which GaussianFleshParticlesAPI's indices refer.
+    """
+    UsdGeom.Scope.Define(stage, parent)
+    paths: list[Sdf.Path] = []
+    for material in materials:
+        stem = Tf.MakeValidIdentifier(material.name or look)
+        path, count = parent.AppendChild(stem), 1
+        while path in paths:
+            count += 1
+            path = parent.AppendChild(f"{stem}_{count}")
+        _write(stage, path, material, look, units)
+        paths.append(path)
+    return paths
+
+
+def bind(prim: Usd.Prim, material: Sdf.Path) -> None:
+    """Bind a material to a prim for the purpose ``physics``."""
+    target = UsdShade.Material(prim.GetStage().GetPrimAtPath(material))
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+        target, UsdShade.Tokens.weakerThanDescendants, "physics"
+    )
+
+
+def bind_points(
+    points: Usd.Prim, materials: Sequence[Sdf.Path], indices: Ints, time_code: float | None
+) -> None:
+    """Bind materials to the points of a Points prim, each through a GeomSubset of its own.
+
+    The subsets are a partition of family ``materialBind``, called after the materials; a material
+    of no point has none.
+
+    indices : (N,) into ``materials``.
+    time_code : None, and both the subsets and the points have default values, the rest positions,
+        which is where readers without a time look.  Or that of the first sample of the points: a
+        default value would hide value clips, and without it USD wants subsets to vary as well.
+    """
+    api = UsdShade.MaterialBindingAPI.Apply(points)
+    code = Usd.TimeCode.Default() if time_code is None else Usd.TimeCode(time_code)
+    if time_code is None:
+        rest = points.GetAttribute("gaussianFlesh:restPositions").Get()
+        UsdGeom.Points(points).GetPointsAttr().Set(rest)
+    for number, material in enumerate(materials):
+        own = np.flatnonzero(np.asarray(indices) == number)
+        if len(own):
+            subset = api.CreateMaterialBindSubset(
+                material.name, Vt.IntArray(), UsdGeom.Tokens.point
+            )
+            subset.GetIndicesAttr().Clear()
+            subset.GetIndicesAttr().Set(Vt.IntArray.FromNumpy(own.astype(np.int32)), code)
+            bind(subset.GetPrim(), material)
+    api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+
+
+def _write(
+    stage: Usd.Stage, path: Sdf.Path, material: Material, look: str, units: StageUnits
+) -> None:
+    prim = UsdShade.Material.Define(stage, path).GetPrim()
+    # applied by ours as well, but only where ours is known
+    physics = UsdPhysics.MaterialAPI.Apply(prim)
+    physics.CreateDensityAttr(material.density / units.density)
+    physics.CreateStaticFrictionAttr(material.friction)
+    physics.CreateDynamicFrictionAttr(material.friction)
+    physics.CreateRestitutionAttr(material.restitution)
+    prim.ApplyAPI("GaussianFleshMaterialAPI")
+    for name, kind, value in (
+        ("gaussianFlesh:law", Types.Token, material.law),
+        ("gaussianFlesh:dampingTime", Types.Float, material.damping_time),
+        ("gaussianFlesh:look", Types.Token, look),
+    ):
+        prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)
+    for api in (VOLUME_MATERIAL_API, NEWTON_MATERIAL_API):
+        prim.AddAppliedSchema(api)
+    young = material.youngs_modulus / units.pressure
+    for name, value in (
+        ("physics:youngsModulus", young),
+        ("physics:poissonsRatio", material.poissons_ratio),
+        ("newton:mpm:youngsModulus", young),
+        ("newton:mpm:poissonsRatio", material.poissons_ratio),
+        ("newton:mpm:elasticDamping", young * material.damping_time),
+        # Newton's fallback, 0, is a material that falls apart under tension, like sand
+        ("newton:mpm:tensileYieldRatio", 1.0),
+    ):
+        prim.CreateAttribute(name, Types.Float, False).Set(value)

@@ -1,0 +1,240 @@
+"""The root layer: a drop-in replacement for the asset, with the bakes as variants.
+
+    def "duck" (references = the source's </duck>)
+        variantSet gaussianFlesh = {none, rubber, ...}
+            rubber (payload = the cache's </duck>)
+                variantSet display = {mesh, gaussians, points}
+
+Every root prim of the source is referenced under its own name; type, kind, assetInfo and all else
+come through that reference, so ``none`` is the source.  A variant is stronger than a reference, so
+the payload inside it wins over the source, and where payloads are not loaded the source shows.
+
+The source's root prims in the root layer, each referenced under its own name.
+
+A root prim that others inherit from needs care.  If ``</duck/wing>`` inherits from ``</_wing>``,
+then USD looks for ``</_wing>`` in every layer above as well: were it referenced there directly, its
+opinions would come in as those of an inherit, which are stronger than a variant's, and the source's
+points would win over the baked ones.  As the weakest arc, a specialize, they come last:
+
+    class "_gaussianFleshSource"
+        class "_wing" (references = the source's </_wing>)
+    class "_wing" (specializes = </_gaussianFleshSource/_wing>)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pxr import Pcp, Sdf, Usd
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import SOURCE_VARIANT, Choices, Settings
+from gf_usd.core.materials import Material
+from gf_usd.layers.retarget import repeat_edits, restore_rest
+from gf_usd.layers.stage import (
+    VARIANT_SET,
+    Home,
+    asset_path,
+    author_facts,
+    clock,
+    find_home,
+    new_layer,
+    open_source,
+    refresh,
+    roots_of,
+    save,
+    to_metadata,
+)
+from gf_usd.layers.variants import (
+    DISPLAY_SET,
+    BakedLook,
+    add_variants,
+    check_looks,
+    free_display_set,
+)
+from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
+from gf_usd.system.atomic_files import partial_path, publish
+
+# metadata of the root layer that is not the source's to say, or that only holds for its own layer
+OWN = {
+    *("subLayers", "subLayerOffsets", "layerRelocates", "expressionVariables", "primChildren"),
+    *("primOrder", "hasOwnedSubLayers", "owner", "customLayerData", "defaultPrim", "upAxis"),
+    *("metersPerUnit", "timeCodesPerSecond", "framesPerSecond", "startTimeCode", "endTimeCode"),
+    *("startFrame", "endFrame"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RootSummary:
+    """A root layer."""
+
+    path: Path
+    default_prim: str  # name
+    switches: tuple[str, ...]  # prims that carry the variant set
+    display_set: str  # name of the nested variant set
+    retargeted: int  # properties whose targets leave their root prim
+    notes: tuple[str, ...] = ()  # what was changed or could not be kept, in words
+
+
+def write_root(
+    path: Path,
+    asset: Asset,
+    bakes: Sequence[BakedLook],
+    *,
+    source: Path | None = None,
+    display: str | None = None,
+    choices: Choices | None = None,
+    partial: bool = False,
+) -> RootSummary:
+    """Write and publish the root layer; the first bake is selected.
+
+    Parameters
+    ----------
+    path : for example ``duck.rubber.usda``.
+    asset : what was baked.
+    bakes : one for each variant, with the names of their caches.
+    source : the USD file to reference; default the asset's own.
+    display : selected in every bake; default the first shape there is.
+    choices : those of the caches; default all shapes.
+    partial : leave it under its partial name, as the root layer of a bake that failed.
+
+    Raises
+    ------
+    UsageError : no bakes, an unknown display, or variant names that do not do.
+    InputError, BakeError : see ``open_source``, ``new_layer`` and ``publish``.
+    """
+    path = Path(path)
+    choices = choices or Choices()
+    display = display or choices.shapes[0]
+    check_looks(bakes, display, choices)
+    source_path = source or asset.facts.path
+    stage = open_source(source_path)
+    home = find_home(stage, asset, choices)
+    layer = new_layer(path, source_path)
+    _author_metadata(layer, stage, asset, home, bakes)
+    reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
+    display_set = free_display_set(stage, asset, home)
+    switches = roots_of(asset, home)
+    for root in switches:
+        add_variants(layer, root, asset, home, bakes, display_set, display, choices)
+    skinned = [Sdf.Path(s.path) for s in asset.surfaces if s.skinned]
+    unskinned = frozenset(skinned if choices.mesh else ())
+    retargeted = repeat_edits(stage, layer, unskinned)
+    notes = _restore(stage, layer, switches)
+    if display_set != DISPLAY_SET:
+        notes = (*notes, f"the asset has a variant set {DISPLAY_SET!r}: ours is {display_set!r}")
+    save(layer)
+    del layer
+    if partial:
+        path = partial_path(path)
+    else:
+        publish(path)
+        refresh(path)
+    return RootSummary(
+        path=path,
+        default_prim=home.root.name,
+        switches=tuple(str(root) for root in switches),
+        display_set=display_set,
+        retargeted=retargeted,
+        notes=notes,
+    )
+
+
+def _author_metadata(
+    layer: Sdf.Layer,
+    stage: Usd.Stage,
+    asset: Asset,
+    home: Home,
+    bakes: Sequence[BakedLook],
+) -> None:
+    theirs = stage.GetRootLayer()
+    for key in set(theirs.pseudoRoot.ListInfoKeys()) - OWN:
+        value = theirs.pseudoRoot.GetInfo(key)
+        if isinstance(value, Sdf.AssetPath) and value.path.startswith("."):
+            file = Path(theirs.ComputeAbsolutePath(value.path))
+            value = Sdf.AssetPath(asset_path(file, Path(layer.realPath).parent))
+        layer.pseudoRoot.SetInfo(key, value)
+    settings = bakes[0].info.settings
+    author_facts(layer, asset.facts, settings, stage)
+    layer.defaultPrim = home.root.name
+    times = [clock(stage, bake.info.settings) for bake in bakes]
+    scale = times[0].rate / times[0].source_rate
+    starts, ends = [t.start for t in times], [t.end for t in times]
+    if theirs.HasStartTimeCode():
+        starts.append(theirs.startTimeCode * scale)
+    if theirs.HasEndTimeCode():
+        ends.append(theirs.endTimeCode * scale)
+    layer.startTimeCode, layer.endTimeCode = min(starts), max(ends)
+    layer.customLayerData = {
+        **theirs.customLayerData,
+        VARIANT_SET: {
+            "command": bakes[0].info.command,
+            "version": bakes[0].info.version,
+            "inputHash": bakes[0].info.input_hash,
+            "looks": {bake.name: _about(bake) for bake in bakes},
+        },
+    }
+
+
+def _about(bake: BakedLook) -> dict[str, object]:
+    def plain(row: Material | Settings) -> dict[str, object]:
+        return to_metadata(vars(row))
+
+    materials = {f"{i}": plain(m) for i, m in enumerate(bake.info.materials)}
+    return {
+        "materials": materials,
+        "settings": plain(bake.info.settings),
+        "health": to_metadata(bake.health),
+        **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
+        **({"failure": bake.failure} if bake.failure else {}),
+    }
+
+
+def _restore(stage: Usd.Stage, layer: Sdf.Layer, switches: Sequence[Sdf.Path]) -> tuple[str, ...]:
+    session = Sdf.Layer.CreateAnonymous(".usda")
+    for root in switches:
+        Sdf.CreatePrimInLayer(session, root).variantSelections[VARIANT_SET] = SOURCE_VARIANT
+    return restore_rest(stage, Usd.Stage.Open(layer, session, load=Usd.Stage.LoadAll))
+
+
+HOLDER = "_gaussianFleshSource"
+CLASSES = (Pcp.ArcTypeInherit, Pcp.ArcTypeSpecialize)
+
+
+def reference_roots(layer: Sdf.Layer, source: Usd.Stage, asset: Asset, reference: str) -> None:
+    """Bring every root prim of the source into ``layer``.
+
+    reference : the source's file as the layer refers to it.
+    """
+    inherited = _inherited(source, asset)
+    holder = _holder(layer, source) if inherited else None
+    for prim in source.GetPseudoRoot().GetAllChildren():
+        name = prim.GetName()
+        spec = Sdf.PrimSpec(layer.pseudoRoot, name, prim.GetSpecifier())
+        if holder is not None and name in inherited:
+            spec.specializesList.prependedItems = [holder.path.AppendChild(name)]
+            spec = Sdf.PrimSpec(holder, name, prim.GetSpecifier())
+        spec.referenceList.prependedItems = [Sdf.Reference(reference, prim.GetPath())]
+
+
+def _inherited(source: Usd.Stage, asset: Asset) -> set[str]:
+    """Names of the root prims that a surface in another root prim inherits from."""
+    found = set()
+    for surface in asset.surfaces:
+        own = Sdf.Path(surface.path).GetPrefixes()[0].name
+        query = Usd.PrimCompositionQuery(source.GetPrimAtPath(surface.path))
+        for arc in query.GetCompositionArcs():
+            name = arc.GetTargetNode().path.GetPrefixes()[0].name
+            if arc.GetArcType() in CLASSES and name != own:
+                found.add(name)
+    return {name for name in found if source.GetPrimAtPath(f"/{name}")}
+
+
+def _holder(layer: Sdf.Layer, source: Usd.Stage) -> Sdf.PrimSpec:
+    name, count = HOLDER, 0
+    while source.GetPrimAtPath(f"/{name}"):
+        count += 1
+        name = f"{HOLDER}{count}"
+    return Sdf.PrimSpec(layer.pseudoRoot, name, Sdf.SpecifierClass)

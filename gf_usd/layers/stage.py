@@ -1,0 +1,248 @@
+"""What the writers share: the source stage, the time line, and where the particle prims live.
+
+NumPy arrays as USD's own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.errors import BakeError, InputError, UsageError
+from gf_usd.core.frames import Choices, Settings
+from gf_usd.system.atomic_files import partial_path
+
+VARIANT_SET = "gaussianFlesh"
+SCOPE = "GaussianFlesh"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Home:
+    """Where the particle prims live."""
+
+    root: Sdf.Path  # the root prim that counts as the asset: default prim of the output
+    scope: Sdf.Path  # parent of Gaussians, Points and Materials
+    inside: bool  # scope is a child of root; else a root prim beside it, which is a Gprim
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """The bake's time line and what it means to the source.
+
+    A layer with another timeCodesPerSecond is scaled where it is referenced, so source time is
+    ``time_code * source_rate / rate``.
+    """
+
+    rate: float  # time codes per second of the output layers
+    source_rate: float  # of the source
+    start: float  # time code of the first frame that is written
+    end: float  # time code of the last
+    step: float  # time codes per frame
+
+    def source_time(self, time_code: float) -> Usd.TimeCode:
+        """The source's time code for one of the bake's."""
+        return Usd.TimeCode(time_code * self.source_rate / self.rate)
+
+
+def open_source(path: Path) -> Usd.Stage:
+    """The source stage with its payloads loaded.
+
+    Raises
+    ------
+    InputError : it cannot be opened, its time codes stand still, or it is itself a bake.
+    """
+    try:
+        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+    except Tf.ErrorException as error:
+        raise InputError(f"{path} cannot be opened as USD.", "check it with usdcat") from error
+    if not 0 < stage.GetTimeCodesPerSecond() < math.inf:
+        raise InputError(
+            f"{path}: timeCodesPerSecond is {stage.GetTimeCodesPerSecond():g}.",
+            "author a positive number, for example 24",
+        )
+    for prim in stage.GetPseudoRoot().GetAllChildren():
+        if prim.GetVariantSets().HasVariantSet(VARIANT_SET):
+            raise InputError(
+                f"{path}: <{prim.GetPath()}> already has a variant set {VARIANT_SET!r}: "
+                "this file is the result of a bake.",
+                "bake the original asset instead",
+            )
+    return stage
+
+
+def clock(source: Usd.Stage, settings: Settings) -> Clock:
+    """The time line of a bake with these settings over the source stage."""
+    step = settings.time_codes_per_second / settings.fps
+    return Clock(
+        rate=settings.time_codes_per_second,
+        source_rate=source.GetTimeCodesPerSecond(),
+        start=settings.time_code(settings.first),
+        end=settings.time_code(settings.frames - 1),
+        step=step,
+    )
+
+
+def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -> Home:
+    """Where the particle prims go: a scope under the root prim, or beside one that is a Gprim.
+
+    The root prim is the default prim, or without one the first root prim that holds a surface
+    and stands on the stage.  Gprims may not nest, hence the sibling; a bake that writes no
+    particles needs none.
+    """
+    roots = list(source.GetPseudoRoot().GetAllChildren())
+    held = {Sdf.Path(surface.path).GetPrefixes()[0] for surface in asset.surfaces}
+    standing = [p for p in roots if p.IsDefined() and not p.IsAbstract()]
+    chosen = source.GetDefaultPrim()
+    if not chosen or not chosen.GetPath().IsRootPrimPath():
+        chosen = next((p for p in standing if p.GetPath() in held), next(iter(standing), None))
+    if chosen is None:
+        raise InputError(
+            f"{asset.facts.path} has no root prim that is defined.", "check it with usdcat"
+        )
+    empty = choices is not None and not choices.particles
+    inside = empty or not chosen.IsA(UsdGeom.Gprim)
+    if inside:
+        scope = _free(source, chosen.GetPath().AppendChild(SCOPE))
+    else:
+        scope = _free(source, Sdf.Path(f"/{chosen.GetName()}_{SCOPE}"))
+    return Home(root=chosen.GetPath(), scope=scope, inside=inside)
+
+
+def roots_of(asset: Asset, home: Home) -> tuple[Sdf.Path, ...]:
+    """Root prims that a bake changes, in the source's order: the home's, and every surface's."""
+    changed = {Sdf.Path(surface.path).GetPrefixes()[0] for surface in asset.surfaces}
+    changed.add(home.root if home.inside else home.scope)
+    order = [Sdf.Path(path) for path in asset.facts.root_prims]
+    return (*(p for p in order if p in changed), *sorted(p for p in changed if p not in order))
+
+
+def author_facts(
+    layer: Sdf.Layer, facts: StageFacts, settings: Settings, source: Usd.Stage
+) -> None:
+    """Units, axis and rates: none of these is inherited from a referenced layer."""
+    root = layer.pseudoRoot
+    root.SetInfo("upAxis", facts.up_axis)
+    root.SetInfo("metersPerUnit", facts.units.meters_per_unit)
+    if source.HasAuthoredMetadata("kilogramsPerUnit"):
+        root.SetInfo("kilogramsPerUnit", facts.units.kilograms_per_unit)
+    layer.timeCodesPerSecond = settings.time_codes_per_second
+    layer.framesPerSecond = settings.fps
+
+
+def new_layer(path: Path, source: Path) -> Sdf.Layer:
+    """An empty layer at ``partial_path(path)``.
+
+    Raises
+    ------
+    UsageError : ``path`` is the source itself, which is never written to.
+    BakeError : the folder or the disk refuses.
+    """
+    if path.exists() and source.exists() and path.samefile(source):
+        raise UsageError(f"{path} is the asset itself.", "give the output another name with -o")
+    partial = partial_path(path)
+    try:
+        return Sdf.Layer.CreateNew(str(partial.absolute()))
+    except Tf.ErrorException as error:
+        raise BakeError(
+            f"{partial} cannot be created.",
+            f"check that {partial.absolute().parent} exists, is writable and has space left",
+        ) from error
+
+
+def save(layer: Sdf.Layer) -> None:
+    """Write the layer's unsaved edits to its file; raises BakeError where the disk refuses."""
+    try:
+        saved = layer.Save()
+    except Tf.ErrorException as error:
+        raise _unsaved(layer) from error
+    if not saved:
+        raise _unsaved(layer)
+
+
+def refresh(path: Path) -> None:
+    """Make a layer that this process already has open read the file that now has its name."""
+    layer = Sdf.Layer.Find(str(path.absolute()))
+    if layer:
+        layer.Reload(force=True)
+
+
+def asset_path(target: Path, folder: Path) -> str:
+    """``target`` as a layer in ``folder`` refers to it: relative where the drive allows it."""
+    try:
+        relative = Path(os.path.relpath(target.absolute(), folder.absolute())).as_posix()
+    except ValueError:  # another drive on Windows
+        return target.absolute().as_posix()
+    return relative if relative.startswith("../") else f"./{relative}"
+
+
+def to_metadata(value: Any) -> Any:
+    """A Python value as layer metadata can hold it: mappings become dictionaries, numbers vectors.
+
+    Raises TypeError for what metadata cannot hold.
+    """
+    if isinstance(value, Mapping):
+        return {str(k): to_metadata(v) for k, v in value.items() if v is not None}
+    if isinstance(value, (bool, int, float, str)):
+        return value
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+        return value.item()
+    items = list(value)
+    if all(isinstance(item, str) for item in items):
+        return Vt.StringArray(items)
+    if len(items) == 3:
+        return Gf.Vec3d(*(float(item) for item in items))
+    return Vt.DoubleArray([float(item) for item in items])
+
+
+def _free(source: Usd.Stage, path: Sdf.Path) -> Sdf.Path:
+    wanted, count = path, 0
+    while source.GetPrimAtPath(path):
+        count += 1
+        path = wanted.ReplaceName(f"{wanted.name}{count}")
+    return path
+
+
+def _unsaved(layer: Sdf.Layer) -> BakeError:
+    return BakeError(
+        f"{layer.realPath} could not be saved.", "check the space left on the disk and its quota"
+    )
+
+
+def require(stage: Usd.Stage, source: Path, path: str) -> Usd.Prim:
+    """The prim at a path of a source that was read before; BakeError where it is gone."""
+    prim = stage.GetPrimAtPath(path)
+    if not prim:
+        raise BakeError(
+            f"{source}: there is no prim <{path}>.",
+            "the file changed since it was read: run the bake again",
+        )
+    return prim
+
+
+def f32(values: Floats) -> np.ndarray:
+    """Single precision, in one piece of memory as USD wants it."""
+    return np.ascontiguousarray(values, np.float32)
+
+
+def quaternions(wxyz: Floats) -> Vt.QuatfArray:
+    """(N, 4) quaternions (w, x, y, z) in single precision."""
+    return Vt.QuatfArray.FromNumpy(f32(xyzw(wxyz)))
+
+
+def xyzw(wxyz: Floats) -> np.ndarray:
+    """The order in which USD's FromNumpy reads quaternions."""
+    return np.asarray(wxyz)[:, [1, 2, 3, 0]]
+
+
+def box(low: Floats, high: Floats) -> Vt.Vec3fArray:
+    """The extent with these corners (3,)."""
+    return Vt.Vec3fArray.FromNumpy(f32(np.stack([low, high])))

@@ -1,0 +1,1 @@
+"""Time samples of each kind of prim that a bake writes."""

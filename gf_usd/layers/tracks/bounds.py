@@ -1,0 +1,95 @@
+"""Bounds that the source states above its meshes and that the motion makes untrue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.core.arrays import Floats
+from gf_usd.layers.stage import Clock
+
+
+class Boxed(Protocol):
+    """What is written into the cache and has a box."""
+
+    path: Sdf.Path
+    low: Floats  # (3,) corner of what was written last, in a space of its own
+    high: Floats
+
+    def to_world(self, time_code: float) -> Floats:
+        """From that space to the world (4, 4), stage units."""
+        ...
+
+
+class SkelBound:
+    """The extent of one SkelRoot, per frame.
+
+    A bounding box stops at a SkelRoot and takes its word for what is below, and once its meshes
+    are no longer skinned USD cannot compute that word.
+    """
+
+    def __init__(
+        self, cache: Usd.Stage, root: Usd.Prim, tracks: Sequence[Boxed], clock: Clock
+    ) -> None:
+        self._root = root
+        self._tracks = [t for t in tracks if t.path.HasPrefix(root.GetPath())]
+        self._clock = clock
+        baked = {t.path for t in self._tracks}
+        below = Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        self._others = any(p.IsA(UsdGeom.Gprim) and p.GetPath() not in baked for p in below)
+        over = cache.OverridePrim(root.GetPath())
+        self._extent = over.CreateAttribute("extent", Sdf.ValueTypeNames.Float3Array, False)
+
+    def write(self, time_code: float) -> None:
+        """Author the union of the boxes, after they were written at this time code."""
+        source_time = self._clock.source_time(time_code)
+        cache = UsdGeom.XformCache(source_time)
+        to_root = np.linalg.inv(np.array(cache.GetLocalToWorldTransform(self._root)))
+        boxes = []
+        for track in self._tracks:
+            forward = track.to_world(time_code) @ to_root
+            boxes.append(_corners(track.low, track.high) @ forward[:3, :3] + forward[3, :3])
+        if self._others:
+            # what is not baked is still posed by the skeleton: the source's own answer holds for it
+            extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
+                UsdGeom.Boundable(self._root), source_time
+            )
+            if extent is not None and len(extent) == 2:
+                boxes.append(np.array(extent, np.float64))
+        corners = np.concatenate(boxes)
+        box = np.stack([corners.min(axis=0), corners.max(axis=0)]).astype(np.float32)
+        self._extent.Set(Vt.Vec3fArray.FromNumpy(box), time_code)
+
+
+def skel_bounds(
+    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed], clock: Clock
+) -> list[SkelBound]:
+    """One for each SkelRoot above what is baked."""
+    roots = [p for p in _above(source, tracks) if p.IsA(UsdSkel.Root)]
+    return [SkelBound(cache, root, tracks, clock) for root in roots]
+
+
+def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed]) -> None:
+    """Block every authored extentsHint above what is baked.
+
+    Bounds are then computed from the extents below.  Where the payload is not loaded the source's
+    hint, which is for that case, stands.
+    """
+    for prim in _above(source, tracks):
+        hint = prim.GetAttribute("extentsHint")
+        if hint.HasAuthoredValue():
+            over = cache.OverridePrim(prim.GetPath())
+            over.CreateAttribute("extentsHint", hint.GetTypeName(), False).Block()
+
+
+def _above(source: Usd.Stage, tracks: Iterable[Boxed]) -> list[Usd.Prim]:
+    paths = {p for track in tracks for p in track.path.GetParentPath().GetPrefixes()}
+    return [source.GetPrimAtPath(path) for path in sorted(paths)]
+
+
+def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    box = np.stack([low, high]).astype(np.float64)
+    return np.array([[box[i, 0], box[j, 1], box[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])

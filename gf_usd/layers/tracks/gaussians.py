@@ -1,0 +1,238 @@
+"""The deformed Gaussians: a ParticleField3DGaussianSplat.
+
+Single or half precision, and how far the latter is off.
+
+A half has 11 bits: it is off by 2^-11 of a number at most while that is between 6.1e-5 and 65504.
+The particle field of UsdVol has a half twin, with an h behind its name, for every array; ours are
+used for all but the positions, which would jump: 0.03 in 100.  UsdGeom's points, velocities,
+normals and extents, and the arrays of GaussianFleshParticlesAPI, have no half form in their
+schemas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdVol, Vt
+
+from gf_usd.core.arrays import Floats, corners
+from gf_usd.core.errors import BakeError
+from gf_usd.core.frames import GaussianPose, Particles, Settings
+from gf_usd.core.units import StageUnits
+from gf_usd.layers.stage import box, f32, xyzw
+from gf_usd.layers.tracks.meshes import check
+
+Types = Sdf.ValueTypeNames
+
+
+UNIFORM = Sdf.VariabilityUniform
+# Y_00, the value of the first spherical harmonic
+SH_0 = 0.28209479177387814
+# A kernel's support ends at three standard deviations (UsdVol)
+SUPPORT = 3.0
+
+
+class SplatTrack:
+    """Streams the Gaussians.
+
+    Parameters
+    ----------
+    cache, path : stage and prim path of the field.
+    p : the particles.
+    settings : of the bake: whether deformation gradients and stress are written.
+    units : of the stage.
+    half : half precision where it is safe.
+    """
+
+    def __init__(
+        self,
+        cache: Usd.Stage,
+        path: Sdf.Path,
+        p: Particles,
+        settings: Settings,
+        units: StageUnits,
+        half: bool = False,
+    ) -> None:
+        self._path, self._count, self._units = path, len(p), units
+        splats = UsdVol.ParticleField3DGaussianSplat.Define(cache, path)
+        self.prim = prim = splats.GetPrim()
+        self.low = self.high = np.zeros(3)
+        self._positions = self._varying("positions", Types.Point3fArray)
+        rest = np.asarray(p.scale, np.float64) / units.length
+        fits = halves_do(rest)
+        self._range = "" if fits or not half else f"{rest.min():.3g} to {rest.max():.3g}"
+        self._orientations = Track(prim, "orientations", QUATERNIONS, half)
+        self._scales = Track(prim, "scales", VECTORS, half and fits, relative=True)
+        self._velocities = self._varying("gaussianFlesh:velocities", Types.Vector3fArray)
+        self._extent = splats.CreateExtentAttr()
+        opacities = Track(prim, "opacities", NUMBERS, half)
+        opacities.write(p.opacity, Usd.TimeCode.Default())
+        degree = prim.CreateAttribute(
+            "radiance:sphericalHarmonicsDegree", Types.Int, False, UNIFORM
+        )
+        degree.Set(0)
+        flat = (np.asarray(p.colour, np.float64) - 0.5) / SH_0
+        colours = Track(prim, "radiance:sphericalHarmonicsCoefficients", VECTORS, half)
+        colours.write(flat, Usd.TimeCode.Default())
+        self._halves = [
+            track for track in (self._orientations, self._scales, opacities, colours) if track.half
+        ]
+        for name, value in (("projectionModeHint", "perspective"), ("sortingModeHint", "zDepth")):
+            prim.CreateAttribute(name, Types.Token, False, UNIFORM).Set(value)
+        if settings.deformation_gradients:
+            name = "gaussianFlesh:deformationGradients"
+            self._gradients = self._varying(name, Types.Matrix3dArray)
+        if settings.stress:
+            self._stress = self._varying("gaussianFlesh:vonMisesStress", Types.FloatArray)
+
+    def write(
+        self, pose: GaussianPose, positions: Floats, velocities: Vt.Vec3fArray, time_code: float
+    ) -> None:
+        """Author a pose; positions (N, 3) and velocities are its own in stage units.
+
+        Raises BakeError where an array has another length than the particles or is not finite.
+        """
+        for name, width in (("orientations", 4), ("scales", 3)):
+            check(getattr(pose, name), (self._count, width), self._named(name), time_code)
+        scales = np.asarray(pose.scales, np.float64) / self._units.length
+        self._positions.Set(Vt.Vec3fArray.FromNumpy(f32(positions)), time_code)
+        self._orientations.write(xyzw(pose.orientations), time_code)
+        scales = self._scales.write(scales, time_code).astype(np.float64)
+        self._velocities.Set(velocities, time_code)
+        if pose.F is not None:
+            check(pose.F, (self._count, 3, 3), self._named("deformation gradients"), time_code)
+            gradients = np.ascontiguousarray(pose.F, dtype=np.float64)
+            self._gradients.Set(Vt.Matrix3dArray.FromNumpy(gradients), time_code)
+        if pose.stress is not None:
+            check(pose.stress, (self._count,), self._named("stress"), time_code)
+            stress = np.asarray(pose.stress) / self._units.pressure
+            self._stress.Set(Vt.FloatArray.FromNumpy(f32(stress)), time_code)
+        reach = SUPPORT * np.sqrt(_variances(pose.orientations, scales))
+        self.low = corners(positions - reach)[0]
+        self.high = corners(positions + reach)[1]
+        self._extent.Set(box(self.low, self.high), time_code)
+
+    @property
+    def errors(self) -> list[float]:
+        """Largest error so far of each array in half precision."""
+        return [track.error for track in self._halves]
+
+    @errors.setter
+    def errors(self, known: Sequence[float]) -> None:
+        for track, error in zip(self._halves, known):
+            track.error = error
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What half precision costs, in words."""
+        if not self._halves:
+            return ()
+        off = ", ".join(track.said for track in self._halves)
+        notes = (f"<{self._path}>: in half precision, off by at most: {off}",)
+        if self._range:
+            why = f"half precision is too coarse for {self._range}"
+            notes += (f"<{self._path}>: its scales stay in single precision: {why}",)
+        return notes
+
+    def _varying(self, name: str, kind: Sdf.ValueTypeName) -> Usd.Attribute:
+        return self.prim.CreateAttribute(name, kind, False)
+
+    def _named(self, what: str) -> str:
+        return f"{what} of <{self._path}>"
+
+
+def _variances(wxyz: Floats, scales: Floats) -> np.ndarray:
+    """Diagonal (N, 3) of R diag(s^2) R' for quaternions (w, x, y, z)."""
+    w, x, y, z = np.asarray(wxyz, np.float64).T
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.einsum("ikn,nk->ni", rotation**2, scales**2)
+
+
+LOWEST, HIGHEST = 6.2e-5, 65504.0
+ROOM = 8.0  # how much scales may change in a bake and stay in the range of precise halves
+
+
+@dataclass(frozen=True)
+class Form:
+    """The two forms of an attribute: (USD type, maker of the array)."""
+
+    single: tuple[Any, Callable[[Any], Any]]
+    half: tuple[Any, Callable[[Any], Any]]
+
+
+VECTORS = Form(
+    (Types.Float3Array, Vt.Vec3fArray.FromNumpy), (Types.Half3Array, Vt.Vec3hArray.FromNumpy)
+)
+QUATERNIONS = Form(
+    (Types.QuatfArray, Vt.QuatfArray.FromNumpy), (Types.QuathArray, Vt.QuathArray.FromNumpy)
+)
+NUMBERS = Form(
+    (Types.FloatArray, Vt.FloatArray.FromNumpy), (Types.HalfArray, Vt.HalfArray.FromNumpy)
+)
+
+
+class Track:
+    """One array attribute in the precision that was chosen.
+
+    Parameters
+    ----------
+    prim, name, form : where, and as what; a half gets an h behind the name.
+    half : whether to use it.
+    relative : measure the error against each number; else as it is.
+    """
+
+    def __init__(
+        self, prim: Usd.Prim, name: str, form: Form, half: bool, *, relative: bool = False
+    ) -> None:
+        self.name, self.half, self.error = name, half, 0.0
+        self._relative = relative
+        kind, self._make = form.half if half else form.single
+        self._attribute = prim.CreateAttribute(f"{name}h" if half else name, kind, False)
+
+    def write(self, values: Floats, time: Usd.TimeCode | float) -> np.ndarray:
+        """Author the array; returns it as rounded.
+
+        Raises BakeError for a number that is beyond a half.
+        """
+        rounded = f32(values)
+        if self.half:
+            largest = float(np.abs(rounded).max(initial=0.0))
+            if largest > HIGHEST:
+                raise BakeError(
+                    f"{self.name} up to {largest:.4g} do not fit into half precision.",
+                    "leave --half out",
+                )
+            rounded = rounded.astype(np.float16)
+            self._measure(np.asarray(values, np.float64), rounded)
+        self._attribute.Set(self._make(rounded), time)
+        return rounded
+
+    def _measure(self, values: np.ndarray, rounded: np.ndarray) -> None:
+        error = np.abs(rounded.astype(np.float64) - values)
+        if self._relative:
+            size = np.abs(values)
+            error = np.divide(error, size, out=np.zeros_like(error), where=size > 0)
+        self.error = max(self.error, float(error.max(initial=0.0)))
+
+    @property
+    def said(self) -> str:
+        """The largest error in words."""
+        if self._relative:
+            return f"{self.name} by {100.0 * self.error:.2g} %"
+        return f"{self.name} by {self.error:.2g}"
+
+
+def halves_do(values: Floats) -> bool:
+    """Whether positive numbers, and ones a few times smaller or larger, are precise as halves."""
+    values = np.asarray(values, np.float64)
+    low, high = values.min(initial=np.inf), values.max(initial=0.0)
+    return bool(low >= LOWEST * ROOM and high <= HIGHEST / ROOM)

@@ -1,0 +1,166 @@
+"""What a bake says of its health in its layers, as GaussianFleshHealthAPI.
+
+The numbers of single frames are time samples in the cache; the totals stand in the root layer,
+inside the bake's variant, so that they show without the payload and go when another look is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pxr import Gf, Sdf, Usd, Vt
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import Health
+from gf_usd.core.units import StageUnits
+from gf_usd.layers.stage import Home, roots_of
+from gf_usd.system import usd_schema
+
+Types = Sdf.ValueTypeNames
+PREFIX = "gaussianFlesh:health:"
+
+# attribute -> (type, field of `Health`, unit)
+FRAME: dict[str, tuple[Any, str, str]] = {
+    "kineticEnergy": (Types.Double, "kinetic", "energy"),
+    "elasticEnergy": (Types.Double, "elastic", "energy"),
+    "potentialEnergy": (Types.Double, "potential", "energy"),
+    "contactEnergy": (Types.Double, "contact", "energy"),
+    "pinWork": (Types.Double, "work", "energy"),
+    "injectedEnergy": (Types.Double, "injected", "energy"),
+    "centerOfMass": (Types.Double3, "centre", "length"),
+    "momentum": (Types.Double3, "momentum", "momentum"),
+    "angularMomentum": (Types.Double3, "angular_momentum", "action"),
+    "minVolumeRatio": (Types.Float, "min_J", ""),
+    "maxVolumeRatio": (Types.Float, "max_J", ""),
+    "minStretch": (Types.Float, "min_stretch", ""),
+    "maxStretch": (Types.Float, "max_stretch", ""),
+    "invertedParticles": (Types.Int, "inverted", ""),
+    "clampedParticles": (Types.Int, "clamped", ""),
+    "stressCappedParticles": (Types.Int, "stress_capped", ""),
+    "penetration": (Types.Float, "penetration", "length"),
+    "overlap": (Types.Float, "overlap", "length"),
+    "contactsLetGo": (Types.Int, "let_go", ""),
+    "frictionCaps": (Types.Int64, "friction_capped", ""),
+    "substeps": (Types.Int, "substeps", ""),
+    "rollbacks": (Types.Int, "rollbacks", ""),
+    "flyingBodies": (Types.Int, "flying", ""),
+    "sleepingBodies": (Types.Int, "sleeping", ""),
+}
+
+# attribute -> (type, key of `HealthLog.summary`, unit)
+TOTAL: dict[str, tuple[Any, str, str]] = {
+    "frames": (Types.Int, "frames", ""),
+    "substeps": (Types.Int64, "substeps", ""),
+    "rollbacks": (Types.Int, "rollbacks", ""),
+    "framesWithoutSubsteps": (Types.Int, "frames_without_substeps", ""),
+    "energyStart": (Types.Double, "energy_start_J", "energy"),
+    "energyEnd": (Types.Double, "energy_end_J", "energy"),
+    "energyGain": (Types.Double, "energy_gain_max_J", "energy"),
+    "dissipatedEnergy": (Types.Double, "dissipated_J", "energy"),
+    "pinWork": (Types.Double, "work_of_pins_J", "energy"),
+    "injectedEnergy": (Types.Double, "injected_J", "energy"),
+    "momentumDrift": (Types.Float, "momentum_drift", ""),
+    "angularMomentumDrift": (Types.Float, "angular_momentum_drift", ""),
+    "minVolumeRatio": (Types.Float, "min_J", ""),
+    "maxVolumeRatio": (Types.Float, "max_J", ""),
+    "minStretch": (Types.Float, "min_stretch", ""),
+    "maxStretch": (Types.Float, "max_stretch", ""),
+    "invertedParticles": (Types.Int64, "inverted_particle_frames", ""),
+    "clampedParticles": (Types.Int64, "clamped_particle_frames", ""),
+    "stressCappedParticles": (Types.Int64, "stress_capped_particle_frames", ""),
+    "penetration": (Types.Float, "deepest_penetration_m", "length"),
+    "overlap": (Types.Float, "deepest_overlap_m", "length"),
+    "contactsLetGo": (Types.Int, "let_go_max", ""),
+    "restingPenetration": (Types.Float, "resting_penetration_m", "length"),
+    "frictionCaps": (Types.Int64, "friction_capped", ""),
+    "restitution": (Types.Float, "restitution", ""),
+}
+
+
+def bake_root(asset: Asset, home: Home) -> Sdf.Path:
+    """The prim that carries the health: the home's root, or the scope where that has no switch."""
+    return home.root if home.root in roots_of(asset, home) else home.scope
+
+
+class HealthTrack:
+    """Streams the health of frames onto the bake's root prim in the cache.
+
+    A field that no frame departs from zero with (clamps, pins) is written all the same: zero says
+    that it was watched.
+    """
+
+    def __init__(self, cache: Usd.Stage, path: Sdf.Path, units: StageUnits) -> None:
+        self._cache, self._layer = cache, None
+        prim = cache.OverridePrim(path)
+        prim.ApplyAPI(usd_schema.HEALTH_API)
+        sizes = _sizes(units)
+        self._rows = [
+            (prim.CreateAttribute(PREFIX + name, kind, False), field, sizes[unit])
+            for name, (kind, field, unit) in FRAME.items()
+        ]
+        self._paths = [attribute.GetPath() for attribute, _, _ in self._rows]
+
+    def write(self, health: Health, time_code: float) -> None:
+        """Author one frame."""
+        layer = self._cache.GetEditTarget().GetLayer()
+        if layer != self._layer:
+            # Here the attributes get their specs, if they have none in this layer.
+            for attribute, field, size in self._rows:
+                attribute.Set(_value(getattr(health, field), size), time_code)
+            self._layer = layer
+            return
+        # A stage takes several times as long for a number, and there are two dozen of them.
+        with Sdf.ChangeBlock():
+            for path, (_, field, size) in zip(self._paths, self._rows):
+                layer.SetTimeSample(path, time_code, _value(getattr(health, field), size))
+
+
+def author_totals(
+    spec: Sdf.PrimSpec,
+    health: Mapping[str, Any],
+    units: StageUnits,
+    warnings: Sequence[str] = (),
+    failure: str = "",
+) -> None:
+    """Apply the API and author the totals of a bake on a prim spec.
+
+    health : `HealthLog.summary`; what it does not know stays without a value.
+    warnings : in words.
+    failure : why the bake ended early; "" where it did not.
+    """
+    names = Sdf.TokenListOp()
+    names.prependedItems = [usd_schema.HEALTH_API]
+    spec.SetInfo("apiSchemas", names)
+    sizes = _sizes(units)
+    for name, (kind, key, unit) in TOTAL.items():
+        if health.get(key) is not None:
+            _author(spec, f"total:{name}", kind, _value(health[key], sizes[unit]))
+    if warnings:
+        _author(spec, "warnings", Types.StringArray, Vt.StringArray(list(warnings)))
+    if failure:
+        _author(spec, "failure", Types.String, failure)
+
+
+def _author(spec: Sdf.PrimSpec, name: str, kind: Any, value: Any) -> None:
+    uniform = Sdf.VariabilityUniform
+    Sdf.AttributeSpec(spec, PREFIX + name, kind, uniform).default = value
+
+
+def _value(value: Any, size: float) -> Any:
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        return value / size
+    return Gf.Vec3d(*(float(part) / size for part in value))
+
+
+def _sizes(units: StageUnits) -> dict[str, float]:
+    """What one unit of the stage is in SI; seconds are seconds."""
+    return {
+        "": 1.0,
+        "length": units.length,
+        "momentum": units.mass * units.length,
+        "action": units.mass * units.length**2,
+        "energy": units.mass * units.length**2,
+    }

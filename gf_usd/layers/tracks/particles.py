@@ -1,0 +1,192 @@
+"""The particle prims of the cache: a Gaussian splat field and its twin of points.
+
+Both stand in the world frame of the source: where the root prim above them has a transform of its
+own, theirs is its inverse, so that they follow the asset wherever a shot puts it.  Far from the
+world's origin, where single precision is coarse, they stand near the asset instead, moved there by
+their transform, which is in double precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, Particles, spread
+from gf_usd.layers.materials import bind, bind_points, write_materials
+from gf_usd.layers.space import Space
+from gf_usd.layers.stage import Clock, Home, f32, quaternions
+from gf_usd.layers.tracks.gaussians import SplatTrack
+from gf_usd.layers.tracks.meshes import check
+from gf_usd.layers.tracks.points import PointsTrack
+from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
+
+Types = Sdf.ValueTypeNames
+UNIFORM = Sdf.VariabilityUniform
+# Rounding of positions, in spacings, from which on the particles have an origin of their own: far
+# below what is seen, and far above what an asset near the origin has.
+COARSE = 1e-3
+
+
+class ParticleTrack:
+    """Streams the particles of a bake, in the forms that were chosen.
+
+    Parameters
+    ----------
+    cache : stage whose root layer is the cache.
+    root : the home's root prim in the source.
+    home, asset, particles, info, clock, choices : of the bake.
+    """
+
+    def __init__(
+        self,
+        cache: Usd.Stage,
+        root: Usd.Prim,
+        home: Home,
+        asset: Asset,
+        particles: Particles,
+        info: BakeInfo,
+        clock: Clock,
+        choices: Choices,
+    ) -> None:
+        self._count = len(particles)
+        self._unit = asset.facts.units.length
+        self.path = home.scope
+        self.low = self.high = np.zeros(3)
+        self._origin = own_origin(particles) / self._unit
+        UsdGeom.Scope.Define(cache, home.scope)
+        self._splats = self._twin = None
+        if "gaussians" in choices.shapes:
+            where = home.scope.AppendChild("Gaussians")
+            self._splats = SplatTrack(
+                cache, where, particles, info.settings, asset.facts.units, choices.half
+            )
+        if "points" in choices.shapes:
+            where = home.scope.AppendChild("Points")
+            self._twin = PointsTrack(cache, where, particles, self._unit)
+        prims = [track.prim for track in (self._splats, self._twin) if track]
+        materials = write_materials(
+            cache,
+            home.scope.AppendChild("Materials"),
+            info.materials,
+            info.look,
+            asset.facts.units,
+        )
+        meshes = [Sdf.Path(s.path) for s in asset.surfaces]
+        for prim in prims:
+            _describe(prim, asset, particles, info, self._origin)
+            prim.CreateRelationship("gaussianFlesh:materials", False).SetTargets(materials)
+            # a payload may not point outside its root prim: the root layer adds the rest
+            inside = [p for p in meshes if p.HasPrefix(home.scope.GetPrefixes()[0])]
+            prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(inside)
+            if len(materials) == 1:
+                bind(prim, materials[0])
+            elif prim.IsA(UsdGeom.Points):
+                first = info.settings.time_code(info.settings.first)
+                when = first if choices.clip_frames else None
+                bind_points(prim, materials, particles.material, when)
+        self.space = Space(root, clock, self._unit) if home.inside else None
+        self._transforms = self._place(prims, clock.start)
+
+    def write(self, pose: GaussianPose, time_code: float) -> None:
+        """Author the pose at a time code.
+
+        Raises BakeError where an array has another length than the particles or is not finite.
+        """
+        for name in ("positions", "velocities"):
+            what = f"{name} of <{self.path}>"
+            check(getattr(pose, name), (self._count, 3), what, time_code)
+        positions = np.asarray(pose.positions, np.float64) / self._unit - self._origin
+        velocities = Vt.Vec3fArray.FromNumpy(f32(np.asarray(pose.velocities) / self._unit))
+        if self._splats:
+            self._splats.write(pose, positions, velocities, time_code)
+        if self._twin:
+            self._twin.write(positions, velocities, time_code)
+        boxes = [(track.low, track.high) for track in (self._splats, self._twin) if track]
+        self.low = np.min([low for low, _ in boxes], axis=0)
+        self.high = np.max([high for _, high in boxes], axis=0)
+        if self.space is not None and self.space.animated:
+            matrix = Gf.Matrix4d(self.to_world(time_code) @ self.space.from_world(time_code))
+            for transform in self._transforms:
+                transform.Set(matrix, time_code)
+
+    @property
+    def errors(self) -> list[float]:
+        """See `SplatTrack.errors`."""
+        return self._splats.errors if self._splats else []
+
+    @errors.setter
+    def errors(self, known: Sequence[float]) -> None:
+        if self._splats:
+            self._splats.errors = known
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was rounded, in words."""
+        return self._splats.notes if self._splats else ()
+
+    def to_world(self, time_code: float) -> Floats:
+        """(4, 4) from where ``low`` and ``high`` are to the world, whatever the time."""
+        del time_code
+        matrix = np.eye(4)
+        matrix[3, :3] = self._origin
+        return matrix
+
+    def _place(self, prims: Sequence[Usd.Prim], start: float) -> list[UsdGeom.XformOp]:
+        animated = self.space is not None and self.space.animated
+        matrix = self.to_world(start)
+        if self.space is not None:
+            matrix = matrix @ self.space.from_world(start)
+        if not animated and np.array_equal(matrix, np.eye(4)):
+            return []
+        ops = [UsdGeom.Xformable(prim).AddTransformOp() for prim in prims]
+        if not animated:
+            for op in ops:
+                op.Set(Gf.Matrix4d(matrix))
+        return ops
+
+
+def own_origin(particles: Particles) -> Floats:
+    """(3,) [m] what positions are counted from: 0, or the body's middle where that is too far."""
+    X = np.asarray(particles.X, np.float64)
+    rounding = np.finfo(np.float32).eps * np.abs(X).max(initial=0.0)
+    return X.mean(axis=0) if rounding > COARSE * particles.spacing else np.zeros(3)
+
+
+def _describe(
+    prim: Usd.Prim, asset: Asset, particles: Particles, info: BakeInfo, origin: Floats
+) -> None:
+    """GaussianFleshParticlesAPI's rest state, in stage units."""
+    prim.ApplyAPI("GaussianFleshParticlesAPI")
+    units = asset.facts.units
+    values = spread(particles, info.materials)
+    density = values["density"]
+    volume = np.asarray(particles.V0, np.float64)
+    indices = np.ascontiguousarray(particles.material, np.int32)
+    rest = np.asarray(particles.X, np.float64) / units.length - origin
+    scales = np.asarray(particles.scale, np.float64) / units.length
+    for name, kind, value in (
+        ("restPositions", Types.Point3fArray, _vectors(rest)),
+        ("restOrientations", Types.QuatfArray, quaternions(particles.orientation)),
+        ("restScales", Types.Float3Array, _vectors(scales)),
+        ("restVolumes", Types.FloatArray, Vt.FloatArray.FromNumpy(f32(volume / units.volume))),
+        ("masses", Types.FloatArray, Vt.FloatArray.FromNumpy(f32(density * volume / units.mass))),
+        ("materialIndices", Types.IntArray, Vt.IntArray.FromNumpy(indices)),
+    ):
+        prim.CreateAttribute(f"gaussianFlesh:{name}", kind, False, UNIFORM).Set(value)
+    if particles.own is None:
+        return
+    for name, value in (
+        ("youngsModulus", values["youngs_modulus"] / units.pressure),
+        ("poissonsRatio", values["poissons_ratio"]),
+        ("densities", density / units.density),
+    ):
+        made = prim.CreateAttribute(f"gaussianFlesh:{name}", Types.FloatArray, False, UNIFORM)
+        made.Set(Vt.FloatArray.FromNumpy(f32(value)))
+
+
+def _vectors(values: Floats) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(f32(values))

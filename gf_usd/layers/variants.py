@@ -1,0 +1,147 @@
+"""The variant sets of the root layer: which bake, and nested in each, which of its shapes show.
+
+A variant set acts on its own prim only.  A source with one root prim that holds the meshes has
+one; where several root prims hold meshes each has its own, to be switched one by one, and so has
+the particles' scope where it stands beside a root prim that is itself a mesh.  The display sets
+are nested because two independent ones could be set to show nothing (none + gaussians).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pxr import Sdf, Usd
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import SOURCE_VARIANT as NONE
+from gf_usd.core.frames import BakeInfo, Choices
+from gf_usd.layers.stage import VARIANT_SET, Home, asset_path, roots_of
+from gf_usd.layers.tracks.health import author_totals, bake_root
+
+DISPLAY_SET = "display"
+PARTICLES = {"gaussians": "Gaussians", "points": "Points"}  # shape -> prim in the scope
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakedLook:
+    """One variant of the root layer."""
+
+    name: str  # of the variant, e.g. "rubber"
+    cache: Path  # final name of its cache layer, which need not be there yet
+    info: BakeInfo
+    health: Mapping[str, object] = field(default_factory=dict)  # `HealthLog.summary`
+    warnings: tuple[str, ...] = ()  # of its health, in words
+    failure: str = ""  # why it ended before its last frame; "" where it did not
+
+
+def check_looks(bakes: Sequence[BakedLook], display: str, choices: Choices) -> None:
+    """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
+    if not bakes:
+        raise UsageError("There is no bake to write a root layer for.", "give a --material")
+    if display not in choices.shapes:
+        shown = ", ".join(choices.shapes)
+        raise UsageError(f"There is no display {display!r}.", f"choose one of: {shown}")
+    names = [bake.name for bake in bakes]
+    for name in names:
+        if not name or not Sdf.Path.IsValidPathString(f"/x{{v={name}}}")[0]:
+            raise UsageError(
+                f"{name!r} cannot be the name of a variant.", "use letters, digits, _ and -"
+            )
+        if name == NONE or names.count(name) > 1:
+            raise UsageError(
+                f"The variant name {name!r} is taken.", "give each look a name of its own"
+            )
+
+
+def free_display_set(stage: Usd.Stage, asset: Asset, home: Home) -> str:
+    """``display``, or a longer name where a root prim of the source has a set of that name."""
+    # variant sets of one name on one prim share their selection
+    prims = [p for p in (stage.GetPrimAtPath(r) for r in roots_of(asset, home)) if p]
+    name = DISPLAY_SET
+    while any(prim.GetVariantSets().HasVariantSet(name) for prim in prims):
+        name = f"{VARIANT_SET}{name[0].upper()}{name[1:]}"
+    return name
+
+
+def add_variants(
+    layer: Sdf.Layer,
+    root: Sdf.Path,
+    asset: Asset,
+    home: Home,
+    bakes: Sequence[BakedLook],
+    display_set: str,
+    display: str,
+    choices: Choices,
+) -> None:
+    """Give one root prim of the layer the variants none and one for each bake.
+
+    Parameters
+    ----------
+    layer : the root layer, in its final folder.
+    root : one of ``roots_of(asset, home)``.
+    display_set, display : name of the nested set and what is selected in it.
+    choices : the shapes that the caches hold; each has a variant.
+    """
+    spec = layer.GetPrimAtPath(root)
+    if spec is None:
+        # beside a root prim that is a mesh; defined by the payload alone, so absent under none
+        spec = Sdf.PrimSpec(layer.pseudoRoot, root.name, Sdf.SpecifierOver)
+    spec.variantSetNameList.prependedItems = [VARIANT_SET]
+    spec.variantSelections[VARIANT_SET] = bakes[0].name
+    switch = Sdf.VariantSetSpec(spec, VARIANT_SET)
+    Sdf.VariantSpec(switch, NONE)
+    folder = Path(layer.realPath).parent
+    for bake in bakes:
+        variant = Sdf.VariantSpec(switch, bake.name).primSpec
+        payload = Sdf.Payload(asset_path(bake.cache, folder), root)
+        variant.payloadList.prependedItems = [payload]
+        variant.variantSetNameList.prependedItems = [display_set]
+        variant.variantSelections[display_set] = display
+        modes = Sdf.VariantSetSpec(variant, display_set)
+        for mode in choices.shapes:
+            inner = Sdf.VariantSpec(modes, mode).primSpec
+            for path in hidden(mode, root, asset, home, choices):
+                _hide(layer, inner.path.AppendPath(path.MakeRelativePath(root)))
+        if bake_root(asset, home) == root:
+            author_totals(variant, bake.health, asset.facts.units, bake.warnings, bake.failure)
+        if choices.particles and home.scope.HasPrefix(root):
+            _name_meshes(layer, variant.path, root, asset, home, choices)
+
+
+def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices) -> list[Sdf.Path]:
+    """Prims under a root prim that a display mode hides; meshes also where they do not move."""
+    paths = [] if mode == "mesh" else [Sdf.Path(surface.path) for surface in asset.surfaces]
+    if mode == "mesh" and choices.particles:
+        paths.append(home.scope)
+    for shape, name in PARTICLES.items():
+        if mode not in ("mesh", shape) and shape in choices.shapes:
+            paths.append(home.scope.AppendChild(name))
+    return [path for path in paths if path.HasPrefix(root)]
+
+
+def _hide(layer: Sdf.Layer, path: Sdf.Path) -> None:
+    prim = Sdf.CreatePrimInLayer(layer, path)
+    Sdf.AttributeSpec(prim, "visibility", Sdf.ValueTypeNames.Token).default = "invisible"
+
+
+def _name_meshes(
+    layer: Sdf.Layer,
+    variant: Sdf.Path,
+    root: Sdf.Path,
+    asset: Asset,
+    home: Home,
+    choices: Choices,
+) -> None:
+    # a payload cannot name what is outside its root prim, the root layer can
+    meshes = [Sdf.Path(surface.path) for surface in asset.surfaces]
+    if all(mesh.HasPrefix(root) for mesh in meshes):
+        return
+    for shape in set(PARTICLES) & set(choices.shapes):
+        name = PARTICLES[shape]
+        path = home.scope.AppendChild(name).MakeRelativePath(root)
+        prim = Sdf.CreatePrimInLayer(layer, variant.AppendPath(path))
+        rel = Sdf.RelationshipSpec(prim, "gaussianFlesh:sourceMeshes", False)
+        rel.targetPathList.explicitItems = meshes

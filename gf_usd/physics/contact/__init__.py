@@ -1,0 +1,1 @@
+"""Contact of surface samples with the floor, other bodies and obstacles."""

@@ -1,0 +1,322 @@
+"""Who touches whom: the plane that each surface sample faces until the next look.
+
+Between two looks no sample may move by more than half a spacing against another body, so that what
+is near is known before it is deep.  A sample faces the obstacle or the body that it is deepest in,
+or nearest to.
+
+The surface of a body as others meet it: its own triangles, where they are now.
+
+Obstacles: where they are at a time, and the plane that a point of a body faces.
+
+Where the numbers of a contact between bodies stand in the kernels' arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.stage import Collider, Skin
+from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
+from gf_usd.physics.grid.reference import Rows
+
+FACING = 1.5  # [spacings] a sample stands for the surface this far around it
+LOOK = 0.5  # [spacings] that samples may move between two looks
+# [spacings] that a gap may shrink between two looks, of which LOOK is the way at the speeds of the
+# first; the rest is for speeds that grow and for what the surface does between its samples.
+CLOSER = 1.5 * LOOK
+EASE = 0.1  # [spacings] that a look may make a sample deeper than it was under its old plane
+APART = 4.0  # [spacings] at rest, from where on a body meets itself
+# Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
+# 0.41 spacings at most; with 1 by 0.52 (measured).
+STIFFER = 2.0
+CROWD = 24  # samples asked for around one that may meet its own body: most are its neighbors
+ARRAYS = ("partner", "obstacle", "normal", "point", "velocity")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faced:
+    """What each of n samples faces, in the world."""
+
+    partner: Ints  # (n,) the sample that carries the plane, NOBODY or OBSTACLE
+    obstacle: Ints  # (n,) which obstacle; -1: none
+    normal: Floats  # (n, 3) unit, out of what is faced
+    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from the partner
+    velocity: Floats  # (n, 3) [m/s] of an obstacle
+
+    @property
+    def active(self) -> Ints:
+        """Samples that face something or are faced."""
+        faced = self.partner[self.partner >= 0]
+        return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
+
+    def forget(self, rows: Ints) -> None:
+        """Samples `rows` face nothing."""
+        away = nothing(len(rows))
+        for name in ARRAYS:
+            getattr(self, name)[rows] = getattr(away, name)
+
+    def lists(self) -> tuple[Ints, Ints]:
+        """(n + 1,) and (m,): for each sample those that face it, in order."""
+        who = np.flatnonzero(self.partner >= 0)
+        order = who[np.argsort(self.partner[who], kind="stable")]
+        start = np.searchsorted(self.partner[order], np.arange(len(self.partner) + 1))
+        return start, order
+
+    def depth(self, x: Floats, elapsed: float) -> Floats:
+        """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since the look."""
+        active = np.flatnonzero(self.partner != NOBODY)
+        who = self.partner[active]
+        q = self.point[active] + elapsed * self.velocity[active]
+        q += np.where((who >= 0)[:, None], x[np.maximum(who, 0)], 0.0)
+        out = np.zeros(len(x))
+        out[active] = np.maximum(0.0, ((q - x[active]) * self.normal[active]).sum(1))
+        return out
+
+
+def nothing(n: int) -> Faced:
+    """n samples that face nothing."""
+    return Faced(
+        partner=np.full(n, NOBODY),
+        obstacle=np.full(n, -1),
+        normal=np.zeros((n, 3)),
+        point=np.zeros((n, 3)),
+        velocity=np.zeros((n, 3)),
+    )
+
+
+def eased(faced: Faced, deeper: Floats) -> Faced:
+    """The planes moved back along their normals by deeper (n,) [m] >= 0."""
+    return replace(faced, point=faced.point - deeper[:, None] * faced.normal)
+
+
+class Looking:
+    """Collects, of all that a sample might face, what it is deepest in or nearest to.
+
+    x : (n, 3) [m]; reach : [m] from where something is faced; least : (n,) [m] the gap that each
+    may have come to since the last look.
+
+    A surface that a crash folded or turned inside out shows a wrong side to what is near it.  A
+    sample that seems deeper than it can have come is let go there, and counted: a spring that
+    begins deep would throw it out with energy that nobody's motion paid for.
+    """
+
+    def __init__(self, x: Floats, reach: float, least: Floats) -> None:
+        self.x, self.reach, self._least = x, reach, least
+        self.gap = np.full(len(x), reach)
+        self.faced = nothing(len(x))
+        self._gone = np.zeros(len(x), bool)
+
+    @property
+    def let_go(self) -> int:
+        """How many samples were let go."""
+        return int(self._gone.sum())
+
+    def plane(
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, carried: Ints | None,
+        velocity: Floats | None = None, obstacle: int = -1,
+    ) -> None:  # fmt: skip
+        """Offer samples `rows` a plane each, carried by samples, or by an obstacle at a velocity.
+
+        gap : (k,) [m]; point : (k, 3) [m] on it.
+        """
+        likely = gap >= self._least[rows]
+        self._gone[rows[~likely]] = True
+        nearer = likely & (gap < self.gap[rows])
+        rows, f = rows[nearer], self.faced
+        self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
+        f.obstacle[rows] = obstacle
+        if carried is None:
+            f.partner[rows], f.point[rows] = OBSTACLE, point[nearer]
+            f.velocity[rows] = 0.0 if velocity is None else velocity[nearer]
+        else:
+            who = carried[nearer]
+            f.partner[rows], f.point[rows] = who, point[nearer] - self.x[who]
+            f.velocity[rows] = 0.0
+
+
+def facing_itself(
+    x: Floats, normal: Floats, X: Floats, members: Ints, reach: float, spacing: float
+) -> tuple[Ints, Ints]:
+    """Samples of one body, and for each the nearest one far off at rest that looks it in the face.
+
+    x, normal, X : (n, 3) of all samples, now, now and at rest; members : (m,) those of the body.
+    """
+    k = min(CROWD, len(members))
+    distance, at = kd_tree(x[members]).query(x[members], k=k, distance_upper_bound=reach)
+    distance, at = distance.reshape(len(members), k), at.reshape(len(members), k)
+    there = at < len(members)
+    b = members[np.where(there, at, 0)]
+    fit = there & (np.einsum("na,nka->nk", normal[members], normal[b]) < 0.0)
+    fit &= np.linalg.norm(X[b] - X[members][:, None], axis=2) > APART * spacing
+    rows = np.flatnonzero(fit.any(1))
+    return members[rows], b[rows, fit[rows].argmax(1)]
+
+
+def pair_values(
+    faced: Faced,
+    stiffness: Floats,
+    mass: Floats,
+    friction: Floats,
+    restitution: Floats,
+    walls: Sequence[tuple[float | None, float | None]],
+) -> dict[str, Floats]:
+    """k, m, friction and restitution of each sample with what it faces.
+
+    Stiffer than the floor, since here both sides give way.  Two bodies meet with the softer's
+    stiffness, their reduced mass, the geometric mean of their frictions and the lower restitution;
+    walls : (friction, restitution) of each obstacle, None: the sample's own.
+    """
+    k, m, mu, e = (np.array(v, float) for v in (STIFFER * stiffness, mass, friction, restitution))
+    a = np.flatnonzero(faced.partner >= 0)
+    b = faced.partner[a]
+    k[a] = STIFFER * np.minimum(stiffness[a], stiffness[b])
+    m[a] = mass[a] * mass[b] / (mass[a] + mass[b])
+    mu[a], e[a] = np.sqrt(friction[a] * friction[b]), np.minimum(restitution[a], restitution[b])
+    for number, (wall_friction, wall_restitution) in enumerate(walls):
+        at = faced.obstacle == number
+        if wall_friction is not None:
+            mu[at] = wall_friction
+        if wall_restitution is not None:
+            e[at] = wall_restitution
+    return {"stiffness": k, "mass": m, "friction": mu, "restitution": e}
+
+
+SLACK = 2.0  # a triangle may have grown by as much since it was at rest
+
+
+class BodySkin:
+    """One body's surface.
+
+    skin : at rest; rows : of its points on the grid; samples : (n,) indices of the body's contact
+    samples; X : (n, 3) [m] of those at rest.
+    """
+
+    def __init__(self, skin: Skin, rows: Rows, samples: Ints, X: Floats) -> None:
+        self.skin, self.samples = skin, samples
+        self._W = rows.W
+        self._tree = kd_tree(X)
+        corners = skin.points[skin.triangles]
+        centre = corners.mean(1)
+        gap, self._cover = self._tree.query(centre)
+        reach = np.linalg.norm(corners - centre[:, None], axis=2).max(1)
+        self._reach = SLACK * (gap + reach)
+
+    def near(
+        self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
+    ) -> tuple[Closest, Ints]:
+        """The surface as points X (m, 3) [m] see it, and the sample nearest to each place seen.
+
+        known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
+        asked of the whole surface.  x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m]
+        as `Rows` stack them, without offset (3,) [m].
+        """
+        bound = reach + float(self._reach.max())
+        gap = kd_tree(X).query(x, distance_upper_bound=bound)[0]
+        triangles = self.skin.triangles[gap[self._cover] < reach + self._reach]
+        used, local = np.unique(triangles, return_inverse=True)
+        points = self.skin.points[used] + offset + self._W[used] @ u
+        local = local.reshape(-1, 3)
+        if len(local) == 0:
+            local = np.zeros((0, 3), np.int64)
+        seen = closest(X, points, local, reach)
+        doubtful = np.flatnonzero(seen.gap < known[seen.rows])
+        if len(doubtful):
+            whole = self.skin.points + offset + self._W @ u
+            seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
+        rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
+        _, nearest = self._tree.query(rest) if len(rest) else (None, np.zeros(0, np.int64))
+        return seen, self.samples[nearest]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plane:
+    """The surface of one obstacle near some points, and how it moves there."""
+
+    seen: Closest
+    velocity: Floats  # (k, 3) [m/s] of the closest points
+
+
+class Obstacle:
+    """One obstacle in time; before its first and after its last frame it stays.
+
+    frame_time : [s] simulated between two frames.
+    """
+
+    def __init__(self, collider: Collider, frame_time: float) -> None:
+        self.collider = collider
+        self._frame_time = frame_time
+        self.endless = collider.shape == "plane"
+        frames = [collider.positions(f) for f in range(collider.frames)]
+        self._low = np.min([p.min(0) for p in frames], axis=0)
+        self._high = np.max([p.max(0) for p in frames], axis=0)
+
+    def positions(self, frame: float) -> Floats:
+        """Points (V, 3) [m] at a frame, linear in between."""
+        last = self.collider.frames - 1
+        frame = float(np.clip(frame, 0.0, last))
+        low = min(int(frame), max(last - 1, 0))
+        start = self.collider.positions(low)
+        t = frame - low
+        return start if t == 0.0 else (1.0 - t) * start + t * self.collider.positions(low + 1)
+
+    def speed(self, frame: float) -> float:
+        """[m/s] of its fastest point from a frame to the next."""
+        if not self.collider.moves:
+            return 0.0
+        way = self.positions(np.floor(frame) + 1.0) - self.positions(np.floor(frame))
+        return float(np.linalg.norm(way, axis=1).max()) / self._frame_time
+
+    def gap(self, low: Floats, high: Floats) -> float:
+        """[m] from a box to the box of all the places that the obstacle comes to."""
+        return 0.0 if self.endless else box_gap(low, high, self._low, self._high)
+
+    def planes(self, X: Floats, reach: float, frame: float, span: float) -> Plane:
+        """What points X (n, 3) [m] face at a frame; the velocity is that of the next span [s]."""
+        now, triangles = self.positions(frame), self.collider.triangles
+        if self.endless:
+            seen = above_plane(X, now[triangles[0]], reach)
+        else:
+            seen = closest(X, now, triangles, reach)
+        if not self.collider.moves or span <= 0.0:
+            return Plane(seen=seen, velocity=np.zeros_like(seen.point))
+        way = self.positions(frame + span / self._frame_time) - now
+        corners = way[triangles[seen.triangle]]
+        return Plane(seen=seen, velocity=np.einsum("nk,nka->na", seen.weights, corners) / span)
+
+
+def obstacles(colliders: Sequence[Collider], frame_time: float) -> tuple[Obstacle, ...]:
+    """All of them."""
+    return tuple(Obstacle(collider, frame_time) for collider in colliders)
+
+
+def box_gap(low: Floats, high: Floats, other_low: Floats, other_high: Floats) -> float:
+    """[m] between two boxes; 0 where they overlap."""
+    apart = np.maximum(np.maximum(other_low - high, low - other_high), 0.0)
+    return float(np.linalg.norm(apart))
+
+
+NOBODY = -1
+OBSTACLE = -2
+
+# A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
+ROW = 30
+REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
+POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from x_b), n, v_q of an obstacle
+STIFFNESS, DAMPING, FRICTION, MASS = 24, 25, 26, 27
+DEPTH, WORK = 28, 29  # deepest [m] and work of an obstacle [J] since they were cleared
+# ... and its whole numbers in one of `links`: b; where its list starts; one entry of all lists.
+LINKS = 3
+PARTNER, START, PAIR_FACING = 0, 1, 2
+
+
+def pack_arrays(n: int) -> dict[str, Floats]:
+    """The meeting's part of the kernels' pack for n samples; n = 0 where nobody meets."""
+    return {
+        "pair": np.zeros(ROW * max(1, n)),
+        "links": np.full(LINKS * (n + 1), NOBODY),
+    }

@@ -1,0 +1,266 @@
+"""Frame by frame, each believed only once the guard has seen it: what every solver shares.
+
+A solver is a state, a way to move it by so many substeps, and a way to read a `Frame` off it.  This
+file turns the three into frames: it chooses the number of substeps, rolls a frame that failed back
+and redoes it with half the step, and ends in words where that does not help.
+
+Watching a run: what no sound frame does is not believed.
+
+The step limit of `timestep` holds for the body at rest.  A material crushed to a tenth of its
+volume is many times stiffer, and a step too long for it shows as energy: without a source of its
+own a body under gravity, floor and damping can only lose some, up to the integrator's error.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints, corners
+from gf_usd.core.errors import SolverError
+from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passage:
+    """What was noticed between two frames, on the substeps, under the names of `Health`."""
+
+    penetration: float = 0.0  # [m] deepest of a contact sample in the floor
+    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
+    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    friction_capped: int = 0
+    work: float = 0.0  # [J] done on the body by what holds it
+    injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`
+    clamped: int = 0  # particles whose singular values of F were clipped
+    stress_capped: int = 0  # particles whose stress was cut
+    flying: int = 0  # bodies that flew by the closed form: there were no substeps
+    sleeping: int = 0  # bodies that slept: there were no substeps
+
+
+class Marcher(ABC):
+    """The protocol of a solver: construct it, then iterate `frames()`.
+
+    What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable step
+    at rest), `strained` (those that the body as it is now asks for), `time` [s], and the abstract
+    methods below.
+    """
+
+    particles: Particles
+    settings: Settings
+    guard: Guard
+    coarse: int
+    strained: int = 1
+    time: float
+
+    @abstractmethod
+    def save(self) -> dict[str, Any]:
+        """The whole state as arrays and numbers, from which `restore` goes on to the bit."""
+
+    @abstractmethod
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go back to what `save` returned."""
+
+    @abstractmethod
+    def advance(self, index: int, substeps: int) -> Passage:
+        """Move to frame `index` in so many substeps."""
+
+    @abstractmethod
+    def not_finite(self) -> tuple[int, str]:
+        """The particle nearest to what is no number, and the fault; (-1, "") where all is sound."""
+
+    @abstractmethod
+    def read(self, index: int) -> Frame:
+        """The frame of the present state; its health lacks what only the passage knows."""
+
+    @property
+    def frame_time(self) -> float:
+        """[s] of simulated time between frames."""
+        return self.settings.time_scale / self.settings.fps
+
+    @property
+    def substeps(self) -> int:
+        """Substeps of the next frame."""
+        return max(self.coarse, self.strained) << self.guard.halvings
+
+    @property
+    def dt(self) -> float:
+        """[s] length of the next frame's substeps."""
+        return self.frame_time / self.substeps
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield `settings.frames` frames, the first at rest where the body was put.
+
+        Raises SolverError where a frame cannot be had; those before it were sound.
+        """
+        frame = self.read(0)
+        yield frame
+        yield from self.frames_after(0, frame.health)
+
+    def frames_after(self, index: int, last: Health) -> Iterator[Frame]:
+        """Yield the frames after `index`, at which the state stands and whose health was `last`.
+
+        Raises SolverError as `frames` does.
+        """
+        for following in range(index + 1, self.settings.frames):
+            frame = self.next(following, last)
+            last = frame.health
+            yield frame
+
+    def standing(self) -> dict[str, Any]:
+        """Between two frames, all that another solver of the same body needs to go on alike."""
+        guard = {f"guard_{name}": value for name, value in self.guard.state().items()}
+        return {**self.save(), **guard, "strained": self.strained}
+
+    def stand(self, standing: Mapping[str, Any]) -> None:
+        """Go on from `standing`, to the bit."""
+        self.restore(dict(standing))
+        known = self.guard.state()
+        self.guard.recall({name: float(standing[f"guard_{name}"]) for name in known})
+        self.strained = int(standing["strained"])
+
+    def _hint(self) -> str:
+        """What a person may do about a frame that cannot be had."""
+        if self.settings.substeps:
+            return "this preset gives every frame the same few substeps: leave --preset out"
+        return "lower the impact (--drop), use a stiffer material or --law neoHookean"
+
+    def next(self, index: int, last: Health) -> Frame:
+        """Move by a frame; where it fails, roll back and redo it with half the step."""
+        saved = self.save()
+        for attempt in range(RETRIES + 1):
+            substeps = self.substeps
+            passage = self.advance(index, substeps)
+            particle, fault = self.not_finite()
+            if not fault:
+                frame = self.read(index)
+                done = 0 if passage.flying or passage.sleeping else substeps
+                health = replace(frame.health, substeps=done, rollbacks=attempt, **vars(passage))
+                particle, fault = self.guard.judge(last, health, frame.particles)
+                if not fault:
+                    self.guard.passed()
+                    return replace(frame, health=health)
+            if attempt == RETRIES:
+                break
+            self.restore(saved)
+            self.guard.refine()
+        raise SolverError(
+            f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
+            f" halvings of the step to {self.dt:.3g} s",
+            self._hint() + "; the frames before it are in the partial cache",
+            frame=index,
+            particle=particle,
+        )
+
+
+def first_bad(values: Floats) -> int:
+    """Index of the first row that holds something that is no number; -1 where none does."""
+    bad = ~np.isfinite(values.reshape(len(values), -1)).all(1)
+    return int(np.argmax(bad)) if bad.any() else -1
+
+
+RETRIES = 6  # halvings of the step before giving up
+CALM_FRAMES = 4  # good frames before a halved step is doubled again
+# Position Verlet keeps a shadow energy; the energy itself swings by up to (w dt)^2 / 4 of what the
+# stiffest vibrations hold.  In sound bakes of all looks no frame gained 1e-4 of the scale below
+# (measured), and an unstable one gains many times it.
+GAIN = 0.02
+# No look, falling or pulled at, is ever this many radii long; a piece that flew off is.
+ESCAPE = 100.0
+
+
+class Guard:
+    """Judges frames and holds the number of halvings.
+
+    scale : [J] an energy of the body, m g0 r: what counts as little.
+    reach : [m] the body's own extent at rest; a particle a hundred times as far off has escaped.
+    body : (N,) the body of each particle; None: all are one.
+    """
+
+    def __init__(self, scale: float, reach: float, body: Ints | None = None) -> None:
+        self._scale, self._reach, self._body = scale, reach, body
+        self._calm = 0
+        self._inverted = 0  # that a shorter step did not help: the law's doing, not the step's
+        self._tried = -1  # inverted particles before the last refinement; -1: none was for them
+        self.halvings = 0
+
+    def judge(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
+        """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
+        before, after = energy(last), energy(now)
+        self._scale = max(self._scale, last.kinetic + last.elastic)
+        gain = after - before - now.work - now.injected
+        # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
+        # the step.  Written so that an energy that is no number fails too.
+        limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)
+        if not (gain <= GAIN * self._scale or limited):
+            return worst(particles), (
+                f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
+                f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"
+            )
+        # A particle is no further from the middle of its body than the box around all is long.
+        low, high = corners(particles.x)
+        if not np.linalg.norm(high - low) <= ESCAPE * self._reach:
+            far = self._distances(particles.x)
+            if far.max() > ESCAPE * self._reach:
+                return int(far.argmax()), (
+                    f"a particle is {far.max():.4g} m from the others, the body is"
+                    f" {self._reach:.3g} m long at rest"
+                )
+        return self._judge_inversion(last, now, particles)
+
+    def _distances(self, x: Floats) -> Floats:
+        """(N,) [m] of particles from the middle of their body."""
+        body = np.zeros(len(x), np.int64) if self._body is None else self._body
+        middles = [np.median(x[body == k], axis=0) for k in range(int(body.max()) + 1)]
+        return np.linalg.norm(x - np.array(middles)[body], axis=1)
+
+    def _judge_inversion(self, last: Health, now: Health, particles: Pose) -> tuple[int, str]:
+        """A new inversion is worth one try with half the step; what that leaves is believed."""
+        known = max(self._inverted, last.inverted)
+        if now.inverted > known and self._tried < 0:
+            self._tried = now.inverted
+            return worst(particles), f"{now.inverted} particles turned inside out"
+        if self._tried >= 0:
+            self._inverted = max(self._inverted, now.inverted)
+        self._tried = -1
+        return -1, ""
+
+    def refine(self) -> None:
+        """Halve the step."""
+        self.halvings += 1
+        self._calm = 0
+
+    def passed(self) -> None:
+        """Count a good frame; after enough of them double a halved step."""
+        self._calm += 1
+        if self.halvings and self._calm >= CALM_FRAMES:
+            self.halvings -= 1
+            self._calm = 0
+
+    def state(self) -> dict[str, float]:
+        """What a checkpoint keeps of it."""
+        return {
+            "scale": self._scale,
+            "calm": self._calm,
+            "inverted": self._inverted,
+            "halvings": self.halvings,
+        }
+
+    def recall(self, state: dict[str, float]) -> None:
+        """Go on from `state`."""
+        self._scale = float(state["scale"])
+        self._calm, self._inverted = int(state["calm"]), int(state["inverted"])
+        self.halvings = int(state["halvings"])
+
+
+def energy(h: Health) -> float:
+    """Kinetic, elastic, potential and contact energy [J]."""
+    return h.kinetic + h.elastic + h.potential + h.contact
+
+
+def worst(particles: Pose) -> int:
+    """The particle that is most strained: least J."""
+    return int(np.argmin(np.linalg.det(particles.F)))

@@ -1,0 +1,1 @@
+"""The background grid: interpolation, dependent nodes, pins and embedded points."""

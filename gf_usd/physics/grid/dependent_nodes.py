@@ -1,0 +1,150 @@
+"""Nodes that are no unknowns: they follow the others.
+
+Nodes that hardly any particle reaches have next to no mass and stiffness: left free they wander by
+hundreds of cells (measured) and spoil F of the particles at the surface.  A light node follows the
+free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l, and hands its
+force and mass on by the same numbers, which keeps linear and angular momentum exact.  Nodes that no
+particle reaches at all are read the same way by whatever rides there.  Nodes that a pin holds
+follow its motion (`holds`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.physics.grid.pins import interpolation
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+
+FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
+FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
+TIE = 1e-9  # distances that differ by less are equal
+FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
+
+
+def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
+    """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
+
+    Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
+    e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
+    sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
+    across it.
+    ijk : (n, 3), free : (m, 3) grid indices.
+    """
+    if len(ijk) == 0:
+        return sparse.csr_matrix((0, len(free)))
+    tree = kd_tree(free)
+    # From afar the nearest nodes may all lie in one flat face: take those around the nearest ones.
+    around = np.array(ijk, float)
+    far = np.flatnonzero(tree.query(ijk)[0] > FIT_REACH)
+    if len(far):
+        gap, closest = nearest(tree, ijk[far], 1)
+        tied = np.isfinite(gap)
+        around[far] = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
+    distance, near = nearest(tree, around, FIT_NEIGHBOURS)
+    # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
+    B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
+    B[np.isinf(distance)] = 0.0
+    B /= B.sum(1, keepdims=True)
+    centre = np.einsum("nk,nka->na", B, free[near])
+    P = free[near] - centre[:, None, :]
+    M = np.einsum("nka,nk,nkb->nab", P, B, P)
+    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
+    e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
+    row, column = np.nonzero(B)
+    return sparse.csr_matrix(
+        (e[row, column], (row, near[row, column])), shape=(len(ijk), len(free))
+    )
+
+
+def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
+    """Distances (n, k) and nodes of the `count` nearest, and of all that are as near as the last.
+
+    Which of them come first is the order of the axes: a choice among them would depend on it.  Rows
+    are filled up with distances inf.
+    """
+    count = min(count, tree.n)
+    k = min(count + count // 4 + 2, tree.n)
+    distance, near = tree.query(X, k=np.arange(1, k + 1))
+    reach = distance[:, count - 1 : count] * (1.0 + TIE)
+    while k < tree.n and len(rows := np.flatnonzero(distance[:, -1] <= reach[:, 0])):
+        more = min(2 * k, tree.n) - k
+        distance = np.pad(distance, ((0, 0), (0, more)), constant_values=np.inf)
+        near = np.pad(near, ((0, 0), (0, more)))
+        k += more
+        distance[rows], near[rows] = tree.query(X[rows], k=np.arange(1, k + 1))
+    beyond = distance > reach
+    width = int((~beyond).sum(1).max())
+    return np.where(beyond, np.inf, distance)[:, :width], near[:, :width]
+
+
+def split_nodes(
+    ijk: Ints,
+    mass: Floats,
+    free_mass: float = FREE_MASS,
+    *,
+    held: NDArray[np.bool_] | None = None,
+    mirror: Floats | None = None,
+    body: Ints | None = None,
+) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
+    """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
+
+    A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
+    held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
+    A mirrored node hands on |e| of its mass: u^2 does not know the sign.
+    body : (M,) the body of each node: each is light by its own median.
+    """
+    held = np.zeros(len(mass), bool) if held is None else held
+    body = np.zeros(len(mass), np.int64) if body is None else body
+    counts = ~held & (mass > 0.0)
+    members = [mass[counts & (body == k)] for k in range(int(body.max()) + 1)]
+    medians = [np.median(m) if len(m) else 0.0 for m in members]
+    least = free_mass * np.array(medians)[body]
+    free = (mass >= least) & ~held
+    ghosts = sparse.csr_matrix((0, 0))
+    while True:
+        light = ~free & ~held
+        follow = affine_fit(ijk[light], ijk[free])
+        lumped = mass[free] + follow.T @ mass[light]
+        if held.any():
+            extend = sparse.vstack([sparse.identity(int(free.sum())), follow], format="csr")
+            others = np.concatenate([ijk[free], ijk[light]])
+            ghosts = (mirrored(held, mirror, others) @ extend).tocsr()
+            lumped = lumped + abs(ghosts).T @ mass[held]
+        sound = lumped >= 0.5 * least[free]
+        if sound.all():
+            break
+        free[np.flatnonzero(free)[~sound]] = False
+    if held.any():
+        rows = sparse.vstack([follow, ghosts], format="csr")
+        back = np.empty(rows.shape[0], np.int64)
+        back[np.concatenate([np.flatnonzero(light[~free]), np.flatnonzero(held[~free])])] = (
+            np.arange(rows.shape[0])
+        )
+        follow = sparse.csr_matrix(rows)[back]
+    return free, follow, lumped
+
+
+def mirrored(held: NDArray[np.bool_], mirror: Floats | None, others: Ints) -> sparse.csr_matrix:
+    """Rows (held, others) of held nodes: minus the field at the mirror point.
+
+    0 where the node lies deep, or where none of the others is around the mirror point.
+    """
+    count = int(held.sum())
+    if mirror is None:
+        return sparse.csr_matrix((count, len(others)))
+    at = mirror[held]
+    near = np.flatnonzero(np.isfinite(at).all(1))
+    put = sparse.csr_matrix(
+        (np.ones(len(near)), (near, np.arange(len(near)))), shape=(count, len(near))
+    )
+    return (put @ -interpolation(at[near], others)).tocsr()

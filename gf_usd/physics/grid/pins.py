@@ -1,0 +1,216 @@
+"""Pins: nodes whose displacement is given.
+
+A pin is a region of the rest body with a motion g(X, t).  Nodes inside it are no unknowns.  One
+that lies deep follows the motion, u_l = g(X_l).  One within reach of the particles outside mirrors
+what is across the region's boundary, as a ghost node does in finite differences,
+
+    u_l - g(X_l) = -(u - g)(X'_l),      X'_l = 2 b(X_l) - X_l,  b the boundary's nearest point
+
+so that u = g on the boundary to second order in h, and uniform strain up to there is exact.
+(Setting u_l = g alone would clamp the body up to half a cell away from where it was asked to be.)
+Both are rows of the same kind as those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces go
+back through the same numbers.  Particles inside a pin move as given and carry no stress.
+
+How a pinned region moves between its anchors.
+
+Anchors are points whose place is known at every frame.  Any other point of the region moves by the
+map that fits the anchors near it best, with weights w_j that fall off with distance,
+
+    x(X) = xbar + A (X - Xbar),    A = argmin sum_j w_j |A (X_j - Xbar) - (x_j - xbar)|^2
+
+affine where the anchors fill space, else the nearest rotation (Kabsch 1976): anchors on a flat face
+say nothing of the stretch across it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import Pose
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.stage import Pin
+
+REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """Which of a set of points are held, and by which pin."""
+
+    pin: Ints  # (n,) index of the pin; -1: free
+
+    @property
+    def any(self) -> bool:
+        return bool((self.pin >= 0).any())
+
+
+def held_by(pins: Sequence[Pin], X: Floats) -> Held:
+    """The first pin that holds each point X (n, 3) [m]."""
+    out = np.full(len(X), -1)
+    for index, pin in enumerate(pins):
+        free = np.flatnonzero(out < 0)
+        out[free[np.asarray(pin.inside(X[free]), bool)]] = index
+    return Held(pin=out)
+
+
+def mirror_points(pins: Sequence[Pin], held: Held, X: Floats, h: float) -> Floats:
+    """X' (n, 3) [m] of held nodes near the boundary of their pin; nan for free and deep ones."""
+    out = np.full(X.shape, np.nan)
+    for index, pin in enumerate(pins):
+        mine = np.flatnonzero(held.pin == index)
+        if len(mine):
+            b = pin.nearest(X[mine])
+            near = np.linalg.norm(b - X[mine], axis=1) < REACH * h
+            out[mine[near]] = 2.0 * b[near] - X[mine[near]]
+    return out
+
+
+def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
+    """Trilinear weights (n, m) of a nodal field at grid positions `at` (n, 3) [cells].
+
+    Corners that are not among `nodes` (m, 3) are left out and the others share their weight; where
+    none is the row is empty.
+    """
+    tree = kd_tree(nodes)
+    base = np.floor(at + 1e-9).astype(int)
+    f = np.clip(at - base, 0.0, 1.0)
+    rows, columns, values = [], [], []
+    for corner in np.ndindex(2, 2, 2):
+        w = np.prod(np.where(corner, f, 1.0 - f), axis=1)
+        gap, found = tree.query(base + np.array(corner))
+        use = (gap < 0.5) & (w > 1e-6)
+        rows.append(np.flatnonzero(use))
+        columns.append(found[use])
+        values.append(w[use])
+    r, c, w = (np.concatenate(parts) for parts in (rows, columns, values))
+    total = np.bincount(r, w, minlength=len(at))
+    return sparse.csr_matrix((w / total[r], (r, c)), shape=(len(at), len(nodes)))
+
+
+class Holder:
+    """The pins of one body: what they hold, and where it is at each frame.
+
+    Raises InputError where a pin holds no node, which means that it would do nothing, or all.
+    """
+
+    def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
+        self.pins = tuple(pins)
+        self.particles = held_by(self.pins, X)
+        self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
+        if (self.particles.pin >= 0).all():
+            raise InputError(
+                f"the pins {self._names()} hold all {len(X)} particles: nothing is left to move",
+                "make the regions of --pin smaller",
+            )
+
+    def _names(self) -> str:
+        return ", ".join(pin.name for pin in self.pins)
+
+    @property
+    def moving(self) -> bool:
+        """Whether any region is animated."""
+        return any(motion.moving for motion in self.motions)
+
+    def check(self, nodes: Held) -> None:
+        """Raise InputError for a pin that holds no node of the grid."""
+        for index, pin in enumerate(self.pins):
+            if not (nodes.pin == index).any():
+                raise InputError(
+                    f"--pin {pin.name} holds no node of the grid: it is smaller than a cell, or"
+                    " away from the body",
+                    "enlarge it, or use more particles (--particles) for a finer grid",
+                )
+
+    def constants(self, pin: Ints, X: Floats, mirror: Floats, frame: float) -> Floats:
+        """c (n, 3) [m] of followers at X: g(X), and where they mirror g(X) + g(X')."""
+        out = self.pose(Held(pin=pin), X, frame)[0] - X
+        ghost = np.isfinite(mirror).all(1)
+        out[ghost] += self.pose(Held(pin=pin[ghost]), mirror[ghost], frame)[0] - mirror[ghost]
+        return out
+
+    def pose(self, held: Held, X: Floats, frame: float) -> tuple[Floats, Floats]:
+        """x (n, 3) [m] and F (n, 3, 3) of held points; X and I for free ones."""
+        x, F = X.copy(), np.broadcast_to(np.eye(3), (len(X), 3, 3)).copy()
+        for index, motion in enumerate(self.motions):
+            mine = np.flatnonzero(held.pin == index)
+            if len(mine) and motion.moving:
+                x[mine], F[mine] = motion.at(X[mine], frame)
+        return x, F
+
+    def override(
+        self, held: Held, X: Floats, pose: Pose, index: int, frame_time: float, offset: Floats
+    ) -> Pose:
+        """A pose with the held points where they belong; offset (3,) [m] shifts all."""
+        mine = np.flatnonzero(held.pin >= 0)
+        if not len(mine):
+            return pose
+        part = Held(pin=held.pin[mine])
+        x, F = self.pose(part, X[mine], index)
+        before = self.pose(part, X[mine], max(index - 1, 0))[0]
+        after = self.pose(part, X[mine], index + 1)[0]
+        out_x, out_v, out_F = pose.x.copy(), pose.v.copy(), pose.F.copy()
+        out_x[mine] = x + offset
+        out_v[mine] = (after - before) / (frame_time * (2.0 if index else 1.0))
+        out_F[mine] = F
+        return Pose(x=out_x, v=out_v, F=out_F)
+
+
+NEIGHBOURS = 24
+SAME = 1e-6  # of the region's size: a point as near to an anchor as that moves with it
+FLAT = 1e-3  # ratio of the spreads of the anchors under which they count as flat
+
+
+class Motion:
+    """The motion of one pin; frames outside the path stay at its ends."""
+
+    def __init__(self, anchors: Floats, path: Floats) -> None:
+        self.anchors, self.path = np.asarray(anchors, float), np.asarray(path, float)
+        still = len(self.path) < 2 or np.array_equal(self.path, self.path[:1].repeat(len(path), 0))
+        self.moving = not (still and np.array_equal(self.path[0], self.anchors))
+        self._tree = kd_tree(self.anchors)
+        self._extent = float(np.linalg.norm(np.ptp(self.anchors, axis=0)))
+
+    def anchors_at(self, frame: float) -> Floats:
+        """(k, 3) [m], linear between frames."""
+        frame = float(np.clip(frame, 0.0, len(self.path) - 1))
+        low = min(int(frame), max(len(self.path) - 2, 0))
+        high = min(low + 1, len(self.path) - 1)
+        t = frame - low
+        return (1.0 - t) * self.path[low] + t * self.path[high]
+
+    def at(self, X: Floats, frame: float) -> tuple[Floats, Floats]:
+        """x (n, 3) [m] and A (n, 3, 3) of points X (n, 3) [m]."""
+        now = self.anchors_at(frame)
+        k = min(NEIGHBOURS, len(self.anchors))
+        distance, near = self._tree.query(X, k=k)
+        distance, near = distance.reshape(len(X), k), near.reshape(len(X), k)
+        scale = distance.mean(1, keepdims=True) + 1e-300
+        w = 1.0 / (1.0 + (distance / scale) ** 2)
+        w /= w.sum(1, keepdims=True)
+        P, Q = self.anchors[near], now[near]
+        Pbar, Qbar = (np.einsum("nk,nka->na", w, S) for S in (P, Q))
+        P, Q = P - Pbar[:, None], Q - Qbar[:, None]
+        C = np.einsum("nk,nka,nkb->nab", w, P, P)
+        B = np.einsum("nk,nka,nkb->nab", w, Q, P)
+        spread = np.linalg.eigvalsh(C)
+        solid = spread[:, 0] > FLAT * spread[:, 2]
+        safe = np.where(solid[:, None, None], C, np.eye(3))
+        A = np.where(solid[:, None, None], B @ np.linalg.inv(safe), kabsch(B))
+        x = Qbar + np.einsum("nab,nb->na", A, X - Pbar)
+        known = distance[:, 0] <= SAME * self._extent
+        x[known] = now[near[known, 0]]
+        return x, A
+
+
+def kabsch(B: Floats) -> Floats:
+    """Rotations (n, 3, 3) nearest to B = sum w q p^T, of determinant +1."""
+    U, _, Vt = np.linalg.svd(B)
+    sign = np.sign(np.linalg.det(U @ Vt))
+    U[:, :, 2] *= np.where(sign < 0.0, -1.0, 1.0)[:, None]
+    return U @ Vt

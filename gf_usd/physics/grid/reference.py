@@ -1,0 +1,297 @@
+"""The reference grid: cells, nodes and the constant operators W and G.
+
+Quadratic B-splines on a grid of spacing h that never moves (GaussianFlesh section 3.2;
+docs/physics.md).  A point at X touches the 27 nodes of its cell with
+
+    w_ip = N(xi_x) N(xi_y) N(xi_z),     G_ip = dw_ip / dX,     sum_i w_ip = 1,  sum_i w_ip X_i = X_p
+
+and everything the solver and the skin do is built from those numbers.
+
+Some nodes are no unknowns and follow the others (`followers`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.grid.dependent_nodes import FREE_MASS, affine_fit, split_nodes
+from gf_usd.physics.grid.pins import Held, Holder, held_by, mirror_points
+
+APART = 40  # [cells] between bodies on the grid: beyond any neighbour that a fit would take
+CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
+OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
+
+
+def bspline(f: Floats) -> tuple[Floats, Floats]:
+    """Weights and slopes of the three quadratic B-splines around each coordinate.
+
+    f : (..., 3) distance from the base node in cells, in [0.5, 1.5).
+    Returns w, dw : (..., 3, 3), second to last axis the node 0..2, last the coordinate; dw is per
+    cell (divide by h for per metre).
+    """
+    w = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], -2)
+    dw = np.stack([f - 1.5, -2.0 * (f - 1.0), f - 0.5], -2)
+    return w, dw
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Rows of W and G for a set of points: x = X + W u, F = I + sum_b (G_b u) e_b.
+
+    u stacks the free nodes' displacement and, where there are pins, the followers' constants c.
+    """
+
+    X: Floats  # (n, 3) [m]
+    W: sparse.csr_matrix  # (n, M)
+    G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
+    spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `rider_rows`
+
+    @cached_property
+    def slopes(self) -> sparse.csr_matrix:
+        """The three of G one under the other, (3 n, M): for few points, in place of three calls."""
+        return sparse.csr_matrix(sparse.vstack(self.G, format="csr"))
+
+    def nodes(self, u: Floats) -> Floats:
+        """What W and G are of, (M, 3), from a stack u (or v)."""
+        return u if self.spread is None else self.spread @ u
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stencil:
+    """Particles sorted by cell on the compact set of nodes they reach."""
+
+    origin: Floats  # (3,) [m] position of grid node (0, 0, 0)
+    h: float  # [m]
+    order: Ints  # (N,) particle indices, cell by cell
+    cell_start: Ints  # (K + 1,) ranges of `order`
+    cell_nodes: Ints  # (K, 27) nodes of each cell
+    fx: Floats  # (N, 3) distance from the base node in cells, in `order`
+    node_ijk: Ints  # (M, 3); the free nodes come first
+    mass: Floats  # (free,) [kg] sum_p w_ip m_p, the shares of the followers added
+    node_mass: Floats  # (M,) [kg] sum_p w_ip m_p of every node
+    follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
+    shift: Floats  # (bodies, 3) [m] that sets the bodies apart on the grid: they share no node
+    node_body: Ints  # (M,) the body of each node
+    held: Held  # which followers a pin holds, and all nodes
+    mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
+    sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
+    sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
+    dims: Ints = field(repr=False)  # (3,) of the key space
+    corner: Ints = field(repr=False)  # (3,) ijk of key 0
+
+    @property
+    def node_count(self) -> int:
+        return len(self.node_ijk)
+
+    @property
+    def free_count(self) -> int:
+        return len(self.mass)
+
+    @cached_property
+    def node_X(self) -> Floats:
+        """(M, 3) [m] node positions."""
+        return self.origin + self.h * self.node_ijk - self.shift[self.node_body]
+
+    @property
+    def free_X(self) -> Floats:
+        """(free, 3) [m] positions of the free nodes."""
+        return self.node_X[: self.free_count]
+
+    def locate(self, ijk: Ints) -> Ints:
+        """Compact index of grid nodes (..., 3); -1 where no particle reaches."""
+        shifted = ijk - self.corner
+        inside = np.all((shifted >= 0) & (shifted < self.dims), axis=-1)
+        keys = linear(np.where(inside[..., None], shifted, 0), self.dims)
+        at = np.minimum(np.searchsorted(self.sorted_keys, keys), len(self.sorted_keys) - 1)
+        return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
+
+    def rows(self, X: Floats, body: Ints | None = None) -> Rows:
+        """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
+
+        body : (n,) the body that each rides on; None: the first.
+        """
+        body = np.zeros(len(X), int) if body is None else body
+        parts = [
+            self._operators(X[k : k + CHUNK], body[k : k + CHUNK])
+            for k in range(0, max(len(X), 1), CHUNK)
+        ]
+        W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(4))
+        for one in G:
+            # Which nodes count is the same for all four, and as much memory as the weights.
+            if np.array_equal(one.indices, W.indices):
+                one.indices, one.indptr = W.indices, W.indptr
+        return Rows(X=X, W=W, G=(G[0], G[1], G[2]))
+
+    def extension(self, beyond: Ints) -> sparse.csr_matrix:
+        """From what `Rows` stack to all nodes, and to those at ijk (n, 3) that none reaches."""
+        free = sparse.identity(self.free_count, format="csr")
+        fitted = affine_fit(beyond, self.node_ijk[: self.free_count])
+        extend = sparse.csr_matrix(sparse.vstack([free, self.follow, fitted], format="csr"))
+        if self.held.any:
+            constants = sparse.eye(
+                extend.shape[0], self.node_count - self.free_count, -self.free_count
+            )
+            extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
+        return extend
+
+    def _operators(self, X: Floats, body: Ints) -> list[sparse.csr_matrix]:
+        """W and the three of G of some points, which the four take turns to leave."""
+        base, fx = self.base(X + self.shift[body])
+        ijk = base[:, None, :] + OFFSETS
+        at = self.locate(ijk)
+        missing = at < 0
+        keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
+        at[missing] = self.node_count + inverse.ravel()
+        extend = self.extension(keys)
+        shape = (len(X), extend.shape[0])
+        index = (np.repeat(np.arange(len(X)), 27), at.ravel())
+        w, g = weights(fx, self.h)
+
+        def operator(values: Floats) -> sparse.csr_matrix:
+            out = sparse.csr_matrix((values.ravel(), index), shape=shape) @ extend
+            out.sort_indices()
+            return out
+
+        return [operator(w), *(operator(g[..., axis]) for axis in range(3))]
+
+    def base(self, X: Floats) -> tuple[Ints, Floats]:
+        """Base node (n, 3) and distance from it in cells (n, 3), in [0.5, 1.5)."""
+        return base_node((X - self.origin) / self.h)
+
+
+def base_node(cells: Floats) -> tuple[Ints, Floats]:
+    """Base node and remainder of positions measured in cells."""
+    base = np.floor(cells - 0.5).astype(np.int64)
+    return base, cells - base
+
+
+def stacked(parts: list[sparse.csr_matrix]) -> sparse.csr_matrix:
+    """Sparse rows one under the other."""
+    return parts[0] if len(parts) == 1 else sparse.csr_matrix(sparse.vstack(parts, format="csr"))
+
+
+def nodal_mass(fx: Floats, m: Floats, nodes: Ints, cell: Ints, count: int) -> Floats:
+    """sum_p w_ip m_p [kg] of each of `count` nodes.
+
+    fx (N, 3) and m (N,) by particle, in the order of cells; nodes (K, 27); cell (N,) of each.
+    """
+    out = np.zeros(count)
+    for k in range(0, len(m), CHUNK):
+        some = slice(k, k + CHUNK)
+        (wx, wy, wz), (a, b, c) = np.moveaxis(bspline(fx[some])[0], 2, 0), OFFSETS.T
+        w = wx[:, a] * wy[:, b] * wz[:, c]
+        np.add.at(out, nodes[cell[some]].ravel(), (w * m[some, None]).ravel())
+    return out
+
+
+def weights(fx: Floats, h: float) -> tuple[Floats, Floats]:
+    """w (n, 27) and its reference gradient (n, 27, 3) [1/m], in the order of OFFSETS."""
+    w, dw = bspline(fx)
+    a, b, c = OFFSETS.T
+    wx, wy, wz = w[:, a, 0], w[:, b, 1], w[:, c, 2]
+    dx, dy, dz = dw[:, a, 0], dw[:, b, 1], dw[:, c, 2]
+    return wx * wy * wz, np.stack([dx * wy * wz, wx * dy * wz, wx * wy * dz], -1) / h
+
+
+def linear(ijk: Ints, dims: Ints) -> Ints:
+    """Linear key of grid indices (..., 3)."""
+    return (ijk[..., 0] * dims[1] + ijk[..., 1]) * dims[2] + ijk[..., 2]
+
+
+def apart(X: Floats, body: Ints, h: float) -> Floats:
+    """Shifts (bodies, 3) [m], whole cells along x, after which no two bodies share a node.
+
+    Bodies are as far from each other then as a fit of followers could reach.
+    """
+    count = int(body.max()) + 1
+    if count == 1:
+        return np.zeros((1, 3))
+    low = np.array([X[body == k, 0].min() for k in range(count)])
+    high = np.array([X[body == k, 0].max() for k in range(count)])
+    # body k begins APART cells after body k - 1 ends
+    end = np.cumsum(high - low + APART * h) - (high - low + APART * h)
+    cells = np.ceil((low[0] + end - low) / h)
+    return np.stack([h * cells, 0.0 * cells, 0.0 * cells], -1)
+
+
+def build_stencil(
+    X: Floats,
+    m: Floats,
+    h: float,
+    corner_at: Floats,
+    *,
+    free_mass: float = FREE_MASS,
+    holder: Holder | None = None,
+    body: Ints | None = None,
+) -> Stencil:
+    """Sort particles by cell and number the nodes they reach.
+
+    X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
+    corner where cells meet, so that strata of the sampling lattice fall whole into cells.
+    free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
+    holder : the pins.   body : (N,) the body of each particle; None: all are one.
+    """
+    body = np.zeros(len(X), np.int64) if body is None else body
+    shift = apart(X, body, h)
+    X = X + shift[body]
+    # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
+    origin = np.asarray(corner_at, float) - 0.5 * h
+    base, fx = base_node((X - origin) / h)
+    corner = base.min(0)
+    dims = base.max(0) - corner + 3
+    keys = linear(base - corner, dims)
+    order = np.argsort(keys, kind="stable")
+    cell_keys, first = np.unique(keys[order], return_index=True)
+    cell_ijk = np.stack(np.unravel_index(cell_keys, tuple(dims)), -1)
+    reached = linear(cell_ijk[:, None, :] + OFFSETS, dims)
+    sorted_keys, at = np.unique(reached, return_inverse=True)
+    cell_nodes = at.reshape(reached.shape)
+    fx = fx[order]
+    cell_start = np.append(first, len(X))
+    cell = np.repeat(np.arange(len(first)), np.diff(cell_start))
+    mass = nodal_mass(fx, m[order], cell_nodes, cell, len(sorted_keys))
+    node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
+    node_body = np.empty(len(mass), np.int64)
+    node_body[cell_nodes] = body[order[first]][:, None]
+    offset = shift[node_body]
+    node_X = origin + h * node_ijk - offset
+    held = held_by(holder.pins if holder else (), node_X)
+    mirror = mirror_points(holder.pins if holder else (), held, node_X, h)
+    free, follow, lumped = split_nodes(
+        node_ijk,
+        mass,
+        free_mass,
+        held=held.pin >= 0,
+        mirror=(mirror + offset - origin) / h,
+        body=node_body,
+    )
+    ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
+    renumber = np.empty(len(mass), np.int64)
+    renumber[ordered] = np.arange(len(mass))
+    mirror = mirror[ordered]
+    mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
+    return Stencil(
+        origin=origin,
+        h=h,
+        order=order,
+        cell_start=cell_start,
+        cell_nodes=renumber[cell_nodes],
+        fx=fx,
+        node_ijk=node_ijk[ordered],
+        mass=lumped,
+        node_mass=mass[ordered],
+        follow=follow,
+        shift=shift,
+        node_body=node_body[ordered],
+        held=Held(pin=held.pin[ordered]),
+        mirror=mirror,
+        sorted_keys=sorted_keys,
+        sorted_node=renumber,
+        dims=dims,
+        corner=corner,
+    )

@@ -1,0 +1,1 @@
+"""Constitutive laws: energy, stress and moduli of each."""

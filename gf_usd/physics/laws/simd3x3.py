@@ -1,0 +1,232 @@
+"""3x3 algebra on eight particles at once.
+
+A matrix is a Python list of nine lane vectors, row by row: ``F[3 * a + b]`` holds component ab of
+eight particles.  Written this way one Taichi operation is one SIMD instruction, which is what makes
+the solver fast (measured: seven times the scalar code on AVX2).
+
+Taichi 1.7 with ``real_matrix_scalarize=False`` aborts on some lane operations: unary minus, abs,
+exp and log.  Write ``0.0 - x``, and take logarithms lane by lane with `log`.
+
+Straight pieces of kernels, written by Python while a kernel is built.
+
+Taichi walks through the syntax tree of a `ti.func` for every call of it and for every turn of a
+loop that is unrolled, at every start, 7 us a node, although the cache holds the kernel.  A function
+marked `unrolled` is not read but called, with Taichi's expressions as arguments, and its operators
+write down the same statements in a fifth of the time.
+
+What differs from a ti.func, where Taichi sees to it:
+
+- an expression stands for itself and is written again wherever it is used; `let` makes a variable
+  of it, worked out there and once;
+- `put` changes such a variable, as `+=` and the like do; a bare `=` names another expression;
+- loops and branches are Python's, over what is known while the kernel is built;
+- memory is read by `at`, and written by `put` into what `at` gives.
+"""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import taichi as ti
+from taichi.lang import impl
+
+LANE_BITS = 3
+LANES = 1 << LANE_BITS
+
+
+def unrolled(function: Callable) -> Callable:
+    """Let kernels call a plain function: by Taichi's own mark of what it need not warn of."""
+    function._is_taichi_function = True
+    function.func = SimpleNamespace(has_print=False)
+    return function
+
+
+@unrolled
+def cofactor(F):
+    """cof F = J F^-T, defined for singular F too."""
+    return [
+        F[4] * F[8] - F[5] * F[7],
+        F[5] * F[6] - F[3] * F[8],
+        F[3] * F[7] - F[4] * F[6],
+        F[2] * F[7] - F[1] * F[8],
+        F[0] * F[8] - F[2] * F[6],
+        F[1] * F[6] - F[0] * F[7],
+        F[1] * F[5] - F[2] * F[4],
+        F[2] * F[3] - F[0] * F[5],
+        F[0] * F[4] - F[1] * F[3],
+    ]
+
+
+@unrolled
+def determinant(F, cof):
+    """J = det F by its first row; cof as returned by `cofactor`."""
+    return F[0] * cof[0] + F[1] * cof[1] + F[2] * cof[2]
+
+
+@unrolled
+def difference(A, B):
+    """A - B."""
+    return [A[a] - B[a] for a in range(9)]
+
+
+@unrolled
+def chosen(where, A, B):
+    """A in the lanes where it says so, else B."""
+    where = let(where)
+    return [ti.select(where, A[a], B[a]) for a in range(9)]
+
+
+@unrolled
+def combination(p, A, q, B):
+    """p A + q B."""
+    p, q = let(p), let(q)
+    return [p * A[a] + q * B[a] for a in range(9)]
+
+
+@unrolled
+def double_dot(A, B):
+    """A : B = sum_ab A_ab B_ab."""
+    s = A[0] * B[0]
+    for a in range(1, 9):
+        s = s + A[a] * B[a]
+    return s
+
+
+@ti.func
+def log(x):
+    """Natural logarithm, lane by lane."""
+    return ti.Vector([ti.log(x[lane]) for lane in ti.static(range(x.n))])
+
+
+@ti.func
+def inverse_guarded(J):
+    """1/J with |J| kept off zero (sign kept), so that a flat particle stays finite."""
+    tiny = 1e-12
+    return 1.0 / ti.select(J >= 0.0, ti.max(J, tiny), ti.min(J, -tiny))
+
+
+@ti.func
+def rotation(F, converged):
+    """The rotation of the polar decomposition, F = R S with det R = +1.
+
+    Newton's iteration Q <- (g Q + Q^-T / g) / 2 with Higham's scaling g converges to the nearest
+    orthogonal matrix (Higham 1986).  Where det F < 0 that matrix is a reflection: it is turned into
+    the rotation nearest to F, R = Q (I - 2 n n^T), n the direction of the smallest stretch, which
+    is the convention of the signed SVD (Irving, Teran and Fedkiw 2004).
+
+    converged: squared change |Q' - Q|^2 after which the next iterate is exact to rounding.
+    """
+    cof = cofactor(F)
+    J = determinant(F, cof)
+    rJ = inverse_guarded(J)
+    g2 = ti.sqrt(double_dot(cof, cof) * rJ * rJ / ti.max(double_dot(F, F), 1e-30))
+    g2 = ti.min(ti.max(g2, 1e-6), 1e6)
+    # A well-shaped particle is left unscaled: scaling only pays far from a rotation.
+    g2 = ti.select((g2 < 1.5) & (g2 > 0.67), 1.0, g2)
+    g = ti.sqrt(g2)
+    p = 0.5 * g
+    q = 0.5 * rJ / g
+    Q = combination(p, F, q, cof)
+    change = J * 0.0 + 1.0
+    steps = 0
+    while change.max() > converged and steps < 24:
+        c = cofactor(Q)
+        r = 0.5 * inverse_guarded(determinant(Q, c))
+        change = J * 0.0
+        advance(Q, r, c, change)
+        steps += 1
+    if J.min() < 0.0:
+        unflip(Q, F, J)
+    return Q
+
+
+@unrolled
+def advance(Q, r, c, change):
+    """Q <- Q + d with d = r c - Q / 2; adds |d|^2 to change."""
+    for a in range(9):
+        d = let(r * c[a] - 0.5 * Q[a])
+        put(Q[a], Q[a] + d)
+        put(change, change + d * d)
+
+
+@ti.func
+def unflip(Q: ti.template(), F, J):
+    """Where J < 0, replace the reflection Q by Q (I - 2 n n^T), in place."""
+    # S = Q^T F is positive semi-definite; powers of its cofactor single out the smallest stretch.
+    S = product([Q[0], Q[3], Q[6], Q[1], Q[4], Q[7], Q[2], Q[5], Q[8]], F)
+    B = cofactor(S)
+    for _ in range(12):
+        s = 1.0 / ti.max(ti.sqrt(double_dot(B, B)), 1e-30)
+        square(B, s)
+    # B is now n n^T up to scale; its longest column is n.
+    mirror(Q, longest_column(B), J < 0.0)
+
+
+@unrolled
+def product(A, B):
+    """A B."""
+    return [
+        A[3 * a] * B[b] + A[3 * a + 1] * B[3 + b] + A[3 * a + 2] * B[6 + b]
+        for a in range(3)
+        for b in range(3)
+    ]
+
+
+@unrolled
+def square(B, s):
+    """B <- (s B)^2."""
+    A = let([s * B[a] for a in range(9)])
+    for a, value in enumerate(product(A, A)):
+        put(B[a], value)
+
+
+@unrolled
+def longest_column(B):
+    """Of the three, as the diagonal of a B = n n^T says."""
+    n, best = [B[0], B[3], B[6]], B[0]
+    for b in range(1, 3):
+        longer = let(B[4 * b] > best)
+        best = let(ti.select(longer, B[4 * b], best))
+        n = [let(ti.select(longer, B[3 * a + b], n[a])) for a in range(3)]
+    return n
+
+
+@unrolled
+def mirror(Q, n, where):
+    """Q <- Q (I - 2 n n^T / |n|^2) in the lanes where it says so."""
+    k = 2.0 / ti.max(n[0] * n[0] + n[1] * n[1] + n[2] * n[2], 1e-30)
+    k = let(ti.select(where, k, 0.0))
+    for a in range(3):
+        t = let(k * (Q[3 * a] * n[0] + Q[3 * a + 1] * n[1] + Q[3 * a + 2] * n[2]))
+        for b in range(3):
+            put(Q[3 * a + b], Q[3 * a + b] - t * n[b])
+
+
+@ti.func
+def von_mises(P, F):
+    """sqrt(3/2 s:s) of the deviator s of the Cauchy stress sigma = P F^T / J."""
+    r = inverse_guarded(determinant(F, cofactor(F)))
+    s00 = r * (P[0] * F[0] + P[1] * F[1] + P[2] * F[2])
+    s11 = r * (P[3] * F[3] + P[4] * F[4] + P[5] * F[5])
+    s22 = r * (P[6] * F[6] + P[7] * F[7] + P[8] * F[8])
+    s01 = r * (P[0] * F[3] + P[1] * F[4] + P[2] * F[5])
+    s02 = r * (P[0] * F[6] + P[1] * F[7] + P[2] * F[8])
+    s12 = r * (P[3] * F[6] + P[4] * F[7] + P[5] * F[8])
+    d0 = s00 - s11
+    d1 = s11 - s22
+    d2 = s22 - s00
+    return ti.sqrt(0.5 * (d0 * d0 + d1 * d1 + d2 * d2) + 3.0 * (s01 * s01 + s02 * s02 + s12 * s12))
+
+
+def let(x):
+    """A variable that holds the expression x, or a list of them."""
+    return impl.expr_init(x)
+
+
+def put(variable, x):
+    """variable = x."""
+    variable._assign(x)
+
+
+def at(array, n):
+    """array[n]."""
+    return impl.subscript(impl.get_runtime().compiling_callable.ast_builder(), array, n)

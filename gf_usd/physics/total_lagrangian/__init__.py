@@ -1,0 +1,1 @@
+"""The Total Lagrangian solver."""

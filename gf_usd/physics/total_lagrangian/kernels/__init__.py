@@ -1,0 +1,1 @@
+"""Taichi kernels of a Total Lagrangian substep."""

@@ -1,0 +1,93 @@
+"""What the paper's options do to eight particles inside a substep: see `options`."""
+
+import taichi as ti
+
+from gf_usd.physics.laws.simd3x3 import LANES, cofactor, determinant, double_dot
+from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, CLIP_ROOM, HIGH, LOW, STRESS_CAPPED
+
+
+@ti.func
+def touch(body: ti.template(), lane, how):
+    """Note that a particle was clipped or cut; see `options.touched`."""
+    body.touched[lane] = body.touched[lane] | how
+
+
+@ti.func
+def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
+    """Clip the singular values of F of batch b, in place; where J < 0 the smallest is negative.
+
+    Signs as in `lanes.rotation`: an inverted particle is seen as one of the least stretch allowed.
+    """
+    low = body.numbers[LOW]
+    high = body.numbers[HIGH]
+    square = double_dot(F, F)
+    # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
+    J = determinant(F, cofactor(F))
+    beyond = ti.select((square > high * high) | (low * square > 2.0 * J), J * 0.0 + 1.0, J * 0.0)
+    if beyond.max() > 0.0:
+        room = CLIP_ROOM * b
+        for a in ti.static(range(9)):
+            body.clip_room[room + a] = F[a]
+        body.clip_room[room + 9] = beyond
+        # Lane by lane through memory: eight decompositions in line would take minutes to compile.
+        for lane in range(LANES):
+            if body.clip_room[room + 9][lane] > 0.0:
+                clip_lane(body, b, lane, low, high, counted)
+        for a in ti.static(range(9)):
+            F[a] = body.clip_room[room + a]
+
+
+@ti.func
+def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
+    """Clip the matrix that `clip_room` holds in one lane of batch b."""
+    A = ti.Matrix.rows(
+        [
+            ti.Vector(
+                [body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] for c in ti.static(range(3))]
+            )
+            for a in ti.static(range(3))
+        ]
+    )
+    B, outside = clipped_matrix(A, low, high)
+    if outside > 0:
+        if ti.static(counted):
+            touch(body, b * LANES + lane, CLAMPED)
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] = B[a, c]
+
+
+@ti.func
+def clipped_matrix(A, low, high):
+    """A with its singular values in [low, high], and 1 if any was outside."""
+    U, S, V = ti.svd(A)
+    outside = 0
+    for a in ti.static(range(3)):
+        s = ti.min(ti.max(S[a, a], low), high)
+        if s != S[a, a]:
+            outside = 1
+        S[a, a] = s
+    B = A
+    if outside > 0:
+        for a in ti.static(range(3)):
+            for c in ti.static(range(3)):
+                B[a, c] = (
+                    U[a, 0] * S[0, 0] * V[c, 0]
+                    + U[a, 1] * S[1, 1] * V[c, 1]
+                    + U[a, 2] * S[2, 2] * V[c, 2]
+                )
+    return B, outside
+
+
+@ti.func
+def cut(body: ti.template(), b, P: ti.template(), counted: ti.template()):
+    """Scale P of batch b down to |P| <= numbers[CAP], in place."""
+    cap = body.numbers[CAP]
+    size = ti.sqrt(double_dot(P, P))
+    scale = ti.min(cap / ti.max(size, 1e-30), 1.0)
+    for a in ti.static(range(9)):
+        P[a] = P[a] * scale
+    if ti.static(counted):
+        for lane in ti.static(range(LANES)):
+            if size[lane] > cap:
+                touch(body, b * LANES + lane, STRESS_CAPPED)

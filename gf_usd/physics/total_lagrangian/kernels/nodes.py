@@ -1,0 +1,126 @@
+"""What one node does in a substep: sum its cells' blocks in a fixed order, and move.
+
+No atomics, so the result does not depend on the number of threads.  Some nodes follow the free
+ones (see `followers`, `holds`): they pass their sums on, and take their motion back.
+"""
+
+import taichi as ti
+
+from gf_usd.physics.contact.kernels import contact_force
+from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES
+from gf_usd.physics.total_lagrangian.kernels.scalar import number
+
+
+@ti.func
+def block_sum(body: ti.template(), node, plain: ti.template()):
+    """Sum of what the node's cells hold for it, in a fixed order; `plain_kernel` has summed it."""
+    f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    if ti.static(plain):
+        for a in ti.static(range(3)):
+            f[a] = number(body.block, 0, 3, node, a)
+    else:
+        for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
+            o = body.node_slot[e] >> LANE_BITS
+            lane = body.node_slot[e] & (LANES - 1)
+            f += ti.Vector([body.block[o][lane], body.block[o + 1][lane], body.block[o + 2][lane]])
+    return f
+
+
+@ti.func
+def follower_share(body: ti.template(), follower, free, dt, plain: ti.template()):
+    """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works."""
+    f = block_sum(body, free + follower, plain)
+    work = body.work[follower]
+    for d in ti.static(range(3)):
+        body.share[3 * follower + d] = f[d]
+        work -= dt * f[d] * body.anchor_rate[3 * follower + d]
+    body.work[follower] = work
+
+
+@ti.func
+def node_sum(body: ti.template(), node, plain: ti.template()):
+    """What the cells hold for a free node and for those that follow it: (E^T f)_i."""
+    return block_sum(body, node, plain) + leader_sum(body, node)
+
+
+@ti.func
+def leader_sum(body: ti.template(), node):
+    """sum_l e_li of what the followers kept."""
+    f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    for e in range(body.leader_start[node], body.leader_start[node + 1]):
+        o = body.leader_follower[e] * 3
+        f += body.leader_weight[e] * ti.Vector(
+            [body.share[o], body.share[o + 1], body.share[o + 2]]
+        )
+    return f
+
+
+@ti.func
+def follow(body: ti.template(), follower, free, drift):
+    """u_l = sum_j e_lj u_j + c_l, and v likewise; c moves on by drift at its rate."""
+    a = 3 * follower
+    rate = ti.Vector([body.anchor_rate[a], body.anchor_rate[a + 1], body.anchor_rate[a + 2]])
+    u = ti.Vector([body.anchor[a], body.anchor[a + 1], body.anchor[a + 2]]) + drift * rate
+    v = rate
+    for d in ti.static(range(3)):
+        body.anchor[a + d] = u[d]
+    for e in range(body.follow_start[follower], body.follow_start[follower + 1]):
+        o = body.follow_node[e] * 3
+        w = body.follow_weight[e]
+        u += w * ti.Vector([body.u[o], body.u[o + 1], body.u[o + 2]])
+        v += w * ti.Vector([body.v[o], body.v[o + 1], body.v[o + 2]])
+    o = 3 * (free + follower)
+    for d in ti.static(range(3)):
+        body.u[o + d] = u[d]
+        body.v[o + d] = v[d]
+
+
+@ti.func
+def drift_node(body: ti.template(), node, drift):
+    """u += drift v."""
+    for a in range(3 * node, 3 * node + 3):
+        body.u[a] = body.u[a] + drift * body.v[a]
+
+
+@ti.func
+def move_node(body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()):
+    """v += dt (f/m + g + b), u += drift v, with the forces of the cells and of the floor."""
+    f = node_sum(body, node, plain)
+    if contact > 0:
+        f += contact_force(body, node)
+    a = f * body.inverse_mass[node] + g
+    for d in ti.static(range(3)):
+        a[d] += body.acceleration[3 * node + d]
+        v = (body.v[3 * node + d] + dt * a[d]) * keep
+        body.v[3 * node + d] = v
+        body.u[3 * node + d] = body.u[3 * node + d] + drift * v
+
+
+@ti.func
+def follower_loss(body: ti.template(), follower, free, plain: ti.template()):
+    """Keep (B v - m v)_l of a follower, for the nodes it follows."""
+    f = momentum_change(body, free + follower, plain)
+    for d in ti.static(range(3)):
+        body.share[3 * follower + d] = f[d]
+
+
+@ti.func
+def momentum_change(body: ti.template(), node, plain: ti.template()):
+    """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
+    p = block_sum(body, node, plain)
+    for d in ti.static(range(3)):
+        p[d] -= body.node_mass[node] * body.v[3 * node + d]
+    return p
+
+
+@ti.func
+def filter_node(body: ti.template(), node, alpha, plain: ti.template()):
+    """v += alpha (B v - m v) / m, with the followers' shares: E^T (B - M) E v.
+
+    B and M agree on sum m v and sum X x m v, and E carries both, so they are kept to rounding;
+    B <= M in the sense of forms, so no motion can grow.
+    """
+    p = momentum_change(body, node, plain) + leader_sum(body, node)
+    for d in ti.static(range(3)):
+        v = body.v[3 * node + d]
+        body.v[3 * node + d] = v + alpha * p[d] * body.inverse_mass[node]

@@ -1,0 +1,224 @@
+"""The substep as it stands in the equations: one thread a particle, then one a node.
+
+    F_p = I + sum_i u_i (x) G_ip,   T_p = V0_p P(F_p)           a thread a particle
+    f_i = -sum_p T_p G_ip                                        a thread a node
+
+This is the path for GPUs, and the reference that the tests hold the fast kernels (`cell_kernel`)
+to.  A node's thread walks the particles of its cells in a fixed order: nothing is added atomically,
+and nothing depends on the number of threads.
+
+What a node has received stands in lane n % 8 of block 3 (n // 8) + d; behind the nodes stand nine
+numbers of each particle, T, or twelve, m v_p and 4 m C_p.  Laws are those of the fast kernels, on
+vectors of one lane.
+"""
+
+import taichi as ti
+
+from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES, von_mises
+from gf_usd.physics.total_lagrangian.kernels.limits import clipped_matrix, touch
+from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
+
+
+@ti.func
+def number(field: ti.template(), first, per, p, a):
+    """Number a of `per` of particle or node p, in a field of lane vectors from `first` on."""
+    return field[first + per * (p >> LANE_BITS) + a][p & (LANES - 1)]
+
+
+@ti.func
+def set_number(field: ti.template(), first, per, p, a, value):
+    field[first + per * (p >> LANE_BITS) + a][p & (LANES - 1)] = value
+
+
+@ti.func
+def behind(nodes):
+    """Where in the block the particles begin."""
+    return 3 * ((nodes + LANES - 1) >> LANE_BITS)
+
+
+@ti.func
+def splines(body: ti.template(), p):
+    """Distances f from the base node, weights w and slopes dw per cell: [axis, node]."""
+    f = ti.Vector([number(body.fx, 0, 3, p, a) for a in ti.static(range(3))])
+    w = ti.Matrix.zero(float, 3, 3)
+    dw = ti.Matrix.zero(float, 3, 3)
+    for a in ti.static(range(3)):
+        w[a, 0] = 0.5 * (1.5 - f[a]) * (1.5 - f[a])
+        w[a, 1] = 0.75 - (f[a] - 1.0) * (f[a] - 1.0)
+        w[a, 2] = 0.5 * (f[a] - 0.5) * (f[a] - 0.5)
+        dw[a, 0] = f[a] - 1.5
+        dw[a, 1] = 2.0 - 2.0 * f[a]
+        dw[a, 2] = f[a] - 0.5
+    return f, w, dw
+
+
+@ti.func
+def slope(w, dw, i, j, k):
+    """h G_ip of node (i, j, k)."""
+    return ti.Vector([dw[0, i] * w[1, j] * w[2, k], w[0, i] * dw[1, j] * w[2, k],
+                      w[0, i] * w[1, j] * dw[2, k]])  # fmt: skip
+
+
+@ti.func
+def node_vector(body: ti.template(), field: ti.template(), p, n):
+    """A nodal vector at node n of the 27 of a particle's cell."""
+    o = body.group_nodes[body.group_nodes[p] + n]
+    return ti.Vector([field[o], field[o + 1], field[o + 2]])
+
+
+@ti.func
+def field_gradient(body: ti.template(), field: ti.template(), p, ih):
+    """sum_i q_i (x) G_ip of a nodal vector field."""
+    _, w, dw = splines(body, p)
+    D = ti.Matrix.zero(float, 3, 3)
+    for n in range(27):
+        q = node_vector(body, field, p, n)
+        D += q.outer_product(slope(w, dw, n // 9, n // 3 % 3, n % 3))
+    return ih * D
+
+
+@ti.func
+def particle_strain(body: ti.template(), p, ih, options: ti.template()):
+    """F, as the stress is taken of."""
+    F = field_gradient(body, body.u, p, ih)
+    for a in ti.static(range(3)):
+        if ti.static(options.anchored):
+            for c in ti.static(range(3)):
+                F[a, c] += number(body.F0, 0, 9, p, 3 * a + c)
+        else:
+            F[a, a] += 1.0
+    if ti.static(options.clamped):
+        F, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
+        if outside > 0:
+            touch(body, p, CLAMPED)
+    return F
+
+
+@ti.func
+def listed(F):
+    """A matrix as the laws take it: nine vectors of one lane."""
+    return [ti.Vector([F[a, c]]) for a in ti.static(range(3)) for c in ti.static(range(3))]
+
+
+@ti.func
+def moduli(body: ti.template(), p):
+    """mu and lam, one lane each."""
+    return ti.Vector([number(body.mu, 0, 1, p, 0)]), ti.Vector([number(body.lam, 0, 1, p, 0)])
+
+
+@ti.func
+def particle_pk1(body: ti.template(), p, F, law: ti.template(), converged):
+    """P(F) as a matrix."""
+    mu, lam = moduli(body, p)
+    flat = law.pk1(listed(F), mu, lam, converged)
+    P = ti.Matrix.zero(float, 3, 3)
+    for a in ti.static(range(3)):
+        for c in ti.static(range(3)):
+            P[a, c] = flat[3 * a + c][0]
+    return P
+
+
+@ti.func
+def cut_matrix(body: ti.template(), p, P):
+    """P scaled down to |P| <= numbers[CAP]."""
+    size = ti.sqrt((P * P).sum())
+    cap = body.numbers[CAP]
+    if size > cap:
+        touch(body, p, STRESS_CAPPED)
+    return ti.min(cap / ti.max(size, 1e-30), 1.0) * P
+
+
+@ti.func
+def particle_stress(
+    body: ti.template(), p, nodes, law: ti.template(), damped: ti.template(), ih, converged,
+    options: ti.template(),
+):  # fmt: skip
+    """T_p = V0 P(F_p), with Kelvin-Voigt's 2 mu tau F sym(F^T dF/dt) where bodies are damped."""
+    F = particle_strain(body, p, ih, options)
+    P = particle_pk1(body, p, F, law, converged)
+    if ti.static(damped):
+        E = F.transpose() @ field_gradient(body, body.v, p, ih)
+        P += (0.5 * number(body.viscosity, 0, 1, p, 0)) * (F @ (E + E.transpose()))
+    if ti.static(options.capped):
+        P = cut_matrix(body, p, P)
+    V0 = number(body.V0, 0, 1, p, 0)
+    for a in ti.static(range(3)):
+        for c in ti.static(range(3)):
+            set_number(body.block, behind(nodes), 9, p, 3 * a + c, V0 * P[a, c])
+
+
+@ti.func
+def node_force(body: ti.template(), node, nodes, ih):
+    """f_i = -sum_p T_p G_ip."""
+    f = ti.Vector.zero(float, 3)
+    for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
+        cell = body.node_slot[e] // 27
+        n = body.node_slot[e] % 27
+        for p in range(body.group_batch[cell], body.group_batch[cell + 1]):
+            _, w, dw = splines(body, p)
+            g = slope(w, dw, n // 9, n // 3 % 3, n % 3)
+            for a in ti.static(range(3)):
+                for c in ti.static(range(3)):
+                    f[a] -= number(body.block, behind(nodes), 9, p, 3 * a + c) * g[c]
+    for a in ti.static(range(3)):
+        set_number(body.block, 0, 3, node, a, ih * f[a])
+
+
+@ti.func
+def particle_velocity(body: ti.template(), p, nodes):
+    """m v_p and 4 m C_p (eq. 3), lengths in cells: the h of C and of dX cancel."""
+    f, w, _ = splines(body, p)
+    v = ti.Vector.zero(float, 3)
+    C = ti.Matrix.zero(float, 3, 3)
+    for n in range(27):
+        i, j, k = n // 9, n // 3 % 3, n % 3
+        q = (w[0, i] * w[1, j] * w[2, k]) * node_vector(body, body.v, p, n)
+        v += q
+        C += q.outer_product(ti.Vector([float(i) - f[0], float(j) - f[1], float(k) - f[2]]))
+    m = number(body.m, 0, 1, p, 0)
+    for a in ti.static(range(3)):
+        set_number(body.block, behind(nodes), 12, p, a, m * v[a])
+        for c in ti.static(range(3)):
+            set_number(body.block, behind(nodes), 12, p, 3 + 3 * a + c, 4.0 * m * C[a, c])
+
+
+@ti.func
+def node_momentum(body: ti.template(), node, nodes):
+    """sum_p w_ip m (v_p + C_p (X_i - X_p)) (eq. 1)."""
+    s = ti.Vector.zero(float, 3)
+    for e in range(body.node_slot_start[node], body.node_slot_start[node + 1]):
+        cell = body.node_slot[e] // 27
+        n = body.node_slot[e] % 27
+        i, j, k = n // 9, n // 3 % 3, n % 3
+        for p in range(body.group_batch[cell], body.group_batch[cell + 1]):
+            f, w, _ = splines(body, p)
+            d = ti.Vector([float(i) - f[0], float(j) - f[1], float(k) - f[2]])
+            for a in ti.static(range(3)):
+                t = number(body.block, behind(nodes), 12, p, a)
+                for c in ti.static(range(3)):
+                    t += number(body.block, behind(nodes), 12, p, 3 + 3 * a + c) * d[c]
+                s[a] += w[0, i] * w[1, j] * w[2, k] * t
+    for a in ti.static(range(3)):
+        set_number(body.block, 0, 3, node, a, s[a])
+
+
+@ti.func
+def particle_energy(
+    body: ti.template(), p, law: ti.template(), ih, converged, options: ti.template()
+):
+    """V0 psi(F)."""
+    F = particle_strain(body, p, ih, options)
+    mu, lam = moduli(body, p)
+    return number(body.V0, 0, 1, p, 0) * law.psi(listed(F), mu, lam, converged)[0]
+
+
+@ti.func
+def particle_von_mises(
+    body: ti.template(), p, law: ti.template(), ih, converged, options: ti.template()
+):
+    """Of the Cauchy stress P F^T / J, viscosity left out."""
+    F = particle_strain(body, p, ih, options)
+    P = particle_pk1(body, p, F, law, converged)
+    if ti.static(options.capped):
+        P = cut_matrix(body, p, P)
+    return von_mises(listed(P), listed(F))[0]

@@ -1,0 +1,257 @@
+"""The substeps, put together for a law and a precision.
+
+Per substep of length dt, with everything but u and v constant (docs/physics.md):
+
+    v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
+                                             the velocities that eq. 3 gathers
+    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `reanchor`
+    f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
+    v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
+    u_i <- u_i + dt v_i                      half of it before the first and after the last substep
+
+`groups` counts groups of eight cells or, where the options say plain, particles.
+
+The half steps make a frame position Verlet: second order, and exact under gravity alone.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import taichi as ti
+
+from gf_usd.physics.contact.kernels import pair_contact, pair_total, sample_contact, sample_motion
+from gf_usd.physics.laws.simd3x3 import LANES
+from gf_usd.physics.total_lagrangian.kernels.nodes import (
+    drift_node,
+    filter_node,
+    follow,
+    follower_loss,
+    follower_share,
+    move_node,
+)
+from gf_usd.physics.total_lagrangian.kernels.scalar import (
+    node_force,
+    node_momentum,
+    particle_energy,
+    particle_stress,
+    particle_velocity,
+    particle_von_mises,
+)
+from gf_usd.physics.total_lagrangian.kernels.simd import (
+    filter_group,
+    group_energy,
+    group_von_mises,
+    stress_group,
+)
+from gf_usd.physics.total_lagrangian.kernels.work_queue import (
+    SPAN,
+    clear,
+    finish,
+    piece,
+    pieces_of,
+    take,
+    wait,
+)
+from gf_usd.physics.total_lagrangian.limits import CONVERGED, PER_H, PLAIN, Options
+from gf_usd.physics.total_lagrangian.stages import (
+    CLOSES,
+    FILTERING,
+    FOLLOWERS,
+    FREE,
+    GROUPS,
+    NODES,
+    OPENING,
+    OPENS,
+    stages,
+)
+
+STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: groups, which are few, are spread
+
+
+@cache
+def pack_type(real, epoch: int):
+    """The arguments of a body, one pack: a launch then costs the same however many arrays.
+
+    epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
+    """
+    lanes = ("fx", "V0", "m", "mu", "lam", "viscosity", "block", "F0", "clip_room")
+    reals = (
+        *("u", "v", "inverse_mass", "node_mass"),
+        *("acceleration", "anchor", "anchor_rate", "work"),
+        *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
+        *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
+        *("share", "leader_weight", "follow_weight"),
+        *("numbers", "pair"),
+    )
+    ints = (
+        *("group_batch", "group_nodes", "node_slot_start", "node_slot"),
+        *("sample_start", "sample_node", "sample_active", "sample_capped"),
+        *("node_sample_start", "node_sample"),
+        *("leader_start", "leader_follower", "follow_start", "follow_node"),
+        *("touched", "links", "gate"),
+    )
+    vector = ti.types.vector(LANES, real)
+    members = {name: ti.types.ndarray(dtype=vector, ndim=1) for name in lanes}
+    members |= {name: ti.types.ndarray(dtype=real, ndim=1) for name in reals}
+    members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in ints}
+    return ti.types.argpack(**members)
+
+
+@cache
+def build(law, damped: bool, real, epoch: int, options: Options = PLAIN) -> SimpleNamespace:
+    """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
+    Body = pack_type(real, epoch)
+    vec = ti.types.vector(3, real)
+    table = stages(options.plain, options.meets)
+
+    @ti.func
+    def size(part: ti.template(), groups, free, followers, active):
+        """Items of a part."""
+        count = active
+        if ti.static(part.items == FREE):
+            count = free
+        elif ti.static(part.items == FOLLOWERS):
+            count = followers
+        elif ti.static(part.items == NODES):
+            count = free + followers
+        elif ti.static(part.items == GROUPS):
+            count = groups
+        return count
+
+    @ti.func
+    def due(stage: ti.template(), s, ends, every, phase):
+        """1 where a stage is part of substep s of a launch, else 0."""
+        on = 1
+        if ti.static(stage.when == OPENING):
+            on = int(s == 0 and ends & OPENS > 0)
+        if ti.static(stage.when == FILTERING):
+            on = int(every > 0 and (s + phase) % every == 0)
+        return on
+
+    @ti.func
+    def act(
+        part: ti.template(), body: ti.template(), n, free, nodes, active, alpha, g, up, lift, dt,
+        drift, keep,
+    ):  # fmt: skip
+        """One part of a substep, done to its item n."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
+        if ti.static(part.name == "open"):
+            drift_node(body, n, 0.5 * dt)
+        elif ti.static(part.name == "open followers"):
+            follow(body, n, free, 0.5 * dt)
+        elif ti.static(part.name == "momentum" and options.plain):
+            particle_velocity(body, n, nodes)
+        elif ti.static(part.name == "momentum"):
+            filter_group(body, n)
+        elif ti.static(part.name == "node momentum"):
+            node_momentum(body, n, nodes)
+        elif ti.static(part.name == "loss"):
+            follower_loss(body, n, free, options.plain)
+        elif ti.static(part.name == "filter"):
+            filter_node(body, n, alpha, options.plain)
+        elif ti.static(part.name == "filtered followers"):
+            follow(body, n, free, 0.0 * dt)
+        elif ti.static(part.name == "stress" and options.plain):
+            particle_stress(body, n, nodes, law, damped, ih, converged, options)
+        elif ti.static(part.name == "stress"):
+            stress_group(body, n, law, damped, ih, converged, options)
+        elif ti.static(part.name == "node force"):
+            node_force(body, n, nodes, ih)
+        elif ti.static(part.name == "sample motion"):
+            sample_motion(body, body.sample_active[n], dt)
+        elif ti.static(part.name == "contact"):
+            sample_contact(body, body.sample_active[n], up, lift, dt)
+        elif ti.static(part.name == "pair contact"):
+            pair_contact(body, body.sample_active[n], dt)
+        elif ti.static(part.name == "pair total"):
+            pair_total(body, body.sample_active[n])
+        elif ti.static(part.name == "share"):
+            follower_share(body, n, free, dt, options.plain)
+        elif ti.static(part.name == "move"):
+            move_node(body, n, active, g, dt, drift, keep, options.plain)
+        elif ti.static(part.name == "follow"):
+            follow(body, n, free, drift)
+
+    @ti.kernel
+    def relay(
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
+        threads: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
+        g: vec, up: vec, lift: real, dt: real, keep: real,
+    ):  # fmt: skip
+        """So many substeps in one launch, whose threads draw tickets: see `relay_kernel`.
+
+        every, phase : the filter acts where s + phase is a multiple of every; 0: never.
+        """
+        clear(body.gate)
+        for z in range(threads * SPAN):
+            if z % SPAN == 0:
+                before = 0
+                ticket = take(body.gate)
+                for s in range(substeps):
+                    drift = dt
+                    if s == substeps - 1 and ends & CLOSES > 0:
+                        drift = 0.5 * dt
+                    for stage in ti.static(table):
+                        count = size(stage.parts[0], groups, free, followers, active)
+                        pieces = pieces_of(stage.parts[0], count, threads)
+                        pieces *= due(stage, s, ends, every, phase)
+                        while ticket < before + pieces:
+                            wait(body.gate, before)
+                            for part in ti.static(stage.parts):
+                                many = size(part, groups, free, followers, active)
+                                first, behind = piece(many, ticket - before, pieces)
+                                for n in range(first, behind):
+                                    act(
+                                        part, body, n, free, free + followers, active, alpha, g,
+                                        up, lift, dt, drift, keep,
+                                    )  # fmt: skip
+                            finish(body.gate)
+                            ticket = take(body.gate)
+                        before += pieces
+
+    @ti.kernel
+    def parallel(
+        body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32, ends: ti.i32,
+        every: ti.i32, phase: ti.i32, alpha: real, g: vec, up: vec, lift: real, dt: real,
+        keep: real,
+    ):  # fmt: skip
+        """One substep, a thread an item: for GPUs."""
+        closing = (ends & CLOSES) // CLOSES
+        for stage in ti.static(table):
+            for part in ti.static(stage.parts):
+                for n in range(
+                    size(part, groups, free, followers, active) * due(stage, 0, ends, every, phase)
+                ):
+                    act(
+                        part, body, n, free, free + followers, active, alpha, g, up, lift, dt,
+                        dt - 0.5 * dt * closing, keep,
+                    )  # fmt: skip
+
+    @ti.kernel
+    def energy(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
+        """out[cell] = sum_p V0 psi(F_p); of each particle where they are plain."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
+        if ti.static(options.plain):
+            for p in range(groups):
+                out[p] = particle_energy(body, p, law, ih, converged, options)
+        else:
+            for z in range(groups * STRIDE):
+                if z % STRIDE == 0:
+                    group_energy(body, z // STRIDE, out, law, ih, converged, options)
+
+    @ti.kernel
+    def stress(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
+        """out[lane] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        ih = body.numbers[PER_H]
+        converged = body.numbers[CONVERGED]
+        if ti.static(options.plain):
+            for p in range(groups):
+                out[p] = particle_von_mises(body, p, law, ih, converged, options)
+        else:
+            for z in range(groups * STRIDE):
+                if z % STRIDE == 0:
+                    group_von_mises(body, z // STRIDE, out, law, ih, converged, options)
+
+    return SimpleNamespace(relay=relay, parallel=parallel, energy=energy, stress=stress)

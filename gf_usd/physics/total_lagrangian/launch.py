@@ -1,0 +1,146 @@
+"""Substeps as launches of kernels.
+
+On the CPU a launch is as many substeps as take a moment, shared among threads inside it; on a GPU
+it is one substep, over all threads.  Both take the same sums in the same order: how substeps are
+cut into launches, and among threads, changes no bit.
+
+How many threads share a launch, and how many substeps it takes.
+
+Threads of a launch wait for each other without sleeping (`relay_kernel`): quickest where each has a
+core, slow where one waits for a core that another program uses.  So the time that threads ran is
+compared with the time that passed, and where cores were lacking fewer threads share the launches
+that follow.  No result depends on it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.physics.taichi_arrays import Launcher
+from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS
+from gf_usd.system.background import at_work
+from gf_usd.system.taichi_runtime import cores
+
+if TYPE_CHECKING:
+    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+
+FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
+
+
+class Launches:
+    """The launches of a body's substeps.
+
+    over_all : each substep is a launch over all threads; None: on a GPU.
+    """
+
+    def __init__(self, solver: TotalLagrangian, over_all: bool | None = None) -> None:
+        gpu = solver.settings.device != "cpu"
+        self.crew = None
+        self._vectors = (solver.vector(solver.settings.gravity), solver.vector(solver.normal))
+        if gpu if over_all is None else over_all:
+            self._kernel = Launcher(solver.kernels.parallel, solver.pack)
+        else:
+            self._kernel = Launcher(solver.kernels.relay, solver.pack)
+            self.crew = Crew(solver.settings.threads or cores(), len(solver.particles))
+
+    def run(self, solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
+        """So many substeps of dt [s] in which `active` contact samples are looked at."""
+        s, free = solver.settings, solver.stencil.free_count
+        every, alpha = filter_of(s.filter_rate, dt)
+        counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
+        lift = float(solver.offset @ solver.normal)
+        numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
+        done = 0
+        while done < substeps:
+            many = self.crew.fitting(substeps - done) if self.crew else 1
+            ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
+            when = (every, (solver.done + done) % every if every else 0)
+            if self.crew:
+                tail = (many, ends, *when, *numbers)
+                self.crew.launch(partial(self._draw, counts, tail), many)
+            else:
+                self._kernel(*counts, ends, *when, *numbers)
+            done += many
+        solver.done += substeps
+
+    def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
+        self._kernel(*counts, threads, *tail)
+
+
+def filter_of(rate: float, dt: float) -> tuple[int, float]:
+    """Substeps between filters and the strength of one: alpha = 1 - exp(-r k dt)."""
+    if rate <= 0.0:
+        return 0, 0.0
+    if np.isinf(rate):
+        return 1, 1.0
+    every = max(1, int(FILTER_STEP / (rate * dt)))
+    return every, float(1.0 - np.exp(-rate * every * dt))
+
+
+MOMENT = 0.1  # [s] of a launch; between launches Ctrl-C is heard and threads are counted anew
+FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
+GUESS = 1e-7  # [s] of a particle and substep, until one is measured
+BUSY = 0.75  # of the time that passed: threads that ran for less lacked a core
+SHORT = 1e-3  # [s] launches that say nothing of that
+REST = 2  # launches of fewer threads before more are tried; doubled each time they lack cores
+LONGEST_REST = 512
+
+
+class Crew:
+    """The threads of a body's launches.
+
+    threads : as many as there are; particles : of the body, which may ask for fewer.
+    clock, ran : [s] that passed, and that the threads of this process ran.
+    others : threads of this process that work at something else.
+    """
+
+    def __init__(
+        self,
+        threads: int,
+        particles: int,
+        clock: Callable[[], float] = time.perf_counter,
+        ran: Callable[[], float] = time.process_time,
+        others: Callable[[], int] = at_work,
+    ) -> None:
+        self.most = max(1, min(threads, particles // FEW))
+        self.size = self.most
+        self._clock, self._ran, self._others = clock, ran, others
+        self._pace = GUESS * max(1, particles)
+        self._fresh = True
+        self._rest, self._left = REST, 0
+
+    def fitting(self, substeps: int) -> int:
+        """How many of so many substeps the next launch takes."""
+        return max(1, min(substeps, int(MOMENT / self._pace)))
+
+    def launch(self, work: Callable[[int], None], substeps: int) -> None:
+        """`work` with as many threads as there seem to be cores for."""
+        if self._left:
+            self._left -= 1
+            self.size = self.size if self._left else self.most
+        others = self._others()
+        size = min(self.size, max(1, cores() - others)) if others else self.size
+        wall, ran = self._clock(), self._ran()
+        work(size)
+        wall, ran = self._clock() - wall, self._ran() - ran
+        if self._fresh:  # it was compiled in that time
+            self._fresh = False
+            return
+        self._pace = wall / substeps
+        if self.size > 1 and wall > SHORT and not others:  # their time would count
+            self._judge(wall, ran)
+
+    def _judge(self, wall: float, ran: float) -> None:
+        """Take fewer threads for a while if these ran for less than the time that passed."""
+        if ran >= BUSY * self.size * wall:
+            self._rest = REST
+            return
+        self.size = max(1, min(self.size - 1, round(ran / wall)))
+        self._left = self._rest
+        self._rest = min(2 * self._rest, LONGEST_REST)

@@ -1,0 +1,192 @@
+"""Arrays of a body in the order the kernels walk them.
+
+Cells stand side by side in groups of eight, one in each lane.  A batch holds one particle of each
+cell of a group; where a cell has run out of particles its lane repeats one with no volume and no
+mass, so that it adds nothing.  Cells of a group hold about as many particles as each other.
+
+Arrays of a body for the plain kernels: particles in the order of their cells, one after another.
+
+Where the fast kernels keep groups of eight cells, these keep cells and particles: `plain_kernel`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.floor import FloorContact
+from gf_usd.physics.grid.reference import Stencil
+
+LANES = 8
+WINDOW = 4096  # cells that are put in order of their particles: far cells share no group
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batches:
+    """Where each cell and each particle went."""
+
+    cells: Ints  # (G, 8) cell of each lane of a group; the last group may repeat its last cell
+    batch: Ints  # (G + 1,) batches of each group
+    source: Ints  # (B, 8) particle of each lane, in the user's order; fillers repeat one
+    filled: Floats  # (B, 8) 1 for a particle, 0 for a filler
+
+    @property
+    def groups(self) -> int:
+        """How many the kernels walk."""
+        return len(self.cells)
+
+    def arrays(self, stencil: Stencil) -> dict[str, Any]:
+        """What the kernels find cells and nodes by, and the room for forces."""
+        slot_start, slot = node_slots(stencil, self)
+        return {
+            "block": np.zeros((81 * self.groups, LANES)),
+            "group_batch": self.batch,
+            "group_nodes": group_nodes(stencil, self),
+            "node_slot_start": slot_start,
+            "node_slot": slot,
+        }
+
+
+def batch_particles(stencil: Stencil) -> Batches:
+    """Group the cells, and split the particles of each group into batches."""
+    counts = np.diff(stencil.cell_start)
+    cell = np.arange(len(counts))
+    order = np.lexsort((cell, -counts, cell // WINDOW))
+    missing = -len(order) % LANES
+    cells = np.append(order, np.full(missing, order[-1])).reshape(-1, LANES)
+    held = counts[cells]
+    held.ravel()[len(order) :] = 0
+    batch = np.append(0, np.cumsum(held.max(1)))
+    group = np.repeat(np.arange(len(cells)), np.diff(batch))
+    turn = np.arange(batch[-1]) - batch[group]
+    filled = turn[:, None] < held[group]
+    position = stencil.cell_start[cells[group]] + np.where(filled, turn[:, None], 0)
+    return Batches(
+        cells=cells, batch=batch, source=stencil.order[position], filled=filled.astype(float)
+    )
+
+
+def lanes(batches: Batches, values: Floats, *, fill: bool = False) -> Floats:
+    """Per-particle values (N,) or (N, k) as lane vectors (B k, 8); fill keeps fillers' values."""
+    out = np.asarray(values, float)[batches.source]
+    if not fill:
+        out = out * batches.filled.reshape(batches.filled.shape + (1,) * (out.ndim - 2))
+    return np.moveaxis(out, 1, -1).reshape(-1, LANES)
+
+
+def group_nodes(stencil: Stencil, batches: Batches) -> Ints:
+    """First component, 3 x node, of the nodes of each group: (G, 27, 8), flat."""
+    return 3 * np.moveaxis(stencil.cell_nodes[batches.cells], 1, -1).ravel()
+
+
+def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
+    """For each node where its cells hold a force for it: numbers of its first component.
+
+    The block of all groups is (G, 27, 3, 8), and a slot 8 * (81 g + 3 n) + lane.
+    """
+    count = len(stencil.cell_nodes)
+    g, lane = np.divmod(np.arange(count), LANES)
+    slots = LANES * (81 * g[:, None] + 3 * np.arange(27)) + lane[:, None]
+    flat = stencil.cell_nodes[batches.cells.ravel()[:count]].ravel()
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(stencil.node_count + 1))
+    return start, slots.ravel()[order]
+
+
+def follower_arrays(stencil: Stencil) -> dict[str, Any]:
+    """Both directions of `Stencil.follow`, as compressed rows; never empty."""
+    down, up = stencil.follow.tocsr(), stencil.follow.T.tocsr()
+    for matrix in (down, up):
+        matrix.sort_indices()
+    none_i, none_f = np.zeros(1, int), np.zeros(1)
+    return {
+        "follow_start": down.indptr,
+        "follow_node": down.indices if down.nnz else none_i,
+        "follow_weight": down.data if down.nnz else none_f,
+        "leader_start": up.indptr,
+        "leader_follower": up.indices if up.nnz else none_i,
+        "leader_weight": up.data if up.nnz else none_f,
+    }
+
+
+def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> dict[str, Any]:
+    """The contact part of the pack; without a floor, one sample that is never active."""
+    if contact is None:
+        none = {
+            name: np.zeros(1) for name in ("height", "stiffness", "damping", "friction", "mass")
+        }
+        return {f"sample_{name}": value for name, value in none.items()} | {
+            "sample_start": np.zeros(2, int),
+            "sample_node": np.zeros(1, int),
+            "sample_weight": np.zeros(1),
+            "sample_force": np.zeros(3),
+            "sample_depth": np.zeros(1),
+            "sample_active": np.zeros(1, int),
+            "sample_capped": np.zeros(1, int),
+            "node_sample_start": np.zeros(nodes + 1, int),
+            "node_sample": np.zeros(1, int),
+            "node_sample_weight": np.zeros(1),
+        }
+    W = contact.rows.W
+    transposed = W.T.tocsr()
+    transposed.sort_indices()
+    n = W.shape[0]
+    return {
+        "sample_height": height,
+        "sample_stiffness": contact.stiffness,
+        "sample_damping": contact.damping,
+        "sample_friction": contact.friction,
+        "sample_mass": contact.mass,
+        "sample_start": W.indptr,
+        "sample_node": W.indices,
+        "sample_weight": W.data,
+        "sample_force": np.zeros(3 * n),
+        "sample_depth": np.zeros(n),
+        "sample_active": np.zeros(n, int),
+        "sample_capped": np.zeros(n, int),
+        "node_sample_start": transposed.indptr,
+        "node_sample": transposed.indices,
+        "node_sample_weight": transposed.data,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Singles(Batches):
+    """Eight particles in a batch, whichever cells they are in; the last batch is filled up."""
+
+    @property
+    def groups(self) -> int:
+        """Particles."""
+        return int(self.filled.sum())
+
+    def arrays(self, stencil: Stencil) -> dict[str, Any]:
+        """See `Batches`: ranges of particles and nodes by cell, and of (cell, node) by node."""
+        nodes = -(-stencil.node_count // LANES)
+        order = np.argsort(stencil.cell_nodes.ravel(), kind="stable")  # 27 cell + n, by node
+        counts = np.bincount(stencil.cell_nodes.ravel(), minlength=stencil.node_count)
+        return {
+            "block": np.zeros((3 * nodes + 12 * len(self.source), LANES)),
+            "group_batch": self.batch,
+            # where the nodes of each particle's cell begin, and behind that the nodes of the cells
+            "group_nodes": np.append(
+                self.groups + 27 * self.cells.ravel()[: self.groups], 3 * stencil.cell_nodes
+            ),
+            "node_slot_start": np.append(0, np.cumsum(counts)),
+            "node_slot": order,
+        }
+
+
+def single_particles(stencil: Stencil) -> Singles:
+    """The particles of a stencil in its order."""
+    count = len(stencil.order)
+    place = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
+    cell = np.repeat(np.arange(len(stencil.cell_nodes)), np.diff(stencil.cell_start))
+    return Singles(
+        cells=cell[place].reshape(-1, LANES),
+        batch=stencil.cell_start,
+        source=stencil.order[place].reshape(-1, LANES),
+        filled=(np.arange(len(place)) < count).astype(float).reshape(-1, LANES),
+    )

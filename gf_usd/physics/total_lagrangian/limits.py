@@ -1,0 +1,96 @@
+"""Which of the paper's options a body runs with, and how often they acted.
+
+    clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
+    cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)
+    WLS     F anchored anew once a frame: see `reanchor`                         (section 3.2)
+
+Off, none of them leaves a trace in the kernels.  The particles that the first two touch are counted
+each frame, however often they are touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Settings
+from gf_usd.physics import taichi_arrays
+from gf_usd.physics.total_lagrangian import layout
+
+if TYPE_CHECKING:
+    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+
+LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
+CLIP_ROOM = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
+CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What is compiled into the kernels."""
+
+    anchored: bool = False  # F = F0 + G u with an F0 of each particle, in place of I
+    clamped: bool = False
+    capped: bool = False
+    meets: bool = False  # bodies meet each other, themselves or obstacles
+    plain: bool = False  # one thread a particle (`plain_kernel`), as on GPUs
+
+
+PLAIN = Options()
+
+
+def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> Options:
+    """The options that the settings ask for."""
+    return Options(
+        anchored=settings.wls,
+        clamped=settings.clamp is not None,
+        capped=settings.stress_cap is not None,
+        meets=meets,
+        plain=plain,
+    )
+
+
+def arrays(
+    batches: layout.Batches, settings: Settings, h: float, converged: float
+) -> dict[str, Floats]:
+    """The options' part of the pack, and two numbers of the body; of what is off, one number.
+
+    h : [m] of a cell; converged : change of a rotation that ends its iteration.
+    """
+    asked, lanes = options_of(settings), batches.source.size
+    low, high = settings.clamp or (0.0, 0.0)
+    return {
+        "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
+        "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
+        "clip_room": np.zeros(
+            (CLIP_ROOM * len(batches.source) if asked.clamped else 1, layout.LANES)
+        ),
+        "touched": np.zeros(lanes if asked.clamped or asked.capped else 1, int),
+    }
+
+
+def clear(solver: TotalLagrangian) -> None:
+    """Count from zero."""
+    if solver.options.clamped or solver.options.capped:
+        taichi_arrays.clear(solver.arrays["touched"])
+
+
+def touched(solver: TotalLagrangian) -> dict[str, Floats]:
+    """(N,) bool for "clamped" and "stress_capped": particles touched since `clear`."""
+    out = {}
+    asked = solver.options
+    for name, bit, on in (
+        ("clamped", CLAMPED, asked.clamped),
+        ("stress_capped", STRESS_CAPPED, asked.capped),
+    ):
+        out[name] = np.zeros(len(solver.particles), bool)
+        if on:
+            # A filler repeats a neighbour, so that what it says is that particle's own.
+            lanes = taichi_arrays.values(solver.arrays["touched"]) & bit > 0
+            out[name][solver.batches.source.ravel()[lanes]] = True
+            out[name] &= solver.m > 0.0  # what a pin holds has no stress
+    return out

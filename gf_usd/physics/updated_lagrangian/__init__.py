@@ -1,0 +1,1 @@
+"""The Updated Lagrangian MPM solver, for comparison."""

@@ -1,0 +1,101 @@
+"""What a frame of the Updated Lagrangian solver says of its own health.
+
+How fast waves run through a strained body as the world's grid sees them.
+
+A wave with normal N in the rest body has k = shear mu + U''(J) J^2 |F^-T N|^2 (see `stiffening`),
+and its crests lie 1 / |F^-T N| as far apart in the world as at rest.  In the world its speed is
+that of rho c^2 = shear mu / |F^-T N|^2 + U''(J) J^2, at most
+
+    k = shear mu s_max^2 + U''(J) J^2,        s_max the largest singular value of F
+
+rho of the rest body.  So stretch shortens the step here, and in the Total Lagrangian solver squash.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Health, Pose, Settings
+from gf_usd.physics.time_step import wave_speed
+
+if TYPE_CHECKING:
+    from gf_usd.physics.laws.registry import Law
+
+
+def measure(
+    particles: Pose,
+    strain: tuple[Floats, Floats],
+    C: Floats,
+    m: Floats,
+    h: float,
+    settings: Settings,
+    *,
+    elastic: float,
+    contact: float,
+) -> Health:
+    """Energies, momenta and stretches in float64; C (N, 3, 3) [1/s], m (N,) [kg], h [m].
+
+    strain : (stretch (N, 3), J (N,)) from `stretches.strains`.
+
+    A particle holds an affine motion, of inertia m h^2/4 in every direction (the B-splines' own):
+
+        kinetic = sum m (|v|^2 + h^2/4 |C|^2) / 2
+        angular momentum = sum m (x x v + h^2/4 axial(C)),   axial(C)_a = eps_abc C_cb
+
+    the first of which transfers only lessen, and the second of which they keep.
+    """
+    x, v = particles.x, particles.v
+    stretch, J = strain
+    spread = 0.25 * h * h
+    axial = np.stack(
+        [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], -1
+    )
+    datum = settings.floor if settings.floor is not None else 0.0
+    height = x - datum * settings.normal
+    return Health(
+        kinetic=float(0.5 * m @ ((v * v).sum(1) + spread * (C * C).sum((1, 2)))),
+        elastic=elastic,
+        potential=float(-(m @ (height @ np.asarray(settings.gravity)))),
+        contact=contact,
+        mass=float(m.sum()),
+        centre=_triple(m @ x / m.sum()),
+        momentum=_triple(m @ v),
+        angular_momentum=_triple(m @ (np.cross(x, v) + spread * axial)),
+        min_J=float(J.min()),
+        max_J=float(J.max()),
+        min_stretch=float(stretch.min()),
+        max_stretch=float(stretch.max()),
+        inverted=int((J <= 0.0).sum()),
+    )
+
+
+def _triple(a: Floats) -> tuple[float, float, float]:
+    return (float(a[0]), float(a[1]), float(a[2]))
+
+
+def world_stiffness(law: Law, stretch: Floats, J: Floats, mu: Floats, lam: Floats) -> Floats:
+    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,); mu as `laws.moduli`."""
+    bulk = np.maximum(law.bulk(J, mu, lam), 0.0)
+    return law.shear(mu) * stretch[:, 2] ** 2 + bulk * J**2
+
+
+def cells_now(cells: Floats) -> tuple[Ints, Ints]:
+    """Particles cell by cell, and where each cell's begin, with the end.
+
+    cells : (N, 3) positions in cells of the grid; a node lies at whole numbers.
+    """
+    base = np.floor(cells - 0.5).astype(np.int64)
+    base -= base.min(0)
+    dims = base.max(0) + 1
+    key = (base[:, 0] * dims[1] + base[:, 1]) * dims[2] + base[:, 2]
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    return order, np.append(first, len(key))
+
+
+def strained_speed(k: Floats, density: Floats, cells: Floats) -> float:
+    """Largest over cells of sqrt(mean k / mean density) [m/s]."""
+    return wave_speed(k, density, *cells_now(cells))

@@ -1,0 +1,191 @@
+"""The substeps of the Updated Lagrangian solver, put together for a law and a precision.
+
+Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `ul_transfer_kernel`:
+
+    sort the particles by the cells they are in now      `ul_sort_kernel`
+    forces of the floor on the samples they carry        `ul_particle_kernel`
+    mass and momentum to the nodes, with the stress      `ul_transfer_kernel`
+    v_i <- (p_i / m_i + dt g) exp(-drag dt)
+    v, C, L back to the particles;  x, F move by dt
+
+Half of the first move comes before the first substep of a frame and half of the last is left out,
+which makes a frame position Verlet as in `kernels`: second order, and exact under gravity alone.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+
+import taichi as ti
+
+from gf_usd.physics.laws.simd3x3 import LANES, von_mises
+from gf_usd.physics.updated_lagrangian.particle_kernels import (
+    clamp_particle,
+    drift_particle,
+    move_node,
+    push_particle,
+    sample_force,
+)
+from gf_usd.physics.updated_lagrangian.sort_kernels import (
+    clear_box,
+    close_box,
+    count_particle,
+    number_cells,
+    place_particle,
+    sort_cell,
+    widen_box,
+)
+from gf_usd.physics.updated_lagrangian.transfer_kernels import (
+    gather_cell,
+    in_order,
+    matrix,
+    pick,
+    piola,
+    scatter_cell,
+)
+
+STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
+
+REALS = (
+    *("x", "v", "C", "L", "F", "m", "V0", "mu", "lam", "viscosity"),
+    *("push", "block", "node_v", "ride_weight", "ride_arm"),
+    *("sample_stiffness", "sample_damping", "sample_friction", "sample_mass"),
+    *("sample_force", "sample_depth"),
+)
+WHOLE = (
+    *("box", "key", "rank", "order", "slot", "cell_key", "cell_start", "clamped", "stress_capped"),
+    *("ride_particle", "particle_ride_start", "particle_ride", "sample_active", "sample_capped"),
+)
+
+
+@cache
+def pack_type(real, epoch: int):
+    """The arguments of a body, one pack; epoch as for `kernels.pack_type`."""
+    members = {name: ti.types.ndarray(dtype=real, ndim=1) for name in REALS}
+    members |= {name: ti.types.ndarray(dtype=ti.i32, ndim=1) for name in WHOLE}
+    return ti.types.argpack(**members)
+
+
+@cache
+def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> SimpleNamespace:
+    """The kernels for one law, with or without viscosity, clamp and stress cap, in f32 or f64."""
+    Body = pack_type(real, epoch)
+    vec = ti.types.vector(3, real)
+
+    @ti.kernel
+    def serial(
+        body: Body, n: ti.i32, active: ti.i32, node_room: ti.i32, cell_room: ti.i32,
+        substeps: ti.i32, g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
+        cap: real, low: real, high: real, converged: real,
+    ):  # fmt: skip
+        """All substeps of a frame in one launch on one thread: small bodies are all launch cost."""
+        ti.loop_config(serialize=True)
+        for s in range(substeps):
+            if s == 0:
+                for p in range(n):
+                    drift_particle(body, p, 0.5 * dt)
+            drift = dt
+            if s == substeps - 1:
+                drift = 0.5 * dt
+            clear_box(body)
+            for p in range(n):
+                widen_box(body, p, ih, phase)
+            close_box(body, node_room)
+            for node in range(body.box[6]):
+                body.slot[node] = 0
+            for p in range(n):
+                count_particle(body, p, ih, phase)
+            number_cells(body, cell_room)
+            for p in range(n):
+                place_particle(body, p)
+            for k in range(active):
+                sample_force(body, body.sample_active[k], up, lift, dt)
+            if active > 0:
+                for p in range(n):
+                    push_particle(body, p)
+            for cell in range(body.box[7]):
+                scatter_cell(body, cell, law, damped, capped, cap, active, dt, ih, phase, converged)
+            for node in range(body.box[6]):
+                move_node(body, node, g, dt, keep)
+            for cell in range(body.box[7]):
+                gather_cell(body, cell, drift, ih, phase)
+            if ti.static(clamp):
+                for p in range(n):
+                    clamp_particle(body, p, low, high)
+
+    @ti.kernel
+    def parallel(
+        body: Body, n: ti.i32, active: ti.i32, node_room: ti.i32, cell_room: ti.i32,
+        g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
+        cap: real, low: real, high: real, converged: real, drift: real,
+    ):  # fmt: skip
+        """One substep over all threads."""
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            clear_box(body)
+        for p in range(n):
+            widen_box(body, p, ih, phase)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            close_box(body, node_room)
+        for node in range(body.box[6]):
+            body.slot[node] = 0
+        for p in range(n):
+            count_particle(body, p, ih, phase)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            number_cells(body, cell_room)
+        for p in range(n):
+            place_particle(body, p)
+        for cell in range(body.box[7]):
+            sort_cell(body, cell)
+        for k in range(active):
+            sample_force(body, body.sample_active[k], up, lift, dt)
+        for p in range(n * ti.min(active, 1)):
+            push_particle(body, p)
+        for z in range(body.box[7] * STRIDE):
+            if z % STRIDE == 0:
+                scatter_cell(
+                    body, z // STRIDE, law, damped, capped, cap, active, dt, ih, phase, converged
+                )
+        for node in range(body.box[6]):
+            move_node(body, node, g, dt, keep)
+        for z in range(body.box[7] * STRIDE):
+            if z % STRIDE == 0:
+                gather_cell(body, z // STRIDE, drift, ih, phase)
+        for p in range(n):
+            if ti.static(clamp):
+                clamp_particle(body, p, low, high)
+
+    @ti.kernel
+    def start(body: Body, n: ti.i32, drift: real):
+        """The half step that opens a frame of `parallel` substeps."""
+        for p in range(n):
+            drift_particle(body, p, drift)
+
+    @ti.kernel
+    def energy(body: Body, n: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), converged: real):
+        """out[p] = V0 psi(F_p)."""
+        for b in range((n + LANES - 1) // LANES):
+            ids = in_order(b, n)
+            strain = matrix(body.F, ids)
+            psi = law.psi(strain, pick(body.mu, ids, 1, 0), pick(body.lam, ids, 1, 0), converged)
+            psi = psi * pick(body.V0, ids, 1, 0)
+            for lane in ti.static(range(LANES)):
+                out[ids[lane]] = psi[lane]
+
+    @ti.kernel
+    def stress(
+        body: Body, n: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), cap: real, converged: real
+    ):
+        """out[p] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
+        for b in range((n + LANES - 1) // LANES):
+            ids = in_order(b, n)
+            strain = matrix(body.F, ids)
+            P = piola(body, ids, strain, law, False, capped, cap, converged)
+            value = von_mises(P, strain)
+            for lane in ti.static(range(LANES)):
+                out[ids[lane]] = value[lane]
+
+    return SimpleNamespace(
+        serial=serial, parallel=parallel, start=start, energy=energy, stress=stress
+    )

@@ -1,0 +1,127 @@
+"""What single nodes, samples and particles do in a substep of the Updated Lagrangian solver."""
+
+import taichi as ti
+
+from gf_usd.physics.contact.kernels import floor_force
+from gf_usd.physics.updated_lagrangian.riding import CARRIERS
+
+
+@ti.func
+def vector(A: ti.template(), o):
+    return ti.Vector([A[o], A[o + 1], A[o + 2]])
+
+
+@ti.func
+def turned(A: ti.template(), p, d):
+    """A_p d for the matrix of particle p."""
+    return ti.Vector(
+        [
+            A[9 * p] * d[0] + A[9 * p + 1] * d[1] + A[9 * p + 2] * d[2],
+            A[9 * p + 3] * d[0] + A[9 * p + 4] * d[1] + A[9 * p + 5] * d[2],
+            A[9 * p + 6] * d[0] + A[9 * p + 7] * d[1] + A[9 * p + 8] * d[2],
+        ]
+    )
+
+
+@ti.func
+def drift_particle(body: ti.template(), p, dt):
+    """x += dt v, F += dt L F: the half step that opens a frame."""
+    for d in ti.static(range(3)):
+        body.x[3 * p + d] = body.x[3 * p + d] + dt * body.v[3 * p + d]
+    for a in ti.static(range(3)):
+        column = ti.Vector([body.F[9 * p + a], body.F[9 * p + 3 + a], body.F[9 * p + 6 + a]])
+        rate = turned(body.L, p, column)
+        for d in ti.static(range(3)):
+            body.F[9 * p + 3 * d + a] = column[d] + dt * rate[d]
+
+
+@ti.func
+def clamp_particle(body: ti.template(), p, low, high):
+    """Clip the singular values of F to [low, high]; where J < 0 the smallest counts as negative."""
+    F = ti.Matrix.rows(
+        [vector(body.F, 9 * p), vector(body.F, 9 * p + 3), vector(body.F, 9 * p + 6)]
+    )
+    square = F.norm_sqr()
+    # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
+    if square > high * high or 2.0 * F.determinant() < low * square:
+        U, S, V = ti.svd(F)
+        outside = 0
+        for a in ti.static(range(3)):
+            s = ti.min(ti.max(S[a, a], low), high)
+            if s != S[a, a]:
+                outside = 1
+            S[a, a] = s
+        if outside > 0:
+            body.clamped[p] = 1
+            G = U @ S @ V.transpose()
+            for a in ti.static(range(3)):
+                for b in ti.static(range(3)):
+                    body.F[9 * p + 3 * a + b] = G[a, b]
+
+
+@ti.func
+def sample_force(body: ti.template(), s, up, lift, dt):
+    """Force of the floor on sample s, by the formulas of `contact_kernel`.
+
+    lift : [m] what the moving frame's origin lies above the floor.
+    """
+    x = up * 0.0
+    v = up * 0.0
+    for e in range(CARRIERS * s, CARRIERS * (s + 1)):
+        p = body.ride_particle[e]
+        w = body.ride_weight[e]
+        d = turned(body.F, p, vector(body.ride_arm, 3 * e))
+        x += w * (vector(body.x, 3 * p) + d)
+        v += w * (vector(body.v, 3 * p) + turned(body.L, p, d))
+    floor_force(body, s, 0.0 - (lift + x.dot(up)), v, up, dt)
+
+
+@ti.func
+def push_particle(body: ti.template(), p):
+    """Force f_p and moment M_p = sum w f (x) d of the samples that particle p carries.
+
+    The transpose of how a sample reads its motion, so that work, momentum and angular momentum
+    agree on both sides.
+    """
+    f = vector(body.x, 3 * p) * 0.0
+    m0 = f
+    m1 = f
+    m2 = f
+    for at in range(body.particle_ride_start[p], body.particle_ride_start[p + 1]):
+        e = body.particle_ride[at]
+        g = body.ride_weight[e] * vector(body.sample_force, 3 * (e // CARRIERS))
+        d = turned(body.F, p, vector(body.ride_arm, 3 * e))
+        f += g
+        m0 += g[0] * d
+        m1 += g[1] * d
+        m2 += g[2] * d
+    for a in ti.static(range(3)):
+        body.push[12 * p + a] = f[a]
+        body.push[12 * p + 3 + a] = m0[a]
+        body.push[12 * p + 6 + a] = m1[a]
+        body.push[12 * p + 9 + a] = m2[a]
+
+
+@ti.func
+def move_node(body: ti.template(), n, g, dt, keep):
+    """v_i = (p_i / m_i + dt g) keep, summed over the cells' blocks in a fixed order."""
+    ny = body.box[4] - body.box[1] + 3
+    nz = body.box[5] - body.box[2] + 3
+    i = n // (ny * nz)
+    j = n // nz % ny
+    k = n % nz
+    m = g[0] * 0.0
+    p = g * 0.0
+    for a in range(ti.min(i + 1, 3)):
+        for b in range(ti.min(j + 1, 3)):
+            for c in range(ti.min(k + 1, 3)):
+                cell = body.slot[n - (a * ny + b) * nz - c]
+                if cell >= 0:
+                    o = cell * 108 + (9 * a + 3 * b + c) * 4
+                    m += body.block[o]
+                    p += vector(body.block, o + 1)
+    v = p * 0.0
+    if m > 0.0:
+        v = (p / m + dt * g) * keep
+    for d in ti.static(range(3)):
+        body.node_v[3 * n + d] = v[d]

@@ -1,0 +1,116 @@
+"""Points that ride on particles: what the grid of a Total Lagrangian body does, without a grid.
+
+A point at rest position X is carried by the particles nearest to it at rest, each of which takes it
+along as its own deformation says, and moves as their weighted mean:
+
+    x = sum_p w_p (x_p + F_p (X - X_p)),   F = sum_p w_p F_p
+    v = sum_p w_p (v_p + L_p F_p (X - X_p))
+
+with w = (1 - d^2 / R^2)^2, R a hair beyond the first particle left out, scaled to sum to one: a
+surface stays continuous where the particles that carry it change.  Exact for every affine map.
+
+The floor between the frames of the Updated Lagrangian solver: who is near, what it stores.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import Pose
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.physics import taichi_arrays
+from gf_usd.physics.grid.reference import Rows
+
+if TYPE_CHECKING:
+    from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+
+
+CARRIERS = 8  # particles that carry a point: about a cell's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ride:
+    """Who carries a set of points."""
+
+    X: Floats  # (n, 3) [m] rest positions of the points
+    particle: Ints  # (n, CARRIERS)
+    weight: Floats  # (n, CARRIERS), rows sum to 1
+    arm: Floats  # (n, CARRIERS, 3) [m] X - X_p
+
+    def pose(self, x: Floats, v: Floats, F: Floats, L: Floats) -> Pose:
+        """Pose of the points for the particles' x, v (N, 3), F, L (N, 3, 3)."""
+        w, p = self.weight, self.particle
+        d = np.einsum("nkab,nkb->nka", F[p], self.arm)
+        return Pose(
+            x=np.einsum("nk,nka->na", w, x[p] + d),
+            v=np.einsum("nk,nka->na", w, v[p] + np.einsum("nkab,nkb->nka", L[p], d)),
+            F=np.einsum("nk,nkab->nab", w, F[p]),
+        )
+
+    def rows(self, particles: Rows) -> sparse.csr_matrix:
+        """B (n, M): velocity of the points by that of the nodes, at rest.
+
+        particles : W and G of the particles.
+        """
+        shape = (len(self.X), len(particles.X))
+        start = np.arange(len(self.X) + 1) * self.weight.shape[1]
+
+        def carried(values: Floats) -> sparse.csr_matrix:
+            return sparse.csr_matrix((values.ravel(), self.particle.ravel(), start), shape=shape)
+
+        B = carried(self.weight) @ particles.W
+        for axis, G in enumerate(particles.G):
+            B = B + carried(self.weight * self.arm[..., axis]) @ G
+        return sparse.csr_matrix(B)
+
+
+def board(points: Floats, X: Floats) -> Ride:
+    """Let points (n, 3) [m] ride on particles at X (N, 3) [m].
+
+    A body of fewer particles than CARRIERS has some of them listed again with no weight.
+    """
+    k = min(CARRIERS, len(X))
+    distance, near = kd_tree(X).query(points, k=min(k + 1, len(X)))
+    distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
+    R = 1.01 * distance[:, -1:] + 1e-300
+    w = (1.0 - (distance[:, :k] / R) ** 2) ** 2
+    weight = np.zeros((len(points), CARRIERS))
+    weight[:, :k] = w / w.sum(1, keepdims=True)
+    particle = np.repeat(near[:, :1], CARRIERS, axis=1)
+    particle[:, :k] = near[:, :k]
+    return Ride(X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle])
+
+
+def watch(solver: UpdatedLagrangian, lift: float) -> int:
+    """List the samples that may meet the floor in a frame, clear what they noticed; how many.
+
+    lift : [m] of the moving frame of x above the floor.
+    """
+    if solver.ride is None:
+        return 0
+    pose = solver.ride.pose(*solver.state())
+    normal, span = solver.settings.normal, solver.frame_time
+    speed = float(np.abs(pose.v @ normal).max())
+    g = abs(float(np.dot(solver.settings.gravity, normal)))
+    reach = 2.0 * span * (speed + g * span) + solver.particles.spacing
+    near = np.flatnonzero(lift + pose.x @ normal < reach)
+    active = np.zeros(len(pose.x), np.int32)
+    active[: len(near)] = near
+    solver.arrays["sample_active"].from_numpy(active)
+    for name in ("sample_force", "sample_depth", "sample_capped"):
+        taichi_arrays.clear(solver.arrays[name])
+    return len(near)
+
+
+def contact_energy(solver: UpdatedLagrangian) -> float:
+    """sum_s k d^2 / 2 [J] stored in the floor's springs."""
+    if solver.ride is None or solver.contact is None:
+        return 0.0
+    x = solver.ride.pose(*solver.state()).x + solver.offset
+    height = x @ solver.settings.normal - (solver.settings.floor or 0.0)
+    return float(0.5 * solver.contact.stiffness @ np.maximum(0.0, -height) ** 2)

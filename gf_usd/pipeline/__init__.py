@@ -1,0 +1,1 @@
+"""A Plan becomes files: budget, run, frames, checkpoints, health and result."""

@@ -1,0 +1,290 @@
+"""What is written of a body in motion: poses of meshes and Gaussians, sample by sample.
+
+The part of the street that Gaussians take: from a solver's frame to their poses and files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import SplatPose, Splats, joined
+from gf_usd.core.frames import (
+    BakedFrame,
+    Frame,
+    GaussianPose,
+    MeshPose,
+    Particles,
+    Pose,
+    Settings,
+    sampled,
+)
+from gf_usd.core.materials import Material
+from gf_usd.core.radiance import Y_0, linear_to_srgb
+from gf_usd.prepare.outputs import clear
+from gf_usd.prepare.plan import Checkpoint, Plan
+
+if TYPE_CHECKING:
+    from gf_usd.layers.space import Space
+    from gf_usd.physics.gaussians import CarriedSplats
+    from gf_usd.prepare.outputs import SplatSequence
+
+
+class Moving:
+    """One look of a plan.
+
+    carrier : of its captured Gaussians.
+    since : where to go on from; None: at its start.
+    """
+
+    def __init__(
+        self, plan: Plan, material: Material, carrier: Carrier, since: Checkpoint | None = None
+    ) -> None:
+        from gf_usd.geometry.skinning import MeshSkin
+        from gf_usd.physics.gaussians import GaussianTrack
+
+        self._plan, self._carrier, self._since = plan, carrier, since
+        self.track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
+        self._skin = None
+        if plan.points and plan.settings.skin != "embed":
+            self._skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
+        self.solver = plan.solver(material)
+        if since:
+            self.solver.stand(since.solver)
+            self.track.recall(since.track)
+
+    def samples(self) -> Iterator[BakedFrame]:
+        """The samples, in playback time.  Raises SolverError where the simulation fails."""
+        since = self._since
+        frames = (
+            self.solver.frames_after(since.index, since.last) if since else self.solver.frames()
+        )
+        for frame in frames:
+            gaussians = self.track.advance(frame.particles)
+            poses = frame.riders
+            if self._skin:
+                poses = self._skin.poses(frame.particles, self.track.turn)
+            yield self._baked(frame, gaussians, poses)
+
+    def _baked(
+        self, frame: Frame, gaussians: GaussianPose, poses: Mapping[str, Pose]
+    ) -> BakedFrame:
+        from gf_usd.physics.grid.embedding import deform_normals
+
+        plan, s = self._plan, sampled(self._plan.settings)
+        meshes = {}
+        splats = self._carrier.poses(poses, s.time_code(frame.index))
+        for surface in plan.asset.surfaces if plan.choices.mesh else ():
+            if surface.splats is not None:
+                continue
+            pose = poses[surface.path]
+            normals = None
+            if surface.normals is not None and surface.normal_points is not None:
+                normals = deform_normals(surface.normals, surface.normal_points, pose.F)
+            meshes[surface.path] = MeshPose(
+                points=pose.x, velocities=pose.v * s.time_scale, normals=normals
+            )
+        return BakedFrame(
+            index=frame.index,
+            time_code=s.time_code(frame.index),
+            meshes=meshes,
+            gaussians=replace(
+                gaussians,
+                velocities=gaussians.velocities * s.time_scale,
+                F=frame.particles.F if s.deformation_gradients else None,
+                stress=frame.stress,
+            ),
+            health=frame.health,
+            splats=splats if plan.choices.mesh else {},
+        )
+
+
+# From the world to axes whose Y is up, for column vectors, by the world's up axis.
+UPRIGHT = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
+OWN, WORLD, STOOD = "own", "world", "stood"  # spaces of exported files; STOOD: world with Y up
+SAYS_UP = "spz"  # the files that say that Y is up
+
+TINY = 1e-12  # [stage units] a flattened particle still has a logarithm of its scale
+
+
+class Carrier:
+    """The captured Gaussians of a plan, for one bake.
+
+    number : of its material.
+    since : where to go on from; None: at the start.
+    """
+
+    def __init__(self, plan: Plan, number: int, since: Checkpoint | None = None) -> None:
+        self._plan = plan
+        self._files = plan.sequences[number] if plan.sequences else ()
+        self._unit = plan.asset.facts.units.length
+        self._tracks: dict[str, CarriedSplats] = {}
+        self._spaces: dict[str, Space] = {}
+        self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[plan.asset.facts.up_axis]}
+        # The same Gaussians in spaces of files that are not their prims'.
+        self._elsewhere: dict[str, dict[str, CarriedSplats]] = {}
+        self._riders: Mapping[str, Pose] = {}
+        self._now: dict[str, SplatPose] = {}
+        self._there: dict[str, dict[str, SplatPose]] = {}
+        if since is None:
+            clear(self._files)
+        ridden = [s for s in plan.asset.surfaces if s.path in plan.points]
+        carried = [(s.path, s.splats) for s in ridden if s.splats is not None]
+        if not carried:
+            return
+        from gf_usd.layers.space import Space
+        from gf_usd.layers.stage import clock, open_source
+        from gf_usd.physics.gaussians import CarriedSplats
+
+        self._source = open_source(plan.source)  # the spaces read its transforms frame by frame
+        time = clock(self._source, plan.settings)
+        for path, splats in carried:
+            prim = self._source.GetPrimAtPath(path)
+            self._tracks[path] = CarriedSplats(splats)
+            self._spaces[path] = Space(prim, time, self._unit)
+        for kind in sorted({self._space_of(one) for one in self._files} - {OWN}):
+            self._elsewhere[kind] = {path: CarriedSplats(splats) for path, splats in carried}
+        if since:
+            for name, track in self._named():
+                kept = since.track.items()
+                track.recall({k[len(name) :]: v for k, v in kept if k.startswith(name)})
+
+    def state(self) -> dict[str, Floats]:
+        """What the next frame starts from, for `Checkpoint.track`."""
+        rows = self._named()
+        return {f"{name}{key}": v for name, one in rows for key, v in one.state().items()}
+
+    def _named(self) -> list[tuple[str, CarriedSplats]]:
+        own = [(f"carried{k}_", one) for k, one in enumerate(self._tracks.values())]
+        return own + [
+            (f"{kind}{k}_", one)
+            for kind, tracks in self._elsewhere.items()
+            for k, one in enumerate(tracks.values())
+        ]
+
+    def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
+        """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""
+        self._riders = riders
+        for path, track in self._tracks.items():
+            to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
+            self._now[path] = track.advance(riders[path], np.asarray(to_local))
+        for kind, tracks in self._elsewhere.items():
+            to_there = self._turns[kind] / self._unit
+            self._there[kind] = {p: one.advance(riders[p], to_there) for p, one in tracks.items()}
+        return dict(self._now)
+
+    def held(self, frame: BakedFrame) -> BakedFrame:
+        """A frame before the start: the pose asked for last, in the prims' spaces at its time."""
+        return replace(frame, splats=self.poses(self._riders, frame.time_code))
+
+    def export(self, frame: BakedFrame, number: int) -> None:
+        """Write the files of a frame, the one that `poses` was asked for last.
+
+        number : of the frame, 0 for the first that is written.
+
+        One set of captured Gaussians stays in the space of its prim, which is that of the file
+        where it came from one.  Several stand in the world, in stage units; so do the particles of
+        an asset that has none.  SPZ says that Y is up: there all stand in the world, with Y up.
+        """
+        made: dict[str, Splats] = {}
+        for sequence in self._files:
+            kind = self._space_of(sequence)
+            if kind not in made:
+                made[kind] = self._in(kind, frame)
+            sequence.write(made[kind], number)
+
+    def _space_of(self, sequence: SplatSequence) -> str:
+        """OWN, WORLD or STOOD."""
+        single = len(self._spaces) == 1
+        if sequence.suffix != SAYS_UP:
+            return OWN if single else WORLD
+        if single:
+            ((_, space),) = self._spaces.items()
+            stood = np.eye(4)
+            stood[:3, :3] = self._turns[STOOD].T
+            if not space.animated and np.allclose(space.from_world(0.0), stood, rtol=0, atol=1e-12):
+                return OWN
+        return STOOD
+
+    def _in(self, kind: str, frame: BakedFrame) -> Splats:
+        """What was asked for last, in one of the spaces of files."""
+        if kind == OWN:
+            ((path, pose),) = self._now.items()
+            at = self._spaces[path].points(pose.positions, frame.time_code)
+            return posed(self._tracks[path].splats, pose, at)
+        turn = self._turns[kind]
+        if not self._tracks:
+            return self._flesh(frame, turn)
+        sets = []
+        for path, pose in self._there[kind].items():
+            at = np.asarray(pose.positions) / self._unit @ turn.T
+            sets.append(posed(self._elsewhere[kind][path].splats, pose, at))
+        return joined(sets)
+
+    def _flesh(self, frame: BakedFrame, turn: Floats) -> Splats:
+        p: Particles = self._plan.particles
+        quaternions = np.asarray(frame.gaussians.orientations, float)
+        from scipy.spatial.transform import Rotation  # see `nearby`
+
+        turned = Rotation.from_matrix(turn) * Rotation.from_quat(quaternions[:, [1, 2, 3, 0]])
+        return Splats(
+            positions=np.asarray(frame.gaussians.positions) / self._unit @ turn.T,
+            orientations=turned.as_quat()[:, [3, 0, 1, 2]],
+            scales=np.maximum(np.asarray(frame.gaussians.scales) / self._unit, TINY),
+            opacities=p.opacity,
+            harmonics=((linear_to_srgb(p.colour) - 0.5) / Y_0)[:, None, :],
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was clamped, in words."""
+        from gf_usd.physics.gaussians import STRETCH
+
+        return tuple(
+            f"{path}: {track.clamped} times a Gaussian would have been stretched or flattened more"
+            f" than {STRETCH:g} times beyond its own axes, and was kept there"
+            for path, track in self._tracks.items()
+            if track.clamped
+        )
+
+
+def posed(rest: Splats, pose: SplatPose, at: np.ndarray) -> Splats:
+    """Gaussians at a pose; at (N, 3) are its positions in the space of its orientations."""
+    return replace(
+        rest,
+        positions=at,
+        orientations=pose.orientations,
+        scales=pose.scales,
+        harmonics=rest.harmonics if pose.harmonics is None else pose.harmonics,
+    )
+
+
+def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
+    """The samples, with those before the start that are written: the first pose, standing still.
+
+    settings : as `sampled`.
+    """
+    for sample in samples:
+        if sample.index == 0:
+            for index in range(settings.first, 0):
+                yield _standing(sample, index, settings.time_code(index))
+        yield sample
+
+
+def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
+    def stop(pose: MeshPose | GaussianPose) -> MeshPose | GaussianPose:
+        return replace(pose, velocities=np.zeros_like(pose.velocities))
+
+    nothing = (0.0, 0.0, 0.0)
+    return replace(
+        first,
+        index=index,
+        time_code=time_code,
+        meshes={path: stop(pose) for path, pose in first.meshes.items()},
+        gaussians=stop(first.gaussians),
+        health=replace(first.health, kinetic=0.0, momentum=nothing, angular_momentum=nothing),
+    )

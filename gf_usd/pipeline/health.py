@@ -1,0 +1,473 @@
+"""What a whole bake says of itself: one line per question a person asks of it.
+
+The keys of `HealthLog.summary` are documented in docs/guide.md, and those that are attributes of
+GaussianFleshHealthAPI in docs/schema.md.
+
+What of a bake's health deserves a warning, in plain words.
+
+A warning is for numbers that a sound bake does not have, so that ``--strict`` may stop a farm on
+them.  What the solver met and mended, or what is usual, is told in the report and warned of by
+nobody: a few frames that were redone, and friction at its limit, which is how a sample sticks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+from gf_usd.core.frames import Health, Settings
+from gf_usd.core.materials import G0
+
+REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
+
+
+class HealthLog:
+    """Collects the health of frames; a few hundred bytes a frame.
+
+    Parameters
+    ----------
+    settings : of the bake.
+    spacing : [m] mean distance of particles.
+    drop : [m] along the up axis that the body falls before it touches.
+    radius : [m] of a ball of the body's volume; with its weight it says what energy is little.
+    particles : how many there are; counts over frames are also given as shares of them.
+    held : the body is pinned, so that it neither falls freely nor bounces.
+    bodies : how many there are.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        spacing: float,
+        drop: float,
+        radius: float,
+        particles: int,
+        held: bool = False,
+        bodies: int = 1,
+    ) -> None:
+        self._settings, self._spacing, self._drop = settings, spacing, drop
+        self._radius, self._particles, self._held = radius, particles, held
+        self._bodies = bodies
+        self.frames: list[Health] = []
+        self._passing: list[Health] = []  # samples since the last frame
+
+    def add(self, health: Health) -> None:
+        """Append the health of the next sample; every `samples_per_frame` make a frame."""
+        self._passing.append(health)
+        if not self.frames or len(self._passing) == self._settings.samples_per_frame:
+            self.frames.append(joined(self._passing))
+            self._passing = []
+
+    def state(self) -> dict[str, Any]:
+        """What was added, as plain values."""
+        return {
+            "frames": [asdict(health) for health in self.frames],
+            "passing": [asdict(health) for health in self._passing],
+        }
+
+    def recall(self, state: Mapping[str, Any]) -> None:
+        """Go on from `state`."""
+        self.frames = [health_of(row) for row in state["frames"]]
+        self._passing = [health_of(row) for row in state["passing"]]
+
+    def summary(self) -> dict[str, Any]:
+        """Totals and extremes over the frames so far; None where a question has no answer."""
+        h = self.frames
+        many = self._particles * len(h)
+        # Of one body that meets nothing but the floor can be said how it bounced.
+        crowd = self._held or self._bodies > 1 or any(f.overlap > 0.0 for f in h)
+        return {
+            "frames": len(h),
+            "substeps": sum(f.substeps for f in h),
+            "substeps_max_per_frame": max(f.substeps for f in h),
+            "rollbacks": sum(f.rollbacks for f in h),
+            "frames_without_substeps": sum(1 for f in h if f.flying or f.sleeping),
+            "flying_body_frames": sum(f.flying for f in h),
+            "sleeping_body_frames": sum(f.sleeping for f in h),
+            "restitution": None if crowd else restitution(h, self._settings, self._drop),
+            "deepest_penetration_m": max(f.penetration for f in h),
+            "deepest_penetration_spacings": max(f.penetration for f in h) / self._spacing,
+            "penetration_at_end_spacings": h[-1].penetration / self._spacing,
+            **self._resting(),
+            "deepest_overlap_m": max(f.overlap for f in h),
+            "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
+            "let_go_max": max(f.let_go for f in h),
+            "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
+            "min_J": min(f.min_J for f in h),
+            "max_J": max(f.max_J for f in h),
+            "min_stretch": min(f.min_stretch for f in h),
+            "max_stretch": max(f.max_stretch for f in h),
+            "inverted_particle_frames": sum(f.inverted for f in h),
+            "inverted_max": max(f.inverted for f in h),
+            "inverted_at_end": h[-1].inverted,
+            "first_inverted_frame": next((i for i, f in enumerate(h) if f.inverted), None),
+            "clamped_particle_frames": sum(f.clamped for f in h),
+            "clamped_share": sum(f.clamped for f in h) / many,
+            "stress_capped_particle_frames": sum(f.stress_capped for f in h),
+            "stress_capped_share": sum(f.stress_capped for f in h) / many,
+            "friction_capped": sum(f.friction_capped for f in h),
+            **self._energies(),
+            **self._momenta(),
+        }
+
+    def per_frame(self) -> list[dict[str, Any]]:
+        """Every frame's health as plain values, with what a sum over its energies says."""
+        total = [energy(f) for f in self.frames]
+        gains = [0.0, *gain_of_frames(self.frames)]
+        return [
+            {
+                "time_code": self._settings.time_code(i),
+                **vars(f),
+                "energy": total[i],
+                "energy_gain": gains[i],
+            }
+            for i, f in enumerate(self.frames)
+        ]
+
+    @property
+    def _scale(self) -> float:
+        """[J] what counts as much energy: the most that moved or strained, at least m g0 r."""
+        weight = self.frames[0].mass * G0 * self._radius
+        return max([weight, *(f.kinetic + f.elastic for f in self.frames)])
+
+    def _energies(self) -> dict[str, Any]:
+        h, total = self.frames, [energy(f) for f in self.frames]
+        gain = max([0.0, *gain_of_frames(h)])
+        work, injected = sum(f.work for f in h), sum(f.injected for f in h)
+        return {
+            "energy_start_J": total[0],
+            "energy_end_J": total[-1],
+            "energy_max_J": max(total),
+            "energy_scale_J": self._scale,
+            "energy_gain_max_J": gain,
+            "energy_gain_max_share": gain / self._scale if self._scale else 0.0,
+            "dissipated_J": total[0] + work + injected - total[-1],
+            "work_of_pins_J": work,
+            "injected_J": injected,
+        }
+
+    def _resting(self) -> dict[str, float | None]:
+        """Depth in the last frame, where the body has come to rest on the floor."""
+        last = self.frames[-1]
+        rests = last.penetration > 0.0 and last.kinetic <= REST * self._scale
+        return {
+            "resting_penetration_m": last.penetration if rests else None,
+            "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
+        }
+
+    def _momenta(self) -> dict[str, Any]:
+        """Departure from free flight, relative to m v and m r v with m v^2 / 2 the energy scale."""
+        flight = [] if self._held or self._settings.drag else free_flight(self.frames)
+        m = self.frames[0].mass
+        out: dict[str, Any] = {
+            "momentum_end": list(self.frames[-1].momentum),
+            "angular_momentum_end": list(self.frames[-1].angular_momentum),
+            "free_flight_frames": max(0, len(flight) - 1),
+            "momentum_drift": None,
+            "angular_momentum_drift": None,
+        }
+        if len(flight) < 2 or m <= 0.0 or self._scale <= 0.0:
+            return out
+        interval = self._settings.time_scale / self._settings.fps
+        speed = math.sqrt(2.0 * self._scale / m)
+        linear, spin = flight_drift(flight, self._settings.gravity, interval)
+        out["momentum_drift"] = linear / (m * speed)
+        out["angular_momentum_drift"] = spin / (m * self._radius * speed)
+        return out
+
+
+def health_of(row: Mapping[str, Any]) -> Health:
+    """The health of its fields, whose vectors may be lists, as JSON has them."""
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+    return Health(**fields)
+
+
+def energy(f: Health) -> float:
+    """Kinetic, elastic, potential and contact energy [J]."""
+    return f.kinetic + f.elastic + f.potential + f.contact
+
+
+def gain_of_frames(frames: Sequence[Health]) -> list[float]:
+    """E_i - E_(i-1) - W_i [J] of every frame but the first: what nobody accounts for.
+
+    W_i is the work of pins and what corrections of the shape gave.  Damping, friction, drag and
+    the filter only take energy, so that more than rounding and the integrator's error above zero
+    was made out of nothing.
+    """
+    return [energy(b) - energy(a) - b.work - b.injected for a, b in pairwise(frames)]
+
+
+def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
+    """The frames before anything was touched."""
+    touched = next((i for i, f in enumerate(frames) if touches(f)), len(frames))
+    return frames[:touched]
+
+
+def touches(f: Health) -> bool:
+    """Whether the floor, an obstacle or another body was touched."""
+    return f.penetration > 0.0 or f.overlap > 0.0
+
+
+def flight_drift(
+    flight: Sequence[Health], gravity: Sequence[float], interval: float
+) -> tuple[float, float]:
+    """Largest |p - p0 - m g t| [kg m/s] and |L - L0| [kg m^2/s] of a body that nothing holds.
+
+    L is the angular momentum about the centre of mass, L_o - c x p, on which uniform gravity has
+    no torque.  interval : [s] between frames.
+    """
+    first = flight[0]
+    linear, spin = 0.0, 0.0
+    for i, f in enumerate(flight):
+        fallen = [p + f.mass * g * i * interval for p, g in zip(first.momentum, gravity)]
+        linear = max(linear, math.dist(f.momentum, fallen))
+        spin = max(spin, math.dist(_about_centre(f), _about_centre(first)))
+    return linear, spin
+
+
+def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> float | None:
+    """Rebound over impact speed of the first bounce, v' / v, or None where there was none.
+
+    Speeds are those of the centre of mass along the floor's normal at the height where it first
+    touched, found from the frames in free flight on either side: v_c^2 = v^2 + 2 g (y - y_c), which
+    holds whatever part of the flight a frame shows.  drop : [m] along the up axis that the asset
+    fell before touching.
+    """
+    normal = [float(n) for n in settings.normal]
+    g = -_dot(settings.gravity, normal)
+    touched = next((i for i, f in enumerate(frames) if f.penetration > 0.0), None)
+    if touched is None or touched == 0 or g <= 0.0:
+        return None
+    left = next((i for i in range(touched, len(frames)) if frames[i].penetration == 0.0), None)
+    if left is None:
+        return None
+    y_c = _dot(frames[0].centre, normal) - drop * _dot(normal, settings.up)
+
+    def squared_speed(f: Health) -> float:
+        return (_dot(f.momentum, normal) / f.mass) ** 2 + 2.0 * g * (_dot(f.centre, normal) - y_c)
+
+    before, after = squared_speed(frames[touched - 1]), squared_speed(frames[left])
+    if before <= 0.0:
+        return None
+    return math.sqrt(max(0.0, after) / before)
+
+
+def _about_centre(f: Health) -> tuple[float, float, float]:
+    (a, b, c), (p, q, r) = f.centre, f.momentum
+    carried = (b * r - c * q, c * p - a * r, a * q - b * p)
+    x, y, z = (whole - part for whole, part in zip(f.angular_momentum, carried))
+    return x, y, z
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return sum(x * y for x, y in zip(a, b))
+
+
+HealthSummary = Mapping[str, Any]
+
+# Of the energy scale, in one frame.  Sound bakes of all looks stay under 1e-4 (measured); at 2e-2
+# the solver redoes the frame.
+ENERGY_GAIN = 1e-3
+REDONE = 0.1  # of the frames: more often than at a hard landing or two
+DEEP = 1.0  # [spacings] the surface visibly sinks in
+RESTING = (
+    0.25  # [spacings] the contact is laid out for 0.08; a narrow foot sinks deeper than a ball
+)
+# Of m v: float32 loses digits where a substep adds less to a velocity than its last digit holds.
+DRIFT = 0.01
+ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Caution:
+    """One warning."""
+
+    about: str  # the row of RULES that it came from
+    message: str
+    hint: str
+
+    def as_json(self) -> dict[str, str]:
+        """Plain values."""
+        return asdict(self)
+
+
+def judge(health: HealthSummary) -> tuple[Caution, ...]:
+    """The warnings that a summary of `HealthLog` deserves, in the order of RULES."""
+    found = []
+    for about, rule in RULES.items():
+        if (said := rule(health)) is not None:
+            found.append(Caution(about=about, message=said[0], hint=said[1]))
+    return tuple(found)
+
+
+Said = tuple[str, str] | None
+
+
+def _energy(h: HealthSummary) -> Said:
+    share = h["energy_gain_max_share"]
+    if share <= ENERGY_GAIN:
+        return None
+    return (
+        f"energy was made out of nothing: {h['energy_gain_max_J']:.3g} J in one frame,"
+        f" {100.0 * share:.2g} % of what the body has to move and strain with",
+        "lower the impact (--drop), or take a softer material",
+    )
+
+
+def _inverted(h: HealthSummary) -> Said:
+    count = h["inverted_particle_frames"]
+    if not count:
+        return None
+    left = h["inverted_at_end"]
+    end = f"{left} still are at the end" if left else "none is at the end"
+    return (
+        f"particles were turned inside out: up to {h['inverted_max']} at once, from frame"
+        f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
+        "lower the impact (--drop), use --law neoHookean, a stiffer material or more --particles",
+    )
+
+
+def _rollbacks(h: HealthSummary) -> Said:
+    if h["rollbacks"] <= max(1.0, REDONE * h["frames"]):
+        return None
+    return (
+        f"the step was too long {h['rollbacks']} times in {h['frames']} frames, which were redone"
+        " with half of it",
+        "lower the impact (--drop), or use --law neoHookean",
+    )
+
+
+def _clamped(h: HealthSummary) -> Said:
+    if h["clamped_share"] <= ALTERED:
+        return None
+    return (
+        f"stretches were clamped in {100.0 * h['clamped_share']:.2g} % of all particles and frames:"
+        " there the body is not of the material asked for",
+        "widen the limits (--clamp), or lower the impact (--drop)",
+    )
+
+
+def _capped(h: HealthSummary) -> Said:
+    if h["stress_capped_share"] <= ALTERED:
+        return None
+    return (
+        f"stress was cut in {100.0 * h['stress_capped_share']:.2g} % of all particles and frames:"
+        " there the body is not of the material asked for",
+        "raise --stress-cap, or lower the impact (--drop)",
+    )
+
+
+def _injected(h: HealthSummary) -> Said:
+    share = abs(h["injected_J"]) / h["energy_scale_J"] if h["energy_scale_J"] else 0.0
+    if share <= ALTERED:
+        return None
+    joules = abs(h["injected_J"])
+    done = f"put {joules:.3g} J into" if h["injected_J"] > 0.0 else f"took {joules:.3g} J out of"
+    return (
+        f"corrections of the shape and new contact planes {done} the body,"
+        f" {100.0 * share:.2g} % of what it has to move and strain with",
+        "where bodies crash, lower the impact (--drop) or take more --particles; else lower"
+        " --procrustes, or use --no-wls",
+    )
+
+
+def _deep(h: HealthSummary) -> Said:
+    if h["deepest_penetration_spacings"] <= DEEP:
+        return None
+    return (
+        f"the surface sank {h['deepest_penetration_spacings']:.2g} spacings"
+        f" ({h['deepest_penetration_m']:.3g} m) into the floor",
+        "lower the impact (--drop)",
+    )
+
+
+def _overlap(h: HealthSummary) -> Said:
+    if h["deepest_overlap_spacings"] <= DEEP:
+        return None
+    return (
+        f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
+        f" ({h['deepest_overlap_m']:.3g} m)",
+        "lower the impact (--drop), or take more --particles; bodies that overlap at the start are"
+        " moved apart in the asset",
+    )
+
+
+def _let_go(h: HealthSummary) -> Said:
+    if not h["let_go_max"]:
+        return None
+    return (
+        f"{h['let_go_max']} contact points at once seemed deeper in another surface than they can"
+        " have come, where it was folded or turned inside out, and were let go: there the bodies"
+        " may stand in each other",
+        "lower the impact (--drop), take a stiffer material, or more --particles",
+    )
+
+
+def _resting(h: HealthSummary) -> Said:
+    depth = h["resting_penetration_spacings"]
+    if depth is None or depth <= RESTING:
+        return None
+    return (
+        f"at rest the surface lies {depth:.2g} spacings deep in the floor",
+        "more --particles make a spacing smaller",
+    )
+
+
+def _drift(h: HealthSummary) -> Said:
+    linear, spin = h["momentum_drift"], h["angular_momentum_drift"]
+    if linear is None or spin is None or max(linear, spin) <= DRIFT:
+        return None
+    return (
+        f"the free flight is off: by {100.0 * linear:.2g} % of the momentum and"
+        f" {100.0 * spin:.2g} % of the angular momentum of the fastest motion; with"
+        f" {h['substeps_max_per_frame']} substeps a frame single precision loses digits",
+        "a softer or less damped material takes longer steps",
+    )
+
+
+RULES: dict[str, Callable[[HealthSummary], Said]] = {
+    "energy": _energy,
+    "inside-out": _inverted,
+    "redone": _rollbacks,
+    "clamp": _clamped,
+    "stress-cap": _capped,
+    "injected": _injected,
+    "penetration": _deep,
+    "overlap": _overlap,
+    "let-go": _let_go,
+    "resting-depth": _resting,
+    "free-flight": _drift,
+}
+
+
+def cautions_json(warnings: Sequence[tuple[str, Caution]]) -> list[dict[str, str]]:
+    """``[{look, about, message, hint}]`` as reports hold it."""
+    return [{"look": look, **caution.as_json()} for look, caution in warnings]
+
+
+SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected")
+MOSTS = (
+    *("penetration", "overlap", "let_go", "max_J", "max_stretch", "inverted", "clamped"),
+    "stress_capped",
+    "flying",
+    "sleeping",
+)
+LEASTS = ("min_J", "min_stretch")
+
+
+def joined(samples: Sequence[Health]) -> Health:
+    """The health of a frame from that of its samples, the last of which is at its time.
+
+    Counts and work add up, extremes are those of all samples, the rest is the state at the end.
+    """
+    rows = ((SUMS, sum), (MOSTS, max), (LEASTS, min))
+    values = {
+        name: how(getattr(sample, name) for sample in samples)
+        for names, how in rows
+        for name in names
+    }
+    return replace(samples[-1], **values)

@@ -1,0 +1,269 @@
+"""What an inspection found: plain data, and the JSON that ``gf-usd inspect --json`` prints.
+
+Keys of the JSON; lengths in metres unless a name says otherwise, None where it does not apply:
+
+file, bakeable, refusal {message, hint}, warnings [], notes [], skipped [{path, reason}]
+units       meters_per_unit, kilograms_per_unit, up_axis, and for the first and the last whether
+            the file says so: meters_per_unit_from, up_axis_from (file | assumed | option)
+time        codes_per_second, start, end: as authored
+size        widths of the box around everything, along x, y, z
+meshes      of each: path, type, points, faces, triangles, quads, ngons, largest_face, fill
+            (filled | rides along | refused), reason, watertight, boundary_edges, holes, hole_share,
+            volume_m3, area_m2, collapsed, slivers, duplicates, non_manifold_edges, repairs {};
+            shells: index, triangles, low, size, volume_m3, area_m2, winding, against, and holes:
+            edges, size, centre, share
+body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame
+parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),
+            centre, size, thickness, particles, suggested_particles; none where faults of a mesh
+            cost much of the fill
+suggested_particles     a total that fills all parts that a sensible number fills
+materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
+advice      of --material auto, for each mesh: path, material, confidence, reason, by
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import InputError
+from gf_usd.core.units import check_unit
+from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
+from gf_usd.geometry.parts import Part, suggestion
+from gf_usd.geometry.repair import Repairs
+from gf_usd.pipeline.run import draw
+from gf_usd.prepare.fill import AXIS, UNIT, fill, mend, origin, size
+from gf_usd.prepare.outputs import USD, outputs
+from gf_usd.prepare.prepare import _asked, _hulled, _stage, _try, _would_fill
+from gf_usd.system.sandbox import Limits
+
+if TYPE_CHECKING:
+    from gf_usd.prepare.plan import Plan
+
+
+KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspection:
+    """One asset, looked at; made by `preflight.inspect`."""
+
+    asset: Asset  # as it was read
+    diagnoses: tuple[Diagnosis, ...]  # one a surface, before any repair
+    repairs: tuple[Repairs, ...] = ()
+    plan: Plan | None = None  # None: refused
+    cost: dict[str, Any] | None = None  # of `estimate`
+    parts: tuple[Part, ...] = ()
+    warnings: tuple[str, ...] = ()
+    refusal: InputError | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Of the plan, else of the reader."""
+        return self.plan.notes if self.plan else self.asset.facts.notes
+
+    def fill_of(self, path: str) -> tuple[str, str]:
+        """(filled | rides along | refused, reason) of a mesh."""
+        if self.plan is None:
+            return "refused", ""
+        reason = dict(self.plan.riders).get(path)
+        return ("filled", "") if reason is None else ("rides along", reason)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; see the top of this file."""
+        facts = self.asset.facts
+        unit_from, axis_from = origin(facts, UNIT), origin(facts, AXIS)
+        return {
+            "file": str(facts.path),
+            "bakeable": self.refusal is None,
+            "refusal": refusal_json(self.refusal),
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+            "skipped": [{"path": p, "reason": why} for p, why in self.asset.skipped],
+            "units": {
+                "meters_per_unit": facts.units.meters_per_unit,
+                "meters_per_unit_from": unit_from,
+                "kilograms_per_unit": facts.units.kilograms_per_unit,
+                "up_axis": facts.up_axis,
+                "up_axis_from": axis_from,
+            },
+            "time": {
+                "codes_per_second": facts.time_codes_per_second,
+                "start": facts.start_time_code,
+                "end": facts.end_time_code,
+            },
+            "size": _plain(size(self.asset)),
+            "meshes": [self._mesh(seen) for seen in self.diagnoses],
+            "body": self._body(),
+            "parts": [_part(part) for part in self.parts],
+            "suggested_particles": suggestion(self.parts),
+            "materials": self.cost["per_material"] if self.cost else [],
+            "advice": [asdict(one) for one in self.plan.advice] if self.plan else [],
+        }
+
+    def _mesh(self, seen: Diagnosis) -> dict[str, Any]:
+        fill, reason = self.fill_of(seen.path)
+        repairs = {r.path: r.as_dict() for r in self.repairs}.get(seen.path)
+        return {
+            "path": seen.path,
+            "type": seen.type_name,
+            "points": seen.points,
+            "faces": seen.faces,
+            **seen.face_sizes,
+            "largest_face": seen.largest_face,
+            "fill": fill,
+            "reason": reason,
+            "watertight": seen.watertight,
+            "boundary_edges": seen.boundary_edges,
+            "holes": len(seen.holes),
+            "hole_share": seen.hole_share,
+            "volume_m3": seen.volume,
+            "area_m2": seen.area,
+            "collapsed": seen.collapsed,
+            "slivers": seen.slivers,
+            "duplicates": seen.duplicates,
+            "non_manifold_edges": seen.crowded_edges,
+            "repairs": repairs,
+            "shells": [
+                {
+                    "index": s.index,
+                    "triangles": s.triangles,
+                    "low": _plain(s.low),
+                    "size": _plain(s.size),
+                    "volume_m3": s.volume,
+                    "area_m2": s.area,
+                    "winding": s.winding,
+                    "against": s.against,
+                    "holes": [
+                        {"edges": h.edges, "size": h.size, "centre": _plain(h.centre),
+                         "share": h.share}
+                        for h in s.holes
+                    ],
+                }
+                for s in seen.shells
+            ],
+        }  # fmt: skip
+
+    def _body(self) -> dict[str, Any] | None:
+        if self.plan is None or self.cost is None:
+            return None
+        p, s = self.plan.particles, self.plan.settings
+        return {
+            "particles": len(p),
+            "spacing": p.spacing,
+            "volume_m3": p.volume,
+            "radius": p.radius,
+            "frames": s.frames,
+            "fps": s.fps,
+            "start": s.start,
+            "drop": self.plan.drop,
+            "first_contact_frame": self.cost["first_contact_frame"],
+        }
+
+
+def look_at(asset: Asset, repairs: Sequence[Repairs] = ()) -> Inspection:
+    """The part of an inspection that needs no plan."""
+    return Inspection(
+        asset=asset,
+        diagnoses=tuple(diagnose(surface) for surface in asset.surfaces),
+        repairs=tuple(repairs),
+    )
+
+
+def refusal_json(error: InputError | None) -> dict[str, str] | None:
+    """An error as plain values."""
+    return None if error is None else {"message": error.message, "hint": error.hint}
+
+
+def lost_volume(seen: Inspection) -> str:
+    """A warning where faults of the meshes cost the fill much of what they enclose; else ""."""
+    if seen.plan is None or seen.repairs:
+        return ""
+    filled = [d for d in seen.diagnoses if seen.fill_of(d.path)[0] == "filled"]
+    whole, fill = sum(d.volume for d in filled), seen.plan.particles.volume
+    if fill >= KEPT * whole or not any(faults(d) for d in filled):
+        return ""
+    return (
+        f"only {fill:.3g} of the {whole:.3g} m^3 that the meshes enclose are filled: try --repair"
+    )
+
+
+def _part(part: Part) -> dict[str, Any]:
+    return {
+        "path": part.path,
+        "shell": part.shell,
+        "kind": part.kind,
+        "centre": _plain(part.centre),
+        "size": part.size,
+        "thickness": part.thickness,
+        "particles": part.particles,
+        "suggested_particles": part.suggested,
+    }
+
+
+def _plain(values: Floats) -> list[float]:
+    return [float(v) for v in values]
+
+
+def inspect(
+    path: str | Path,
+    *,
+    material: str | None = None,
+    law: str | None = None,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    repair: bool = False,
+    limits: Limits | None = None,
+    **options: Any,
+) -> Inspection:
+    """What `bake` would make of an asset with the same parameters, and what is wrong with it.
+
+    A refusal is part of the result (`Inspection.refusal`), where the file could be read at all.
+
+    Raises
+    ------
+    UsageError : the options make no sense.
+    InputError : the file cannot be read, or holds nothing that could be made soft.
+    """
+    from gf_usd.geometry.parts import poor_parts
+    from gf_usd.pipeline.budget import estimate
+    from gf_usd.prepare.fill import implausible_size
+    from gf_usd.readers import read_asset
+
+    check_unit(meters_per_unit)
+    request, looks = _asked(material, law, options)
+    source = Path(path)
+    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
+    asset = read_asset(
+        source,
+        prims=tuple(prims),
+        meters_per_unit=meters_per_unit,
+        up_axis=up_axis,
+        time_code=request.start,
+    )
+    asset = _hulled(asset)
+    usd = source.suffix.lower() in USD
+    asset, words, looks = _stage(asset, source, prims, request, looks, usd, draw)
+    seen = look_at(asset, mend(asset, request, words)[2] if repair else ())
+    files = outputs(source, [look.name for look in looks], None)
+    try:
+        plan, solid = fill(
+            asset, request, looks, law, files, source, words=words, repair=repair,
+            known=seen.diagnoses,
+        )  # fmt: skip
+    except InputError as refusal:
+        warnings = [implausible_size(asset)]
+        if not repair and _would_fill(mend(asset, request, words)[1]):
+            warnings.append("with --repair it can be baked")
+        return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
+    seen = replace(seen, plan=plan, cost=estimate(plan))
+    lost = lost_volume(seen)
+    # Where faults cost much of the fill, thin parts are their echo.
+    parts = () if lost else poor_parts(solid, plan.particles, plan.samples)
+    warnings = (implausible_size(asset), lost)
+    return replace(seen, parts=parts, warnings=tuple(w for w in warnings if w))

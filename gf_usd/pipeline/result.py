@@ -1,0 +1,128 @@
+"""What a bake returns: its files, its health and its report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gf_usd.core.errors import UnhealthyError
+from gf_usd.core.frames import Settings
+from gf_usd.core.materials import Material
+from gf_usd.pipeline.health import Caution, cautions_json
+from gf_usd.prepare.plan import Plan, describe, settings_json
+
+
+def require_healthy(result: BakeResult) -> None:
+    """Raise UnhealthyError where a finished bake has warnings; its files are there and stay."""
+    warnings = result.warnings
+    if not warnings:
+        return
+    lines = "".join(f"\n  {look}: {caution.message}" for look, caution in warnings)
+    hints = list(dict.fromkeys(caution.hint for _, caution in warnings))
+    count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+    raise UnhealthyError(
+        f"{result.root}: the bake is complete and its files are written, but it has {count}:"
+        f"{lines}",
+        "; ".join(hints) + "; without --strict this is no error",
+        warnings=tuple(caution for _, caution in warnings),
+        result=result,
+    )
+
+
+def report_json(
+    plan: Plan,
+    bakes: Sequence[LookResult],
+    *,
+    notes: Sequence[str],
+    seconds: float,
+    findings: Sequence[dict[str, str]],
+) -> dict[str, Any]:
+    """The report; its keys are documented in docs/guide.md."""
+    warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
+    return {
+        **describe(plan),
+        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
+        "notes": list(notes),
+        "seconds": seconds,
+        "settings": settings_json(plan.settings),
+        "bakes": [bake.as_json(frames=True) for bake in bakes],
+        "warnings": cautions_json(warnings),
+        "check": list(findings),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class LookResult:
+    """One material's bake."""
+
+    look: str  # name of the variant
+    cache: Path
+    material: Material
+    frames: int
+    health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
+    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
+    warnings: tuple[Caution, ...] = ()
+    clips: tuple[Path, ...] = ()  # files beside the cache
+
+    def as_json(self, *, frames: bool = False) -> dict[str, Any]:
+        """Plain values; with every frame's health on request."""
+        out = {
+            "look": self.look,
+            "cache": str(self.cache),
+            "material": asdict(self.material),
+            "frames": self.frames,
+            "health": self.health,
+        }
+        return {**out, "per_frame": self.per_frame} if frames else out
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeResult:
+    """A finished bake."""
+
+    root: Path
+    report: Path
+    bakes: tuple[LookResult, ...]
+    particles: int
+    seconds: float
+    settings: Settings
+    notes: tuple[str, ...] = ()
+    findings: tuple[dict[str, str], ...] = ()  # faults that `check` found and the source has not
+    outputs: tuple[Path, ...] = ()  # every file, also those that bakes of a mesh file share
+
+    @property
+    def cache(self) -> Path:
+        """The cache of the first material."""
+        return self.bakes[0].cache
+
+    @property
+    def health(self) -> dict[str, Any]:
+        """The health summary of the first material."""
+        return self.bakes[0].health
+
+    @property
+    def frames(self) -> int:
+        return self.bakes[0].frames
+
+    @property
+    def warnings(self) -> tuple[tuple[str, Caution], ...]:
+        """(look, warning) of every bake."""
+        return tuple((bake.look, caution) for bake in self.bakes for caution in bake.warnings)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values, as ``bake --json`` prints them."""
+        return {
+            "root": str(self.root),
+            "report": str(self.report),
+            "particles": self.particles,
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "settings": settings_json(self.settings),
+            "bakes": [b.as_json() for b in self.bakes],
+            "warnings": cautions_json(self.warnings),
+            "outputs": [str(path) for path in self.outputs],
+            "notes": list(self.notes),
+            "check": list(self.findings),
+        }

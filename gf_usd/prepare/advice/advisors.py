@@ -1,0 +1,94 @@
+"""Advisors: plug-ins that say what things are made of, asked only by name (`auto:NAME`).
+
+An advisor is a callable in the entry point group `GROUP` of an installed distribution.  It takes a
+`Question` and returns a list of `Advice`, one for each subject, with presets of the question.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from importlib.metadata import EntryPoint, entry_points
+from types import TracebackType
+
+from gf_usd.core.errors import BakeError, GfUsdError, UsageError
+from gf_usd.core.stage import Advice
+from gf_usd.prepare.advice import AUTO, Question, faults, settled
+
+GROUP = "gf_usd.material_advisors"
+TIMEOUT = 120.0  # [s] for an answer: a large model on a small machine
+
+
+def find_advisor(name: str) -> EntryPoint:
+    """The advisor of that name, not yet imported; UsageError where there is none, or several."""
+    known = entry_points(group=GROUP)
+    found = [point for point in known if point.name == name]
+    if not found:
+        names = sorted({point.name for point in known})
+        there = f"there are {', '.join(names)}" if names else "no advisor is installed"
+        raise UsageError(
+            f"there is no material advisor {name!r}",
+            f"{there}; install one (docs/materials.md), or use --material {AUTO}",
+        )
+    if len({point.value for point in found}) > 1:
+        raise UsageError(
+            f"{len(found)} advisors are named {name!r}: {', '.join(p.value for p in found)}",
+            "uninstall all but one",
+        )
+    return found[0]
+
+
+def ask(name: str, question: Question) -> tuple[Advice, ...]:
+    """An advisor's answer, in the order of the subjects; what is unsure has become rubber.
+
+    Raises
+    ------
+    UsageError : there is no such advisor.
+    BakeError : it failed, gave no answer within TIMEOUT seconds, or a wrong one.
+    """
+    call = _Call(find_advisor(name), question)
+    call.start()
+    call.join(TIMEOUT)
+    hint = f"mend the advisor or what it asks, or use --material {AUTO} without it"
+    said = f"{question.file}: the material advisor {name!r}"
+    if call.is_alive():
+        raise BakeError(f"{said} gave no answer in {TIMEOUT:g} s", hint)
+    if isinstance(call.error, GfUsdError):
+        raise BakeError(f"{said} failed: {call.error.message}", call.error.hint) from call.error
+    if call.error is not None:
+        kind = type(call.error).__name__
+        raise BakeError(f"{said} failed: {kind}: {call.error}", hint) from call.error
+    wrong = faults(call.answer, [s.path for s in question.subjects], list(question.presets))
+    if wrong:
+        raise BakeError(f"{said} gave a wrong answer: {wrong}", hint)
+    by_path = {one.path: one for one in call.answer}
+    return tuple(settled(replace(by_path[s.path], by=name)) for s in question.subjects)
+
+
+class _Call(threading.Thread):
+    """A call whose exception is a result too: what a stranger's code raises cannot be listed.
+
+    A daemon, so that one that hangs does not hold the program up.
+    """
+
+    def __init__(self, point: EntryPoint, question: Question) -> None:
+        super().__init__(daemon=True)
+        self._point, self._question = point, question
+        self.answer: list[Advice] = []
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        with self:
+            self.answer = self._point.load()(self._question)
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool:
+        self.error = error
+        return True

@@ -1,0 +1,191 @@
+"""Which surfaces fall as one body, and what the bodies of a bake meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import Particles
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.stage import BodyPhysics, Encounters, Skin, StagePhysics
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+
+LEAST = 16  # particles: a body of fewer does not hold a grid
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyPlan:
+    """The bodies of a bake."""
+
+    of_surface: Ints  # (S,) body of each filled surface, in the order of `Solid.surfaces`
+    radius: Floats  # (B,) [m] r = (3 V / 4 pi)^(1/3)
+    surfaces: tuple[tuple[str, ...], ...]  # prim paths of each body
+    riders: dict[str, int]  # body that each mesh rides on, by prim path
+    notes: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        return len(self.radius)
+
+
+def plan_bodies(
+    asset: Asset, solid: Solid, particles: Particles, owners: dict[str, str], *, combine: bool
+) -> tuple[BodyPlan, Particles]:
+    """The bodies of a filled solid, and its particles with the body of each.
+
+    owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
+    """
+    from gf_usd.geometry.bodies import find_bodies
+
+    owned = [owners.get(s.path, "") for s in solid.surfaces]
+    of = find_bodies(solid, particles.spacing, owners=owned, combine=combine)
+    of, fused = _fuse_small(of, solid, particles)
+    body = of[particles.surface]
+    volume = np.bincount(body, particles.V0, minlength=int(of.max()) + 1)
+    paths = [s.path for s in solid.surfaces]
+    names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
+    notes = [
+        f"<{paths[s]}> holds {n} particles of its own and is one body with <{paths[host]}>"
+        for s, n, host in fused
+    ]
+    if len(names) > 1:
+        notes.append(
+            f"{len(names)} bodies, which meet by contact: {_listed(names)}; --combine makes one of"
+            " them"
+        )
+    several = len(names) > 1
+    radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])
+    plan = BodyPlan(
+        of_surface=of,
+        radius=radius,
+        surfaces=names,
+        riders=_riders(asset, dict(zip(paths, of.tolist())), particles, body),
+        notes=tuple(notes),
+    )
+    return plan, replace(particles, body=body if several else None)
+
+
+def _listed(names: Sequence[Sequence[str]]) -> str:
+    first = ", ".join(f"<{one[0]}>" for one in names[:4])
+    return first + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, list[Any]]:
+    """Bodies of too few particles become one with the nearest; (surface, particles, host) of each.
+
+    A surface without any particle is a shell about nothing: it can only ride along.
+    """
+    of, fused = of.copy(), []
+    for body in range(int(of.max()) + 1):
+        members = np.flatnonzero(of == body)
+        mine = np.isin(particles.surface, members)
+        if mine.sum() >= LEAST or len(members) == len(of):
+            continue
+        rest = np.flatnonzero(~mine)
+        points = np.concatenate([solid.surfaces[s].points for s in members])
+        gap, at = kd_tree(particles.X[rest]).query(points)
+        host = int(particles.surface[rest[at[np.argmin(gap)]]])
+        of[members] = of[host]
+        fused += [(int(s), int((particles.surface == s).sum()), host) for s in members]
+    _, first = np.unique(of, return_index=True)
+    renumbered = np.argsort(np.argsort(first))[np.unique(of, return_inverse=True)[1]]
+    return renumbered, fused
+
+
+def _riders(
+    asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
+) -> dict[str, int]:
+    """Body that each surface rides on: its own, or the one that most of its points are nearest."""
+    tree, out = None, {}
+    for surface in asset.surfaces:
+        if surface.path in filled:
+            out[surface.path] = filled[surface.path]
+            continue
+        if tree is None:
+            tree = kd_tree(particles.X)
+        out[surface.path] = int(np.bincount(body[tree.query(surface.points)[1]]).argmax())
+    return out
+
+
+def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
+    """The surface of each body, seen from outside."""
+    out = []
+    for body in range(int(of.max()) + 1):
+        points, triangles, first = [], [], 0
+        for s in np.flatnonzero(of == body):
+            p, t = solid.outward(int(s))
+            points.append(p)
+            triangles.append(t + first)
+            first += len(p)
+        out.append(Skin(points=np.concatenate(points), triangles=np.concatenate(triangles)))
+    return tuple(out)
+
+
+def encounters(
+    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool
+) -> Encounters:
+    """Who meets whom, as the stage wants it."""
+    colliders = physics.colliders
+    body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
+    wall = {c.path: k for k, c in enumerate(colliders)}
+    through, through_colliders = set(), set()
+    for one, other in physics.ignored:
+        if one in body and other in body:
+            through.add((body[one], body[other]))
+        elif one in body and other in wall:
+            through_colliders.add((body[one], wall[other]))
+    for said in physics.bodies:
+        if not said.collides and said.path in body:
+            mine = body[said.path]
+            through |= {(mine, k) for k in range(bodies.count)}
+            through_colliders |= {(mine, k) for k in range(len(colliders))}
+    return Encounters(
+        skins=skins(solid, bodies.of_surface),
+        colliders=colliders,
+        through=frozenset(through),
+        through_colliders=frozenset(through_colliders),
+        self_contact=self_contact,
+    )
+
+
+def start_velocities(
+    asset: Asset, bodies: BodyPlan, said: dict[str, BodyPhysics], time_scale: float
+) -> list[Any]:
+    """The motion of each body at the start: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
+
+    What UsdPhysics states for a body goes before the animation that ends at the start, of which an
+    affine velocity field is fitted, v = a + A X.  time_scale : simulated seconds a second of
+    playback.
+    """
+    points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}
+    out: list[Any] = []
+    for paths in bodies.surfaces:
+        center = np.concatenate([points[p] for p in paths]).mean(0)
+        known = [said[p] for p in paths if p in said]
+        stated = next((b for b in known if b.velocity or b.angular_velocity), None)
+        moving = [(points[p], said[p].moving) for p in paths if p in said]
+        if stated is not None:
+            out.append(lambda X, one=stated, c=center: one.initial_velocities(X, c))
+        elif any(v is not None for _, v in moving):
+            X = np.concatenate([p for p, v in moving if v is not None])
+            v = np.concatenate([v for _, v in moving if v is not None]) / time_scale
+            out.append(_affine(X, v))
+        else:
+            out.append((0.0, 0.0, 0.0))
+    return out
+
+
+def _affine(X: Floats, v: Floats) -> Any:
+    """X -> a + A X, the least-squares fit of velocities v (n, 3) at X (n, 3)."""
+    center = X.mean(0)
+    basis = np.hstack([np.ones((len(X), 1)), X - center])
+    fit = np.linalg.lstsq(basis, v, rcond=1e-9)[0]
+    return lambda P: fit[0] + (P - center) @ fit[1:]

@@ -1,0 +1,357 @@
+"""From an asset that was read to a plan: bodies, particles, materials, settings, encounters.
+
+What --repair does to an asset before it is filled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.frames import (
+    Choices,
+    Settings,
+    SurfaceSamples,
+    clip_length,
+    parse_only,
+    sampled,
+    written,
+)
+from gf_usd.core.materials import Material
+from gf_usd.core.stage import StageWords
+from gf_usd.prepare import materials as body_materials
+from gf_usd.prepare import paper as paper_options
+from gf_usd.prepare import regions as material_regions
+from gf_usd.prepare.bodies import encounters, plan_bodies, start_velocities
+from gf_usd.prepare.materials import with_own_values
+from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.pins import make_pins
+from gf_usd.prepare.plan import Plan, frame_bytes
+from gf_usd.prepare.request import Request, parse_floor
+from gf_usd.prepare.settings import resolution, resolve
+from gf_usd.readers.usd_bake.spec import read_motion
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.diagnosis import Diagnosis
+    from gf_usd.geometry.repair import Repairs
+    from gf_usd.geometry.solid import Solid
+
+
+def fill(
+    asset: Asset,
+    request: Request,
+    looks: Sequence[Any],
+    law: str | None,
+    files: Outputs,
+    file: Path,
+    *,
+    words: StageWords,
+    repair: bool,
+    known: Sequence[Diagnosis] = (),
+) -> tuple[Plan, Solid]:
+    """A plan for an asset that was read.  Raises InputError where it is refused.
+
+    file : its USD form; words : what its stage says.
+    known : what `diagnose` said of its surfaces, if it was asked already.
+    """
+    from gf_usd.core.mesh import signed_volume
+    from gf_usd.geometry.diagnosis import diagnose, tolerated
+    from gf_usd.geometry.repair import notes
+    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.skinning import SKIN_NOTES
+    from gf_usd.geometry.solid import build_solid
+
+    mended: tuple[str, ...] = ()
+    filled = asset
+    if repair:
+        asset, filled, repairs = mend(asset, request, words)
+        mended = notes(repairs)
+    solid = build_solid(filled, repaired=repair)
+    if not repair:
+        by_path = {seen.path: seen for seen in known}
+        all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
+        mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
+    request, stated = _with_stage(request, words, asset)
+    unit = asset.facts.units.length
+    paper = request.preset == "paper"
+    closed = zip(solid.surfaces, solid.triangles, strict=True)
+    asked = resolution(
+        request, words, unit,
+        lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
+    )  # fmt: skip
+    particles = sample_solid(
+        solid,
+        particles=asked.particles if asked.spacing is None else None,
+        spacing=asked.spacing,
+        seed=request.seed or 0,
+        uniform=paper,
+        up=asset.facts.up_axis,
+    )
+    owners = {path: body.owner for path, body in words.bodies.items()}
+    bodies, particles = plan_bodies(
+        asset, solid, particles, owners, combine=request.combine or paper or request.solver == "ul"
+    )
+    _require_one_body(request, bodies.count)
+    if paper:
+        # There every particle feels the floor; a mass of rho * area * spacing is its own.
+        samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
+    else:
+        samples = sample_surface(
+            solid, particles.spacing, request.seed or 0,
+            bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
+        )  # fmt: skip
+    floor, normal = parse_floor(request.floor, asset.facts.up, unit)
+    # a sheet that was thickened reaches below what is drawn
+    every_surface = (*asset.surfaces, *solid.surfaces)
+    lowest = min(float((s.points @ normal).min()) for s in every_surface)
+    radius = float(bodies.radius.max())
+    settings = resolve(request, asset.facts, radius, lowest)
+    gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
+    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
+    physics = words.physics
+    if physics.colliders:
+        every = sampled(settings)
+        times = [every.time_code(i) for i in range(every.frames)]
+        physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
+    regions = material_regions.parse_regions(request.material_boxes, request.material_labels)
+    parts = body_materials.slots(solid, words, regions)
+    slot = body_materials.slot_of_particles(solid, particles, parts)
+    of, regional = material_regions.owners(regions, solid.surfaces, particles, unit)
+    slot = body_materials.in_regions(slot, particles, parts, of)
+
+    def finish(look: Any, radius: float) -> Material:
+        return _made(look, radius, law, request)
+
+    tables, index = [], particles.material
+    for look in looks:
+        table, index = body_materials.table(
+            look, parts, slot, particles, solid, bodies, words, finish
+        )
+        tables.append(tuple(replace(m, law=law or m.law) for m in table))
+    particles, own = with_own_values(
+        replace(particles, material=index), tables[0], slot, parts, solid, bodies, words,
+        (request.blend_width or 0.0) * unit,
+    )  # fmt: skip
+    made = tuple(
+        replace(_main(table, index, particles.V0), name=look.name)
+        for look, table in zip(looks, tables)
+    )
+    each = tuple(paper_options.of_material(settings, request, m, radius) for m in made)
+    choices, split = _chosen(request, files, settings, asset, len(particles))
+    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
+    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    advice = tuple(words.advice[s.path] for s in solid.surfaces) if words.advice else ()
+    skin = SKIN_NOTES.get(settings.skin, ())
+    plan = Plan(
+        asset=asset,
+        particles=particles,
+        samples=samples,
+        materials=made,
+        tables=tuple(tables),
+        settings=each[0],
+        each=each,
+        outputs=files,
+        riders=solid.riders,
+        drop=gap / float(normal @ asset.facts.up),
+        pins=pins,
+        choices=choices,
+        bodies=bodies,
+        encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
+        velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        advice=advice,
+        notes=(
+            *asset.facts.notes, *(one.note for one in advice),
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
+            *regional, *own, *physics.notes, *ridden, *left, *skin,
+            *_options(made, each), *split,
+        ),
+    )  # fmt: skip
+    return plan, solid
+
+
+def _with_stage(
+    request: Request, words: StageWords, asset: Asset
+) -> tuple[Request, tuple[str, ...]]:
+    """The request with what the stage says where it says nothing, and notes on that."""
+    notes = []
+    path, physics = asset.facts.path, words.physics
+    more: dict[str, Any] = {}
+    if request.gravity is None and physics.gravity is not None:
+        more["gravity"] = ",".join(repr(g) for g in physics.gravity)
+        notes.append(f"gravity is that of <{physics.scene}>: {_triple(physics.gravity)} m/s^2")
+    if physics.colliders:
+        if request.floor is None:
+            more["floor"] = "none"
+            notes.append(
+                f"the stage has {len(physics.colliders)} obstacles, so there is no floor; --floor 0"
+                " adds one"
+            )
+        if request.solver == "ul":
+            raise UsageError(
+                f"{path}: --solver ul does not know obstacles, and the stage has"
+                f" {len(physics.colliders)}, such as <{physics.colliders[0].path}>",
+                "use --solver tl",
+            )
+    for name in ("seed", "solver"):
+        if getattr(request, name) is None:
+            said = one_said(name, [(p, getattr(b, name)) for p, b in words.bakes.items()], path)
+            if said is not None:
+                more[name] = said
+                notes.append(f"{name} is {said}, as the stage asks for")
+    return replace(request, **more), tuple(notes)
+
+
+def _triple(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def _require_one_body(request: Request, count: int) -> None:
+    """Raise UsageError for options that know one body only."""
+    asked = {
+        "--skin " + str(request.skin): request.skin not in (None, "embed"),
+        "--wls": bool(request.wls),
+        "--procrustes": bool(request.procrustes),
+    }
+    for option, given in asked.items():
+        if given and count > 1:
+            raise UsageError(
+                f"{option} knows one body, and there are {count}", "add --combine, or leave it out"
+            )
+
+
+def _main(table: Sequence[Material], index: Any, V0: Any) -> Material:
+    """The material that most of the volume has."""
+    return table[int(np.bincount(index, V0).argmax())]
+
+
+def _chosen(
+    request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
+) -> tuple[Choices, tuple[str, ...]]:
+    """The output choices, with notes on what nobody asked for."""
+    if files.flat and request.clip_frames:
+        raise UsageError(
+            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            "a package is one file: leave one of them out",
+        )
+    choices = Choices(
+        shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
+    )
+    size = frame_bytes(asset, particles, settings, choices)
+    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    notes = ()
+    if length and request.clip_frames is None:
+        notes = (
+            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
+            f" of {length} frames: --clip-frames 0 keeps it in one file",
+        )
+    return replace(choices, clip_frames=length), notes
+
+
+def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
+    """Notes on the paper's options, once where they are the same for all materials."""
+    if all(settings == each[0] for settings in each):
+        return paper_options.notes(each[0])
+    pairs = zip(materials, each)
+    return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
+
+
+def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
+    """A material on a body of radius [m], with what the request says in place of its own."""
+    own = {
+        name: value
+        for name in ("damping_time", "friction", "restitution")
+        if (value := getattr(request, name)) is not None
+    }
+    if request.preset == "paper":
+        own.setdefault("damping_time", 0.0)  # the paper has none
+    return replace(look.material(radius, law), **own)
+
+
+PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
+HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
+
+
+UNIT, AXIS = "--meters-per-unit", "--up-axis"
+ATTRIBUTES = {UNIT: "metersPerUnit", AXIS: "upAxis"}
+COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
+
+
+def origin(facts: StageFacts, option: str) -> str:
+    """Where the answer to --meters-per-unit or --up-axis comes from: file, assumed or option.
+
+    Readers say in a note what the file does not say itself.
+    """
+    said = [note for note in facts.notes if option in note or ATTRIBUTES[option] in note]
+    if any("asked for" in note for note in said):
+        return "option"
+    return "assumed" if any("assumed" in note for note in said) else "file"
+
+
+def size(asset: Asset) -> Floats:
+    """(3,) [m] of the box around all surfaces."""
+    low = np.min([s.points.min(0) for s in asset.surfaces], axis=0)
+    high = np.max([s.points.max(0) for s in asset.surfaces], axis=0)
+    return high - low
+
+
+def implausible_size(asset: Asset) -> str:
+    """A warning where the asset is so large or small that its unit is likely wrong; else ""."""
+    unit = asset.facts.units.meters_per_unit
+    width = float(size(asset).max())
+    units = width / unit
+    # An assumed unit deserves less trust than one that somebody wrote down.
+    least = PLAUSIBLE[0] if origin(asset.facts, UNIT) == "assumed" else TINY
+    if least <= width <= HUGE:
+        return ""
+    likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
+    # Of the units that fit, a tiny asset wants the largest and a huge one the first named.
+    fitting = max(likely, default=None) if width < least else next(iter(likely), None)
+    said = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
+    if fitting is None:
+        return f"{said}; check its unit ({UNIT})"
+    return f"{said}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"
+
+
+def mend(
+    asset: Asset, request: Request, words: StageWords
+) -> tuple[Asset, Asset, tuple[Repairs, ...]]:
+    """The asset mended, the same with its sheets thickened for the fill, and what was done.
+
+    The first is what is drawn and carried: its points are those of the source.
+    """
+    from gf_usd.core.mesh import signed_volume
+    from gf_usd.geometry.repair import repair_asset
+    from gf_usd.geometry.thicken import thicken_asset
+
+    mended, repairs = repair_asset(asset)
+    asked = resolution(
+        request, words, asset.facts.units.length,
+        lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
+    )  # fmt: skip
+    filled, repairs = thicken_asset(
+        mended, repairs, spacing=asked.spacing, particles=asked.particles
+    )
+    return mended, filled, repairs
+
+
+def one_said(what: str, said: Sequence[tuple[str, object]], file: Path) -> object | None:
+    """The value that all who say something agree on; None where nobody does.
+
+    said : (prim path, value or None).  Raises InputError where two disagree.
+    """
+    known = [(path, value) for path, value in said if value is not None]
+    for path, value in known:
+        if value != known[0][1]:
+            raise InputError(
+                f"{file}: <{known[0][0]}> asks for {what} {known[0][1]}, <{path}> for {value}:"
+                " a bake has one",
+                f"give --{what}, or bake them apart with --prim",
+            )
+    return known[0][1] if known else None

@@ -1,0 +1,387 @@
+"""The material of every part of every body: of the look that was asked for, or of the stage.
+
+A look is made for a body's own size, so that bodies of several sizes have as many materials.
+
+Values of particles of their own: materials blended where they meet, and painted values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Surface
+from gf_usd.core.frames import FREE, Particles, of_materials, summary, with_derived
+from gf_usd.core.materials import Look, Material, find_preset
+from gf_usd.core.stage import StageWords, SubsetMaterial
+from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.regions import Region
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+
+AUTHORED = "authored"  # the look of a stage whose prims do not all ask for the same
+SAME = 1e-3  # relative: materials that differ by less are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slot:
+    """A part of a body that has one material: a surface, some of its faces, or a region."""
+
+    surface: int  # into Solid.surfaces
+    subset: SubsetMaterial | None = None
+    region: Region | None = None
+
+
+@dataclass(frozen=True)
+class Authored:
+    """The look that the stage's own materials make, in the clothes of a preset."""
+
+    name: str
+
+
+def slots(solid: Solid, words: StageWords, regions: Sequence[Region] = ()) -> list[Slot]:
+    """The parts, first the surfaces in their order, last those in regions."""
+    found = [Slot(surface=k) for k in range(len(solid.surfaces))]
+    for k, surface in enumerate(solid.surfaces):
+        body = words.bodies.get(surface.path)
+        found += [Slot(surface=k, subset=one) for one in (body.subsets if body else ())]
+    return found + [Slot(surface=k, region=r) for r in regions for k in range(len(solid.surfaces))]
+
+
+def in_regions(slot: Ints, particles: Particles, parts: Sequence[Slot], of: Ints) -> Ints:
+    """(N,) part of each particle, with those in regions in parts of their own.
+
+    slot : of `slot_of_particles`; of : (N,) of `material_regions.owners`.
+    """
+    first = next((k for k, part in enumerate(parts) if part.region is not None), len(parts))
+    surfaces = 1 + max(part.surface for part in parts)
+    return np.where(of < 0, slot, first + of * surfaces + np.asarray(particles.surface))
+
+
+def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot]) -> Ints:
+    """(N,) part of each particle: of the nearest surface, or of the nearest face's subset."""
+    out = np.asarray(particles.surface).copy()
+    divided = {slot.surface for slot in parts if slot.subset}
+    if not divided:
+        return out
+    from gf_usd.geometry.surface import nearest
+
+    at = nearest(solid, particles.X)
+    of_triangle = slot_of_triangles(solid, parts)
+    for k in divided:
+        mine = np.flatnonzero(at.surface == k)
+        out[mine] = of_triangle[k][at.triangle[mine]]
+    return out
+
+
+def slot_of_triangles(solid: Solid, parts: Sequence[Slot]) -> list[Ints]:
+    """For each surface (T,) the part of each row of `Surface.triangles`."""
+    out = []
+    for k, surface in enumerate(solid.surfaces):
+        last = np.cumsum(surface.face_counts)
+        face = np.searchsorted(last, surface.triangle_corners[:, 0], side="right")
+        of = np.full(len(face), k)
+        for number, slot in enumerate(parts):
+            if slot.surface == k and slot.subset:
+                of[np.isin(face, slot.subset.faces)] = number
+        out.append(of)
+    return out
+
+
+def look_name(words: StageWords, surfaces: Sequence[Surface]) -> str:
+    """What the stage's own materials are called together."""
+    names = set().union(*(_own_names(surface, words) for surface in surfaces))
+    return names.pop() if len(names) == 1 else AUTHORED
+
+
+def _own_names(surface: Surface, words: StageWords) -> set[str]:
+    bake, body = words.bakes.get(surface.path), words.bodies.get(surface.path)
+    own = bake.material if bake is not None and bake.material else ""
+    if not own and body is not None and body.material:
+        own = body.material.name
+    subsets = [one for one in (body.subsets if body else ()) if one.material is not None]
+    names = {one.material.name for one in subsets if one.material is not None}
+    if not subsets or len(np.unique(np.concatenate([s.faces for s in subsets]))) < len(
+        surface.face_counts
+    ):
+        names.add(own or (AUTHORED if surface.path in words.painted else "rubber"))
+    return names
+
+
+def table(
+    look: Any,
+    parts: Sequence[Slot],
+    slot: Ints,
+    particles: Particles,
+    solid: Solid,
+    bodies: BodyPlan,
+    words: StageWords,
+    finish: Callable[[Any, float], Material],
+) -> tuple[tuple[Material, ...], Ints]:
+    """The materials of a look, and (N,) which of them each particle has.
+
+    look : `Authored`, or a preset for every part that is in no region; slot : (N,) of
+    `slot_of_particles`; finish : the material of a preset on a body of radius [m], with what the
+    command line says.
+    """
+    made: list[Material] = []
+    for part in parts:
+        surface = solid.surfaces[part.surface]
+        radius = float(bodies.radius[bodies.of_surface[part.surface]])
+        if part.region is not None:
+            made.append(finish(find_preset(part.region.material), radius))
+        elif isinstance(look, Authored):
+            made.append(_authored(surface.path, part, radius, words, finish))
+        else:
+            made.append(finish(look, radius))
+    if isinstance(look, Authored):
+        made = _with_masses(made, parts, slot, particles, solid, words)
+    kept: list[Material] = []
+    index = np.zeros(len(made), np.int64)
+    used = np.bincount(slot, minlength=len(made)) > 0
+    for k, one in enumerate(made):
+        if not used[k]:
+            continue
+        near = [j for j, other in enumerate(kept) if _alike(one, other)]
+        index[k] = near[0] if near else len(kept)
+        if not near:
+            kept.append(one)
+    return tuple(kept), index[slot]
+
+
+def _authored(
+    path: str,
+    part: Slot,
+    radius: float,
+    words: StageWords,
+    finish: Callable[[Any, float], Material],
+) -> Material:
+    bake, body = words.bakes.get(path), words.bodies.get(path)
+    if part.subset is None and bake is not None and bake.material:
+        return finish(find_preset(bake.material), radius)
+    advice = words.advice.get(path)
+    name = advice.material if advice is not None and advice.by != "stage" else "rubber"
+    base: Any = find_preset(bake.material if bake is not None and bake.material else name)
+    stated = part.subset.words.density if part.subset else None
+    if stated is None and body is not None:
+        stated = body.words.density if body.density is None else body.density
+    if stated is not None and isinstance(base, Look):
+        base = replace(base, density=stated)  # a look's moduli go with its density
+    made = finish(base, radius)
+    if body is None:
+        return made
+    if part.subset is not None:
+        return part.subset.resolve(body.resolve(made), body.density)
+    return body.resolve(made)
+
+
+def _with_masses(
+    made: list[Material],
+    parts: Sequence[Slot],
+    slot: Ints,
+    particles: Particles,
+    solid: Solid,
+    words: StageWords,
+) -> list[Material]:
+    """Densities such that what states a mass has it; moduli stay."""
+    volume = np.bincount(slot, particles.V0, minlength=len(made))
+    groups: dict[str, list[int]] = {}
+    mass: dict[str, float] = {}
+    for k, part in enumerate(parts):
+        body = words.bodies.get(solid.surfaces[part.surface].path)
+        if body is not None and body.mass is not None:
+            groups.setdefault(body.mass_of, []).append(k)
+            mass[body.mass_of] = body.mass
+    for owner, members in groups.items():
+        now = float(sum(made[k].density * volume[k] for k in members))
+        for k in members if now > 0.0 else ():
+            made[k] = replace(made[k], density=made[k].density * mass[owner] / now)
+    return made
+
+
+def _alike(one: Material, other: Material) -> bool:
+    if (one.name, one.law) != (other.name, other.law):
+        return False
+    a, b = (
+        np.array([v for v in vars(m).values() if not isinstance(v, str)], float)
+        for m in (one, other)
+    )
+    return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
+
+
+def stated_spacing(words: StageWords, volumes: Mapping[str, float]) -> tuple[float | None, str]:
+    """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
+
+    volumes : [m^3] of each surface, by prim path.
+    """
+    asked: dict[str, float] = {}
+    groups: dict[str, tuple[int, float]] = {}
+    for path, bake in words.bakes.items():
+        if bake.spacing is not None:
+            asked[path] = bake.spacing
+        elif bake.particles is not None:
+            count, volume = groups.get(bake.particles_of, (bake.particles, 0.0))
+            groups[bake.particles_of] = count, volume + volumes.get(path, 0.0)
+    asked |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
+    if not asked:
+        return None, ""
+    path, finest = min(asked.items(), key=lambda item: item[1])
+    several = max(asked.values()) > (1.0 + SAME) * finest
+    note = (
+        f"a bake has one spacing: the {finest:.4g} m of <{path}> holds for all" if several else ""
+    )
+    return finest, note
+
+
+def with_own_values(
+    particles: Particles,
+    materials: Sequence[Material],
+    slot: Ints,
+    parts: Sequence[Slot],
+    solid: Solid,
+    bodies: BodyPlan,
+    words: StageWords,
+    width: float,
+) -> tuple[Particles, tuple[str, ...]]:
+    """The particles with values of their own, where they have any, and notes on that.
+
+    materials : of `body_materials.table`; slot : (N,) of `slot_of_particles`; width : [m] over
+    which materials of a body turn into each other, 0: at once.
+    """
+    values, notes = None, []
+    if width > 0.0:
+        values = blended(particles, materials, slot, parts, solid, bodies, width)
+        if values is None:
+            notes.append("--blend-width changes nothing: no body has two materials")
+    if words.painted:
+        values = painted(particles, values or of_materials(particles, materials), solid, words)
+    if values is None:
+        return particles, tuple(notes)
+    particles = replace(particles, own=_with_blended_masses(values, particles, solid, words))
+    seen = summary(particles, materials)
+    low, high = seen["youngs_modulus"]
+    least, most = seen["density"]
+    notes.append(
+        f"{seen['particles']} of {len(particles)} particles have material values of their own:"
+        f" Young's modulus {low:.4g} to {high:.4g} Pa, density {least:.4g} to {most:.4g} kg/m^3"
+    )
+    return particles, tuple(notes)
+
+
+def blended(
+    particles: Particles,
+    materials: Sequence[Material],
+    slot: Ints,
+    parts: Sequence[Slot],
+    solid: Solid,
+    bodies: BodyPlan,
+    width: float,
+) -> dict[str, Floats] | None:
+    """(N,) of each of FREE: the mean over the materials of a body, weighted by `part_weights`.
+
+    None where no body has two materials.
+    """
+    from gf_usd.geometry.bodies import part_weights
+
+    material = np.asarray(particles.material)
+    of_slot = {int(k): int(material[np.flatnonzero(slot == k)[0]]) for k in np.unique(slot)}
+    slots = slot_of_triangles(solid, parts)
+    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    table = {name: np.array([getattr(m, name) for m in materials]) for name in FREE}
+    values = of_materials(particles, materials)
+    several = False
+    for b in range(bodies.count):
+        mine = np.flatnonzero(body == b)
+        kinds = np.unique(material[mine])
+        if len(kinds) < 2:
+            continue
+        several = True
+        members = np.flatnonzero(np.asarray(bodies.of_surface) == b)
+        centre = particles.X[mine].mean(0)
+        meshes = [_faces_of(int(kind), members, of_slot, slots, solid, centre) for kind in kinds]
+        weights = part_weights(particles.X[mine] - centre, meshes, width)
+        for name, column in table.items():
+            values[name][mine] = weights @ column[kinds]
+    return values if several else None
+
+
+def _faces_of(
+    kind: int,
+    members: Ints,
+    of_slot: dict[int, int],
+    slots: Sequence[Ints],
+    solid: Solid,
+    centre: Floats,
+) -> tuple[Floats, Ints]:
+    """Points about a centre and triangles of the faces of one material, of the surfaces given."""
+    points, faces, first = [], [], 0
+    kinds = {s for s, owner in of_slot.items() if owner == kind}
+    for k in members:
+        has = np.isin(slots[k][solid.sources[k]], list(kinds))
+        points.append(solid.surfaces[k].points - centre)
+        faces.append(solid.triangles[k][has] + first)
+        first += len(points[-1])
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def painted(
+    particles: Particles, values: dict[str, Floats], solid: Solid, words: StageWords
+) -> dict[str, Floats]:
+    """The values with what is painted on the nearest point of the surface in their place.
+
+    Painted moduli leave the density as it is and the other way round; of Young's modulus and
+    Poisson's ratio the one that is not painted stays.
+    """
+    from gf_usd.geometry.surface import nearest
+
+    at = nearest(solid, particles.X)
+    full = with_derived(values)
+    young, nu, density = (
+        full[name].copy() for name in ("youngs_modulus", "poissons_ratio", "density")
+    )
+    touched = np.zeros(len(particles), bool)
+    for k, surface in enumerate(solid.surfaces):
+        mine = np.flatnonzero(at.surface == k)
+        said = words.painted.get(surface.path, {})
+        corners = surface.triangle_corners[at.triangle[mine]]
+        for name, column in (("youngs_modulus", young), ("poissons_ratio", nu)):
+            if name in said:
+                column[mine] = (said[name][corners] * at.barycentric[mine]).sum(1)
+                touched[mine] = True
+        if "density" in said:
+            density[mine] = (said["density"][corners] * at.barycentric[mine]).sum(1)
+    mu = young / (2.0 * (1.0 + nu))
+    lam = young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    return {
+        **values,
+        "density": density,
+        # untouched particles keep their digits
+        "mu": np.where(touched, mu, values["mu"]),
+        "lam": np.where(touched, lam, values["lam"]),
+    }
+
+
+def _with_blended_masses(
+    values: dict[str, Floats], particles: Particles, solid: Solid, words: StageWords
+) -> dict[str, Floats]:
+    """Densities such that what states a mass has it all the same."""
+    density = values["density"].copy()
+    owner = np.full(len(solid.surfaces), "", object)
+    mass: dict[str, float] = {}
+    for k, surface in enumerate(solid.surfaces):
+        body = words.bodies.get(surface.path)
+        if body is not None and body.mass is not None:
+            owner[k] = body.mass_of or surface.path
+            mass[owner[k]] = body.mass
+    for name, kilograms in mass.items():
+        mine = owner[np.asarray(particles.surface)] == name
+        now = float(density[mine] @ particles.V0[mine])
+        if now > 0.0:
+            density[mine] *= kilograms / now
+    return {**values, "density": density}

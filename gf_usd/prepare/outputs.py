@@ -1,0 +1,306 @@
+"""Where a bake writes, and whether it may.
+
+A sequence of splat files, one for each frame: what viewers of Gaussians play.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gf_usd.core.asset import Splats
+from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.core.frames import SOURCE_VARIANT
+from gf_usd.readers.splats.write import WRITERS
+from gf_usd.system.atomic_files import partial_path, publish
+
+REPORT = ".report.json"
+USD = (".usd", ".usda", ".usdc", ".usdz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Where a bake writes."""
+
+    root: Path
+    caches: tuple[Path, ...]  # one for each look
+    report: Path
+    source: Path | None = None  # USD layer of an asset that is not USD
+    textures: tuple[Path, ...] = ()  # pictures that were inside it
+    flat: bool = False  # the root holds everything; the caches are there while it is made
+
+    @property
+    def own(self) -> tuple[Path, ...]:
+        """The files that no other bake has a part in."""
+        if self.flat:
+            return (self.root, *self.textures, self.report)
+        return (self.root, *self.caches, self.report)
+
+    @property
+    def checkpoints(self) -> tuple[Path, ...]:
+        """Where an unfinished bake can be gone on from, one for each look."""
+        stems = (cache.name.removesuffix(".cache.usdc") for cache in self.caches)
+        return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
+
+    @property
+    def layers(self) -> Path:
+        """The root layer over the caches: of a flat bake only there while it is made."""
+        return self.root.with_name(f"{self.stem}.layers.usda") if self.flat else self.root
+
+    @property
+    def stem(self) -> str:
+        """``duck.rubber`` of ``duck.rubber.usda``."""
+        return self.root.name[: -len(self.root.suffix)]
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        """Every file."""
+        shared = () if self.flat else self.textures
+        return (*self.own, *([self.source] if self.source else []), *shared)
+
+
+def outputs(
+    source: Path, looks: Sequence[str], output: str | None, flatten: bool = False
+) -> Outputs:
+    """Names of the results; looks are the names of the variants.
+
+    `-o` names the root layer, or a folder if it ends in / or is one; default: the current folder.
+    One look: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
+    duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
+    duck.source.usdc, which all bakes of it share.  Flattened, or named .usdz, a bake is one file.
+
+    Raises UsageError for names that collide, with each other or with the asset.
+    """
+    _require_names(looks)
+    if output is not None and "\0" in output:
+        raise UsageError("-o holds a null character, which no path has", "choose another -o")
+    name = f"{source.stem}.{'-'.join(looks)}.{'usdc' if flatten else 'usda'}"
+    if output is None:
+        root = Path(name)
+    elif output.endswith("/") or Path(output).is_dir():
+        root = Path(output) / name
+    else:
+        root = Path(output)
+        if root.suffix not in USD:
+            raise UsageError(
+                f"-o {output}: a root layer ends in .usda, .usd or .usdc, a package in .usdz",
+                f"name it {root.name}.usda, or end a folder's name in /",
+            )
+    flat = flatten or root.suffix == ".usdz"
+    if flat and len(looks) > 1:
+        raise UsageError(
+            f"{root.name} would be one file for {len(looks)} materials: {', '.join(looks)}",
+            "a flattened bake holds one material: bake them one by one, or write layers",
+        )
+    stem = root.name[: -len(root.suffix)]
+    is_usd = source.suffix.lower() in USD
+    parts = ("",) if len(looks) == 1 else tuple(f".{look}" for look in looks)
+    files = Outputs(
+        root=root,
+        caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
+        report=root.with_name(f"{stem}{REPORT}"),
+        source=None if is_usd or flat else root.with_name(f"{source.stem}.source.usdc"),
+        flat=flat,
+    )
+    for path in files.all:
+        if path.resolve() == source.resolve():
+            raise UsageError(
+                f"{path} is the asset itself, which is never written to", "choose another -o"
+            )
+        if files.all.count(path) > 1:
+            raise UsageError(f"two results would be named {path}", "choose another -o")
+    return files
+
+
+def _require_names(looks: Sequence[str]) -> None:
+    """Raise UsageError where two variants, and so their caches, would have one name."""
+    for look in looks:
+        if looks.count(look) > 1:
+            raise UsageError(
+                f"--material has {looks.count(look)} materials named {look!r}",
+                "name each once; a material of a file is called after its prim",
+            )
+        if look == SOURCE_VARIANT:
+            raise UsageError(
+                f"a material is named {look!r}, which is the variant that shows the source",
+                "give its prim another name",
+            )
+
+
+def require_free(files: Outputs, overwrite: bool) -> None:
+    """Raise UsageError where a result is there already, or no folder could hold one."""
+    there = [p for p in files.own if p.exists() and not tells_of_failure(p)]
+    if there and not overwrite:
+        raise UsageError(
+            f"{there[0]} exists already", "add --overwrite to replace it, or choose another -o"
+        )
+    parent = files.root.parent
+    while not parent.exists() and parent != parent.parent:
+        parent = parent.parent
+    if not parent.is_dir():
+        raise UsageError(f"{parent} is no folder", "choose a folder to write to with -o")
+    try:
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise UsageError(
+            f"{parent} cannot be written to: {error.strerror}",
+            "choose another folder with -o, or change its permissions",
+        ) from error
+
+
+def require_source_free(files: Outputs, is_the_same: bool, overwrite: bool) -> None:
+    """Raise UsageError where the layer of a mesh file would replace one that is not the same.
+
+    is_the_same : what lies there was made of the same file in the same way; it is used again.
+    """
+    if overwrite or is_the_same or files.source is None:
+        return
+    there = [p for p in (files.source, *files.textures) if p.exists()]
+    if there:
+        raise UsageError(
+            f"{there[0]} exists already, and was not made of this file in this way",
+            "add --overwrite to replace it (other bakes may lie over it), or choose another -o",
+        )
+
+
+def tells_of_failure(path: Path) -> bool:
+    """Whether a file is the report of a bake that failed, which is in nobody's way."""
+    if not path.name.endswith(REPORT):
+        return False
+    try:
+        text = path.read_text(encoding="utf-8")
+        report = json.loads(text) if '"failed"' in text else None  # reports are long
+    except (OSError, ValueError):
+        return False
+    return isinstance(report, dict) and "failed" in report
+
+
+def report_of_failure(files: Outputs) -> Path:
+    """Where a bake that fails says so: under the report's name, unless a good one has it."""
+    good = files.report.exists() and not tells_of_failure(files.report)
+    return partial_path(files.report) if good else files.report
+
+
+def interrupted(files: Outputs) -> bool:
+    """Whether a bake of these names ended early and can be resumed."""
+    return any(path.exists() for path in files.checkpoints)
+
+
+def claim(files: Outputs) -> None:
+    """Make the folder of the results, without what a bake of these names left when it failed.
+
+    Raises UsageError where that cannot be removed.
+    """
+    files.root.parent.mkdir(parents=True, exist_ok=True)
+    made = {*files.own, *files.caches, files.layers}
+    stale = [partial_path(path) for path in sorted(made)]
+    if tells_of_failure(files.report):
+        stale.append(files.report)
+    for path in stale:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"{path} of an earlier bake cannot be removed: {error.strerror}",
+                "remove it, or choose another -o",
+            ) from error
+
+
+DIGITS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatSequence:
+    """Where the frames of one bake go: ``FOLDER/bob.jelly.0001.ply`` and so on."""
+
+    folder: Path
+    stem: str  # "bob.jelly"
+    suffix: str  # a key of WRITERS
+
+    def path(self, index: int) -> Path:
+        """The file of a frame, counted from 0; its name counts from 1."""
+        return self.folder / f"{self.stem}.{index + 1:0{DIGITS}d}.{self.suffix}"
+
+    def there(self) -> list[Path]:
+        """Frames of this name that lie in the folder."""
+        return sorted(self.folder.glob(f"{self.stem}.{'[0-9]' * DIGITS}*.{self.suffix}"))
+
+    def write(self, splats: Splats, index: int) -> Path:
+        """Write a frame, whole or not at all.  Raises BakeError where the disk refuses."""
+        path = self.path(index)
+        partial = partial_path(path)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            partial.write_bytes(WRITERS[self.suffix](splats))
+        except OSError as error:
+            raise BakeError(
+                f"{partial} could not be written: {error.strerror}.",
+                f"check that {self.folder} is writable and has space left",
+            ) from error
+        return publish(path)
+
+
+def sequences(
+    stem: str, looks: Sequence[str], *, ply: str | None, spz: str | None
+) -> tuple[tuple[SplatSequence, ...], ...]:
+    """The sequences of each look; none where no folder is given."""
+    asked = [(folder, suffix) for folder, suffix in ((ply, "ply"), (spz, "spz")) if folder]
+    return tuple(
+        tuple(
+            SplatSequence(folder=Path(folder), stem=f"{stem}.{look}", suffix=suffix)
+            for folder, suffix in asked
+        )
+        for look in looks
+    )
+
+
+def require_free_sequences(asked: Sequence[Sequence[SplatSequence]], overwrite: bool) -> None:
+    """Raise UsageError where a frame is there already, or a folder's name is that of a file."""
+    for sequence in (one for each in asked for one in each):
+        if sequence.folder.exists() and not sequence.folder.is_dir():
+            raise UsageError(f"{sequence.folder} is no folder", "name another for the frames")
+        there = sequence.there()
+        if there and not overwrite:
+            raise UsageError(
+                f"{there[0]} exists already",
+                "add --overwrite to replace it, or name another folder",
+            )
+
+
+def clear(asked: Sequence[SplatSequence]) -> None:
+    """Remove the frames of an earlier bake, which may have been longer.
+
+    Raises UsageError where one cannot be removed.
+    """
+    for path in (path for sequence in asked for path in sequence.there()):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"{path} of an earlier bake cannot be removed: {error.strerror}",
+                "remove it, or name another folder",
+            ) from error
+
+
+Stamp = tuple[int, int] | None  # (time of change [ns], inode); None: no such file
+Stamps = tuple[Stamp, ...]
+
+
+def stamps(files: Outputs) -> Stamps:
+    """Of each result and checkpoint."""
+    return tuple(
+        stamp(path) for path in (files.root, *files.caches, files.report, *files.checkpoints)
+    )
+
+
+def stamp(path: Path) -> Stamp:
+    """Which file lies there now."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_mtime_ns, found.st_ino

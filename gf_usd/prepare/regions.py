@@ -1,0 +1,244 @@
+"""What has a preset of its own within an asset: boxes and labels, as one list of regions.
+
+Materials by region: `--material-box metal:x0,y0,z0,x1,y1,z1`, a preset for what is in a box.
+
+Materials by label: `--material-label label=3:metal`, a preset for the Gaussians of a label.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Surface
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials import find_preset
+
+BOX_OPTION = "--material-box"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialBox:
+    """A preset for the particles that rest in a box, faces included."""
+
+    text: str  # as asked for
+    material: str  # name of a preset
+    low: Floats  # (3,) [stage units]
+    high: Floats  # (3,) [stage units]
+    option = BOX_OPTION
+
+    def holds(self, X: Floats, unit: float) -> Floats:
+        """(n,) which points (n, 3) [m] lie in it; unit : [m] per stage length."""
+        return np.all((self.low * unit <= X) & (self.high * unit >= X), axis=1)
+
+
+LABEL_OPTION = "--material-label"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaterialLabel:
+    """A preset for the particles whose nearest Gaussian has a value of a property."""
+
+    text: str  # as asked for
+    material: str  # name of a preset
+    name: str  # of the PLY property or the primvar
+    value: int
+    option = LABEL_OPTION
+
+
+Region = MaterialBox | MaterialLabel
+
+
+def parse_regions(boxes: Sequence[str], labels: Sequence[str]) -> tuple[Region, ...]:
+    """The regions that were asked for, labels first, as `parse_labels` and `parse_boxes` read them.
+
+    Raises UsageError for what is neither.
+    """
+    return (*parse_labels(labels), *parse_boxes(boxes))
+
+
+def owners(
+    regions: Sequence[Region], surfaces: Sequence[Surface], particles: Particles, unit: float
+) -> tuple[Ints, tuple[str, ...]]:
+    """(N,) index of the region that each particle is in, -1: none, and a note on each region.
+
+    unit : [m] per stage length.  Boxes hold before labels, and later boxes before earlier ones.
+    Raises InputError for a region that has no particle.
+    """
+    labels = [r for r in regions if isinstance(r, MaterialLabel)]
+    boxes = [r for r in regions if isinstance(r, MaterialBox)]
+    by_label = labelled(labels, surfaces, particles)
+    by_box = boxed(boxes, particles.X, unit)
+    of = np.where(by_box >= 0, len(labels) + by_box, by_label)
+    near = np.bincount(by_label[by_label >= 0], minlength=len(labels))
+    held = np.bincount(of[of >= 0], minlength=len(regions))
+    for k, region in enumerate(regions):
+        if held[k]:
+            continue
+        if isinstance(region, MaterialBox):
+            why, hint = "later boxes take all of its particles", "name it after them"
+        elif near[k]:
+            why, hint = "boxes take all of its particles", "make the boxes smaller"
+        else:
+            why = f"its Gaussians are the nearest of none of the {len(particles)} particles"
+            hint = "use more --particles"
+        raise InputError(f"{region.option} {region.text}: {why}", f"leave it out, or {hint}")
+    return of, tuple(
+        f"{count} of {len(particles)} particles are {region.material}, by {region.option}"
+        f" {region.text}"
+        for region, count in zip(regions, held)
+    )
+
+
+def parse_boxes(texts: Sequence[str]) -> tuple[MaterialBox, ...]:
+    """The boxes of "PRESET:x0,y0,z0,x1,y1,z1", two opposite corners in stage units, world axes.
+
+    Raises UsageError for anything else, for an unknown preset and for a box without volume.
+    """
+    return tuple(_parse_box(text) for text in texts)
+
+
+def _parse_box(text: str) -> MaterialBox:
+    name, _, corners = text.partition(":")
+    try:
+        numbers = np.array([float(word) for word in corners.split(",")])
+    except ValueError:
+        numbers = np.full(6, np.nan)
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise UsageError(
+            f"{BOX_OPTION} {text} is no preset and box",
+            f"give a preset and two corners in stage units: {BOX_OPTION} metal:-1,0,-1,1,0.2,1",
+        )
+    low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
+    if (high - low).min() <= 0.0:
+        raise UsageError(
+            f"{BOX_OPTION} {text} has no volume: its sides are {(high - low).tolist()}",
+            "give two opposite corners that differ along every axis",
+        )
+    preset = find_preset(name.strip())
+    return MaterialBox(text=text, material=preset.name, low=low, high=high)
+
+
+def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
+    """(N,) index of the box that each particle X (N, 3) [m] rests in, -1: none.
+
+    Where boxes overlap the later one holds.  Raises InputError for a box that holds no particle.
+    """
+    out = np.full(len(X), -1)
+    for k, box in enumerate(boxes):
+        mine = box.holds(X, unit)
+        if not mine.any():
+            low, high = X.min(0) / unit, X.max(0) / unit
+            raise InputError(
+                f"{BOX_OPTION} {box.text} holds none of the {len(X)} particles, which rest between"
+                f" {_triple(low)} and {_triple(high)}",
+                "give corners in the asset's units and axes, or use more --particles",
+            )
+        out[mine] = k
+    return out
+
+
+def _triple(values: Floats) -> str:
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+SHOWN = 8  # names or values in a message
+
+
+def parse_labels(texts: Sequence[str]) -> tuple[MaterialLabel, ...]:
+    """The labels of "NAME=VALUE:PRESET".
+
+    Raises UsageError for anything else, for an unknown preset and for a value that is asked twice.
+    """
+    found: dict[tuple[str, int], MaterialLabel] = {}
+    for text in texts:
+        label = _parse_label(text)
+        first = found.setdefault((label.name, label.value), label)
+        if first is not label:
+            raise UsageError(
+                f"{LABEL_OPTION} {first.text} and {LABEL_OPTION} {text} name one value twice",
+                "leave one out",
+            )
+    return tuple(found.values())
+
+
+def _parse_label(text: str) -> MaterialLabel:
+    asked, _, preset = text.rpartition(":")
+    name, _, value = asked.rpartition("=")
+    try:
+        number = int(value)
+    except ValueError:
+        name, number = "", 0
+    if not name.strip() or not preset.strip():
+        raise UsageError(
+            f"{LABEL_OPTION} {text} is no property, whole value and preset",
+            f"name the property of the Gaussians, a value of it and a preset: {LABEL_OPTION}"
+            " label=3:metal",
+        )
+    name = name.strip().removeprefix("primvars:")
+    material = find_preset(preset.strip()).name
+    return MaterialLabel(text=text, material=material, name=name, value=number)
+
+
+def labelled(
+    labels: Sequence[MaterialLabel], surfaces: Sequence[Surface], particles: Particles
+) -> Ints:
+    """(N,) index of the label that the nearest Gaussian of each particle has, -1: none.
+
+    A particle knows the Gaussians of the surface it came from.  Where a Gaussian has several of the
+    labels, of several properties, the later one holds.  Raises InputError for a property that no
+    Gaussian has, and for a value that none of them has.
+    """
+    out = np.full(len(particles), -1)
+    if not labels:
+        return out
+    _require(labels, surfaces)
+    from scipy.spatial import cKDTree
+
+    for k, surface in enumerate(surfaces):
+        if surface.splats is None or not surface.splats.labels:
+            continue
+        mine = np.flatnonzero(np.asarray(particles.surface) == k)
+        _, near = cKDTree(surface.splats.points).query(particles.X[mine])
+        for number, label in enumerate(labels):
+            values = surface.splats.labels.get(label.name)
+            if values is not None:
+                out[mine[values[near] == label.value]] = number
+    return out
+
+
+def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> None:
+    """Raise InputError where a label is not there."""
+    sets = [s.splats for s in surfaces if s.splats is not None]
+    if not sets:
+        raise InputError(
+            f"{LABEL_OPTION} {labels[0].text}: there are no captured Gaussians in what is baked",
+            "leave it out; --material-box works on any asset",
+        )
+    for label in labels:
+        held = [s.labels[label.name] for s in sets if label.name in s.labels]
+        if not held:
+            names = sorted({name for s in sets for name in s.labels})
+            there = "have " + _listed(names) if names else "have no whole numbers at all"
+            raise InputError(
+                f"{LABEL_OPTION} {label.text}: no Gaussian has a property {label.name} of whole"
+                f" numbers; they {there}",
+                "name a property of whole numbers, one a Gaussian",
+            )
+        values, count = np.unique(np.concatenate(held), return_counts=True)
+        if label.value not in values:
+            often = [f"{values[i]} ({count[i]})" for i in np.argsort(-count, kind="stable")]
+            raise InputError(
+                f"{LABEL_OPTION} {label.text}: none of the {count.sum()} Gaussians has {label.name}"
+                f" {label.value}; they have {_listed(often)}",
+                "name a value that is there",
+            )
+
+
+def _listed(words: Sequence[str]) -> str:
+    more = len(words) - SHOWN
+    return ", ".join(words[:SHOWN]) + (f" and {more} more" if more > 0 else "")

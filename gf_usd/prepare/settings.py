@@ -1,0 +1,168 @@
+"""Which samples are simulated, and which of them are written.
+
+Frames are counted from 0, the body at rest where it was put, at the time code `Settings.start`.
+The simulation runs from there to the last frame that is written.  With n samples per frame the
+solver is asked for n times as many frames at n times the rate; sample k is frame k / n.
+
+How finely a body is filled: by a spacing or by a count, from the options or from the stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Settings
+from gf_usd.core.materials import FILTER_RATE, SHOT_LENGTH, time_scale
+from gf_usd.core.stage import StageWords
+from gf_usd.prepare import materials
+from gf_usd.prepare.request import (
+    DEFAULT_DROP,
+    DEFAULT_FPS,
+    DEFAULT_PARTICLES,
+    PAPER_CONTACT,
+    PAPER_DRAG,
+    PAPER_FRAMES,
+    PAPER_PARTICLES,
+    PAPER_SUBSTEPS,
+    PAPER_T,
+    Request,
+    _triple,
+    parse_floor,
+    parse_gravity,
+    parse_length,
+    parse_range,
+    parse_time_scale,
+)
+
+ROUNDING = 1e-6  # frames: time codes are typed in decimals
+
+
+def span(request: Request, start: float, step: float, frames: int) -> tuple[int, int]:
+    """(first frame that is written, number of frames simulated) with range and handles.
+
+    Parameters
+    ----------
+    start : time code of frame 0; step : time codes per frame.
+    frames : of the bake without a range.
+
+    A first frame below 0 holds the rest pose.  Raises UsageError for a range outside the bake.
+    """
+    first, last = 0, frames - 1
+    if request.range is not None:
+        low, high = parse_range(request.range)
+        if low is not None:
+            first = int(np.ceil((low - start) / step - ROUNDING))
+        if high is not None:
+            last = int(np.floor((high - start) / step + ROUNDING))
+        _require_inside(request, first, last, start, step, frames)
+    return first - (request.handles or 0), last + 1 + (request.handles or 0)
+
+
+def _require_inside(
+    request: Request, first: int, last: int, start: float, step: float, frames: int
+) -> None:
+    said = f"--range {request.range}"
+    if first < 0:
+        raise UsageError(
+            f"{said} begins before the simulation, which starts at time code {start:g}",
+            "start later; --handles holds the rest pose before the start",
+        )
+    if last < first:
+        raise UsageError(
+            f"{said} holds no frame: frames are at {start:g} + k * {step:g}",
+            "give a range with a frame in it",
+        )
+    if request.frames and last > frames - 1:
+        raise UsageError(
+            f"{said} ends after the last of --frames {frames}, at time code"
+            f" {start + (frames - 1) * step:g}",
+            "leave --frames out: the range says how long is simulated",
+        )
+
+
+def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
+    """Settings of a bake, but for what hangs on its material (`paper_options.of_material`).
+
+    radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
+    """
+    paper = request.preset == "paper"
+    authored = authored_rate(facts)
+    T = time_scale(radius)
+    # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
+    fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
+    floor, normal = parse_floor(request.floor, facts.up, facts.units.length)
+    drop = request.drop or ("0" if facts.says_physics and not paper else DEFAULT_DROP)
+    height = parse_length("--drop", drop, radius, facts.units.length)
+    # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
+    lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
+    if request.drop is None and (request.pins or floor is None):
+        lift = 0.0
+    elif floor is None:
+        lift = height
+    slow = parse_time_scale(request.time_scale, T)
+    shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
+    start = first_time_code(facts, request.start)
+    frames = request.frames or (PAPER_FRAMES if paper else shot)
+    first, frames = span(request, start, (authored or fps) / fps, frames)
+    rate = request.filter_rate
+    if rate is None:
+        rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
+    drag = (PAPER_DRAG / T if paper else 0.0) if request.drag is None else request.drag
+    return Settings(
+        frames=frames,
+        first=first,
+        samples_per_frame=request.samples_per_frame or 1,
+        fps=fps,
+        time_codes_per_second=authored or fps,
+        start=start,
+        gravity=parse_gravity(request.gravity, facts.up),
+        up=_triple(facts.up),
+        floor=floor,
+        floor_normal=None if np.array_equal(normal, facts.up) else _triple(normal),
+        lift=_triple(lift * facts.up),
+        seed=request.seed or 0,
+        filter_rate=float(rate) / T,
+        drag=drag,
+        device=request.device,
+        threads=request.threads,
+        time_scale=slow,
+        substeps=PAPER_SUBSTEPS if paper else None,
+        cell=radius / 4.0 if paper else None,
+        contact_rate=PAPER_CONTACT / T**2 if paper else None,
+        sampling="rejection" if paper else "strata",
+        followers=not paper,
+        deformation_gradients=request.deformation_gradients,
+        stress=request.stress,
+        skin=request.skin or ("paper" if paper else "embed"),
+        solver=request.solver or "tl",
+        shortcuts=not request.no_shortcuts,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution:
+    """What is asked for."""
+
+    spacing: float | None  # [m]; None: by the count
+    particles: int  # that hold where there is no spacing
+    note: str = ""
+
+
+def resolution(
+    request: Request, words: StageWords, unit: float, volumes: Callable[[], Mapping[str, float]]
+) -> Resolution:
+    """An option wins over what the stage says, and that over the defaults.
+
+    unit : [m] of the stage's; volumes : [m^3] of each surface, by prim path, asked where needed.
+    """
+    paper = request.preset == "paper"
+    particles = request.particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES)
+    spacing, note = request.spacing * unit if request.spacing else None, ""
+    if spacing is None and request.particles is None and not paper:
+        spacing, note = materials.stated_spacing(words, volumes())
+    return Resolution(spacing=spacing, particles=particles, note=note)

@@ -1,0 +1,122 @@
+"""Readers of asset files: a suffix, and the function that makes an Asset of such a file.
+
+A reader is named by module and function and imported when a file needs it, so that asking what
+can be read costs nothing.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import InputError
+
+if TYPE_CHECKING:
+    from gf_usd.readers.mesh.to_usd import MeshSource
+
+
+USD = (".usd", ".usda", ".usdc", ".usdz")
+MESH = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".fbx")
+SPLATS = (".spz", ".splat")  # and .ply
+READERS: dict[str, str] = {
+    **dict.fromkeys(USD, "gf_usd.readers.usd.asset:read_usd"),
+    **dict.fromkeys((*MESH, *SPLATS), "gf_usd.readers.conversion:read_mesh"),
+}
+
+
+def read_asset(
+    path: Path,
+    *,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    time_code: float | None = None,
+) -> Asset:
+    """The surfaces and facts of an asset file, in metres, posed at one time.
+
+    Parameters
+    ----------
+    path : the file as the user named it.
+    prims : prim paths; each with its descendants.  None: the default prim, or every root prim.
+    meters_per_unit : [m] size of the file's unit, in place of what the file says or omits.
+    up_axis : "Y" or "Z", in place of what the file says or omits.
+    time_code : where the pose is read; None: the file's startTimeCode, or 1.
+
+    Raises
+    ------
+    InputError : no such file, a folder, an empty or damaged file, a suffix without a reader, or
+        nothing in it that has a surface.
+    """
+    path = Path(path)
+    module, function = _reader(path).split(":")
+    reader = getattr(import_module(module), function)
+    return reader(
+        path,
+        prims=prims,
+        meters_per_unit=meters_per_unit,
+        up_axis=up_axis,
+        time_code=time_code,
+    )
+
+
+def convert(
+    path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
+) -> MeshSource | None:
+    """A mesh file made into USD, not yet written anywhere; None for a file that is USD already.
+
+    Arguments and errors are those of `read_asset`.  The result's `asset` stands in for
+    `read_asset`, so that the file is parsed once; its `write` puts the layer where results lie.
+    """
+    path = Path(path)
+    _reader(path)
+    if path.suffix.lower() in USD:
+        return None
+    from gf_usd.readers.conversion import convert_mesh
+
+    return convert_mesh(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+
+
+def _reader(path: Path) -> str:
+    """The row of the registry for a file; raises InputError where there is none, or no file."""
+    _require_file(path)
+    row = READERS.get(path.suffix.lower())
+    if row is None:
+        what = f"{path} has the suffix '{path.suffix}'" if path.suffix else f"{path} has no suffix"
+        raise InputError(f"{what}: there is no reader for it", _what_can_be_read())
+    return row
+
+
+def _what_can_be_read() -> str:
+    return f"give a file that ends in {', '.join(sorted(READERS))}"
+
+
+def _require_file(path: Path) -> None:
+    """Raise InputError where `path` is not a file with something in it that may be read."""
+    try:
+        if path.is_dir():
+            raise InputError(f"{path} is a folder, not an asset file", _what_can_be_read())
+        if not path.exists():
+            raise InputError(f"{path} does not exist", f"{_near(path)}{_what_can_be_read()}")
+        if not path.is_file():
+            raise InputError(f"{path} is not a regular file", _what_can_be_read())
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise InputError(f"{path} is empty (0 bytes)", _what_can_be_read())
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read: {error.strerror or error}",
+            "check the spelling of the path and the permissions of the file",
+        ) from error
+
+
+def _near(path: Path) -> str:
+    """Words for the files beside a missing one that have almost its name."""
+    if not path.parent.is_dir():
+        return f"the folder {path.parent} does not exist either; "
+    names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in READERS]
+    close = difflib.get_close_matches(path.name, names, n=3)
+    return f"did you mean {' or '.join(close)}? otherwise " if close else ""

@@ -1,0 +1,108 @@
+"""Every file that an asset is made of: layers, buffers, textures, and what of it is missing.
+
+The files that a USD asset is composed of.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from pxr import Ar, UsdUtils
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers import USD
+from gf_usd.readers.conversion import PARSERS
+from gf_usd.readers.usd.stage import reading
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What reading an asset depends on."""
+
+    asset: Path
+    files: tuple[tuple[str, str], ...]  # (path relative to the asset's folder, sha256), sorted
+    missing: tuple[str, ...] = ()  # referred to, and not there; relative as well
+
+
+def read_inputs(path: Path) -> Inputs:
+    """The files that an asset reads, with their content.
+
+    For USD they are all layers of every variant, clip and payload, and all textures, as USD
+    resolves them; for a mesh file those that its reader opens.
+
+    Raises InputError where the file cannot be read.
+    """
+    try:
+        files, missing = _files(path)
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    folder = path.absolute().parent
+    rows = {relative(file, folder): digest(file) for file in files}
+    return Inputs(
+        asset=path,
+        files=tuple(sorted(rows.items())),
+        # what is searched for has no folder
+        missing=tuple(
+            sorted({relative(Path(n), folder) if Path(n).is_absolute() else n for n in missing})
+        ),
+    )
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file's bytes.  Raises InputError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path} cannot be read: {error.strerror or error}",
+        "check the spelling of the path and the permissions of the file",
+    )
+
+
+def relative(path: Path, folder: Path) -> str:
+    """A path as seen from a folder, with forward slashes; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+    except ValueError:  # Windows, another drive
+        return path.absolute().as_posix()
+
+
+def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise InputError(f"{path} does not exist", "check the spelling of the path")
+    if suffix in USD:
+        return usd_inputs(path)
+    from gf_usd.readers.splats.convert import is_splat_file
+
+    if suffix in PARSERS and not is_splat_file(path):
+        module, function = PARSERS[suffix].split(":")
+        read = getattr(import_module(module), function)(path)
+        # pictures that are only named become references of the layer made of the file
+        slots = (slot for material in read.materials for slot in material.slots)
+        pictures = (slot.picture.path for slot in slots if slot.picture.path)
+        return [*read.inputs, *pictures], ()
+    return [path], ()
+
+
+def usd_inputs(path: Path) -> tuple[list[Path], list[str]]:
+    """(files, missing): every layer and asset that a file leads to, and what does not resolve.
+
+    All variants, payloads, value clips and UDIM tiles count, whether selected or not.  What lies in
+    a package is the package.  Raises InputError for a file that is damaged, or leads to one.
+    """
+    with reading(path):
+        layers, assets, missing = UsdUtils.ComputeAllDependencies(str(path))
+        names = [layer.realPath or layer.identifier for layer in layers] + list(assets)
+    files = {Path(Ar.SplitPackageRelativePathOuter(name)[0]) for name in names}
+    return sorted(file for file in files if file.is_file()), list(missing)

@@ -1,0 +1,1 @@
+"""Mesh files become surfaces, and USD layers that hold them."""

@@ -1,0 +1,233 @@
+"""What a mesh file holds, before it becomes USD: polygons, their nodes and their looks.
+
+Lengths are in the file's own unit, colours linear Rec. 709, texture coordinates with v = 0 at the
+bottom of the picture.  Matrices act on row vectors: x_parent = x M.
+
+trimesh as a parser: bytes in, named triangle meshes out, and its errors in our words.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+
+REPAIR = "repair the file in the program that made it, and export it again"
+LFS = b"version https://git-lfs.github.com/spec"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A texture: a file that is there already, or the bytes of one."""
+
+    name: str  # file name it may have
+    path: Path | None = None
+    data: bytes | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slot:
+    """A texture that feeds one input of UsdPreviewSurface: scale * texel + bias."""
+
+    input: str  # diffuseColor, roughness, metallic, normal, emissiveColor, occlusion
+    picture: Picture
+    channel: str = "rgb"  # rgb, r, g, b or a
+    srgb: bool = True  # False: the texels are numbers, not colours
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wraps: tuple[str, str] = ("repeat", "repeat")  # repeat, clamp, mirror
+    uv_scale: tuple[float, float] = (1.0, 1.0)  # uv' = uv_scale * uv + uv_offset
+    uv_offset: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileMaterial:
+    """A look; what is not said stays at UsdPreviewSurface's own value."""
+
+    name: str
+    values: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
+    slots: tuple[Slot, ...] = ()
+    mesh_colours: bool = False  # diffuseColor is the mesh's own displayColor
+    double_sided: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileMesh:
+    """One polygon mesh."""
+
+    name: str
+    points: Floats  # (V, 3)
+    counts: Ints  # (P,) corners of each face
+    indices: Ints  # (C,) points of the corners
+    uvs: Floats | None = None  # (U, 2)
+    uv_indices: Ints | None = None  # (C,) into uvs; None: uvs are one for each point
+    normals: Floats | None = None  # (K, 3)
+    normal_indices: Ints | None = None  # (C,) into normals; None: one for each point
+    colours: Floats | None = None  # (V, 3), or (P, 3) where per_face
+    colours_per_face: bool = False
+    materials: Ints | None = None  # (P,) into MeshFile.materials; -1 none; None: none anywhere
+    groups: tuple[tuple[str, Ints], ...] = ()  # named sets of faces
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileNode:
+    """A node of the file's hierarchy."""
+
+    name: str
+    matrix: Floats | None = None  # (4, 4) to the parent; None: identity
+    mesh: FileMesh | None = None
+    children: tuple[FileNode, ...] = ()
+
+    def meshes(self) -> Iterator[FileMesh]:
+        """Its mesh and those below."""
+        if self.mesh is not None:
+            yield self.mesh
+        for child in self.children:
+            yield from child.meshes()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshFile:
+    """A file as read."""
+
+    path: Path
+    format: str  # as a person calls it, e.g. "OBJ"
+    nodes: tuple[FileNode, ...]
+    materials: tuple[FileMaterial, ...] = ()
+    meters_per_unit: float | None = None  # None: the format has no unit
+    up_axis: str = "Y"
+    up_axis_known: bool = False  # False: the format does not say, up_axis is usual for it
+    inputs: tuple[Path, ...] = ()  # every file that was read
+    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+
+
+def refuse_pointer(path: Path, data: bytes) -> None:
+    """Raise InputError where `data` is not the asset but git-lfs's stand-in for it."""
+    if data.startswith(LFS):
+        raise InputError(
+            f"{path} is a git-lfs pointer ({len(data)} bytes of text), not the file itself",
+            "fetch the file with: git lfs pull",
+        )
+
+
+def require_sound(file: MeshFile) -> MeshFile:
+    """The file, where every mesh of it can be what was meant.
+
+    Raises
+    ------
+    InputError : no face at all, points that are not finite, indices outside the points, a body
+        without extent.
+    """
+    meshes = [mesh for node in file.nodes for mesh in node.meshes()]
+    if not any(len(mesh.counts) for mesh in meshes):
+        raise InputError(f"{file.path}: there is no face in it", "give a file with a mesh in it")
+    for mesh in meshes:
+        where = f"{file.path}: mesh '{mesh.name}'"
+        lost = int((~np.isfinite(mesh.points)).any(axis=1).sum())
+        if lost:
+            raise InputError(
+                f"{where}: {lost} of {len(mesh.points)} points are not finite (NaN or inf)", REPAIR
+            )
+        outside = (mesh.indices < 0) | (mesh.indices >= len(mesh.points))
+        if outside.any():
+            raise InputError(
+                f"{where}: {int(outside.sum())} of {len(mesh.indices)} indices are outside its "
+                f"{len(mesh.points)} points, the first is {mesh.indices[outside][0]}",
+                REPAIR,
+            )
+        if len(mesh.points) and not np.ptp(mesh.points, axis=0).any():
+            raise InputError(
+                f"{where} has no size: its {len(mesh.points)} points are all in one place", REPAIR
+            )
+    return file
+
+
+def tidy(values: Floats, indices: Ints) -> tuple[Floats, Ints]:
+    """Only the rows of `values` that `indices` name, in their order, and indices into those."""
+    used, new = np.unique(indices, return_inverse=True)
+    return values[used], new.reshape(-1)
+
+
+# What trimesh raises on files that are not what they should be.  ImportError: it asks for packages
+# that guess an encoding when the text is none.
+UNREADABLE = (
+    ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, NameError,
+    NotImplementedError, ImportError, RecursionError, OSError, MemoryError,
+)  # fmt: skip
+
+
+def load(path: Path, data: bytes, kind: str) -> list[tuple[str, Floats, Ints]]:
+    """(name, points (V, 3), triangles (T, 3)) of each mesh in a file.
+
+    Raises InputError for a file that trimesh cannot read, or in which it finds no triangle.
+    """
+    meshes = [
+        (name, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+        for name, mesh in load_meshes(path, data, kind).items()
+        if len(getattr(mesh, "faces", ()))
+    ]
+    if not meshes:
+        raise InputError(f"{path}: there is no face in it", "give a file with a mesh in it")
+    return meshes
+
+
+def load_meshes(
+    path: Path, data: bytes, kind: str, files: Mapping[str, bytes] | None = None
+) -> dict[str, Any]:
+    """trimesh's objects by name, their points and faces as in the file.
+
+    `files`: what the data refers to by name.  Raises InputError as `load` does.
+    """
+    import trimesh  # most assets are USD and never need it
+
+    try:
+        with _quiet():
+            resolver: Any = _Files(files or {})  # by its methods; trimesh's type names classes
+            loaded: Any = trimesh.load(
+                BytesIO(data), file_type=kind, process=False, resolver=resolver
+            )
+    except UNREADABLE as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InputError(f"{path} cannot be read as {kind.upper()}: {reason}", REPAIR) from error
+    geometry = getattr(loaded, "geometry", None)
+    return dict(geometry) if geometry is not None else {"mesh": loaded}
+
+
+class _Files:
+    """The resolver that trimesh asks for files by name: only those it is given."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        self._files = files
+
+    def get(self, name: str) -> bytes:
+        """The bytes of a file; KeyError for one that is not there."""
+        return self._files[name]
+
+    __getitem__ = get
+
+    def keys(self) -> list[str]:
+        """Every name."""
+        return list(self._files)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without trimesh's log on the screen: what it warns of is checked and said here."""
+    log, sink = logging.getLogger("trimesh"), logging.NullHandler()
+    before = log.propagate
+    log.addHandler(sink)
+    log.propagate = False
+    try:
+        yield
+    finally:
+        log.propagate = before
+        log.removeHandler(sink)

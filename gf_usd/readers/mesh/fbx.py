@@ -1,0 +1,81 @@
+"""FBX files, by the program usd-convert-asset where it is installed.
+
+The program brings an OpenUSD of its own, so it never runs in this process.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+from pxr import Tf, Usd
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.data import refuse_pointer
+from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
+
+PROGRAM = "usd-convert-asset"
+PATIENCE = 600  # [s] for one conversion
+HINT = (
+    f"install {PROGRAM} (pip install {PROGRAM}, Python 3.12, in an environment of its own) so that "
+    "it is on PATH; or export the asset as glb or obj"
+)
+
+
+def convert_fbx(
+    path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
+) -> MeshSource:
+    """The USD layer of an FBX file, flattened into one.
+
+    Raises InputError where the program is missing, fails, takes longer than ten minutes or writes
+    what is no USD.
+    """
+    with path.open("rb") as file:
+        refuse_pointer(path, file.read(512))
+    program = shutil.which(PROGRAM)
+    if program is None:
+        raise InputError(
+            f"{path}: FBX is only read by way of {PROGRAM}, which is not on PATH", HINT
+        )
+    folder = Folder()
+    folder.pictures.mkdir()
+    # The program puts pictures somewhere below its result.
+    made = folder.pictures / "converted.usdc"
+    command = [program, "-i", str(path.absolute()), "-o", str(made), "--preview-surface"]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=PATIENCE, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InputError(f"{path}: {PROGRAM} could not be run: {error}", HINT) from error
+    if done.returncode != 0 or not made.is_file():
+        said = (done.stderr or done.stdout).strip().splitlines()
+        raise InputError(
+            f"{path}: {PROGRAM} failed with status {done.returncode}"
+            + (f": {said[-1]}" if said else ""),
+            "check that the file opens elsewhere; or export the asset as glb or obj",
+        )
+    notes = _flatten(path, made, folder.layer, meters_per_unit, up_axis)
+    return MeshSource(path, folder, record_of(path, [path], meters_per_unit, up_axis), notes)
+
+
+def _flatten(
+    path: Path, made: Path, target: Path, meters_per_unit: float | None, up_axis: str | None
+) -> tuple[str, ...]:
+    """Write one layer of what the program wrote, and leave only pictures behind."""
+    notes = [f"FBX was converted by {PROGRAM}"]
+    try:
+        flat = Usd.Stage.Open(str(made), Usd.Stage.LoadAll).Flatten()
+    except Tf.ErrorException as error:
+        raise InputError(f"{path}: what {PROGRAM} wrote is no USD", HINT) from error
+    if meters_per_unit is not None:
+        flat.pseudoRoot.SetInfo("metersPerUnit", float(meters_per_unit))
+        notes.append(f"metersPerUnit = {meters_per_unit:g}, as asked for")
+    if up_axis is not None:
+        flat.pseudoRoot.SetInfo("upAxis", up_axis)
+        notes.append(f"upAxis = {up_axis}, as asked for")
+    flat.Export(str(target))
+    for layer in made.parent.rglob("*.usd*"):
+        layer.unlink()
+    return tuple(notes)

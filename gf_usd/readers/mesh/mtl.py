@@ -1,0 +1,181 @@
+"""MTL files: the materials of an OBJ file.
+
+Kd is taken as linear; a texture in map_Kd replaces it, as most programs that write both mean it.
+Roughness and metal are read from Pr and Pm; highlights (Ks, Ns), transparency (d, Tr) and bump maps
+are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.data import REPAIR, FileMaterial, Picture, Slot, refuse_pointer
+from gf_usd.readers.notes import Notes
+
+# how many words follow each option of a map_ statement; -o, -s and -t have one to three numbers
+OPTIONS = dict.fromkeys(
+    ("-blendu", "-blendv", "-boost", "-texres", "-clamp", "-bm", "-imfchan", "-type", "-cc"), 1
+) | {"-mm": 2}
+NUMBERS = ("-o", "-s", "-t")
+CLEAR = {"d": 1.0, "Tr": 0.0}  # of what hides all behind it
+CONSTANTS = {"Kd": "diffuseColor", "Ke": "emissiveColor", "Pr": "roughness", "Pm": "metallic"}
+
+
+def read_libraries(
+    obj: Path, libraries: Sequence[str], wanted: Sequence[str], notes: Notes
+) -> tuple[dict[str, FileMaterial], list[Path]]:
+    """The wanted materials by name, of the MTL files beside an OBJ file, and the files read.
+
+    A missing file or material is a note.  Raises InputError for a line that cannot be read.
+    """
+    found: dict[str, FileMaterial] = {}
+    read: list[Path] = []
+    for text in dict.fromkeys(libraries):
+        for path in _library_paths(obj, text):
+            if not path.is_file():
+                notes.add(f"its material file {path.name} is missing: no colours from it")
+                continue
+            read.append(path)
+            for name, material in _Library(path, notes).materials().items():
+                found.setdefault(name, material)
+    absent = [name for name in wanted if name not in found]
+    if absent and read:
+        notes.add(f"material {', '.join(absent[:3])} is in none of its material files: no colour")
+    elif absent and not libraries:
+        notes.add(f"it names materials ({', '.join(absent[:3])}) but no material file: no colours")
+    return {name: found[name] for name in wanted if name in found}, read
+
+
+def _library_paths(obj: Path, text: str) -> list[Path]:
+    """One name, spaces and all, where such a file is there; else one name a word."""
+    whole = obj.parent / text.replace("\\", "/")
+    if whole.is_file() or " " not in text:
+        return [whole]
+    return [obj.parent / word.replace("\\", "/") for word in text.split()]
+
+
+class _Library:
+    """The statements of one MTL file."""
+
+    def __init__(self, path: Path, notes: Notes) -> None:
+        self._path = path
+        self._notes = notes
+        self._done: dict[str, FileMaterial] = {}
+        self._name: str | None = None
+        self._values: dict[str, float | tuple[float, float, float]] = {}
+        self._slots: list[Slot] = []
+
+    def materials(self) -> dict[str, FileMaterial]:
+        """Every material by name."""
+        data = self._path.read_bytes()
+        refuse_pointer(self._path, data)
+        text = data.decode("utf-8-sig", errors="replace")
+        for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
+            words = line.split()
+            if words:
+                self._take(number, words)
+        self._finish()
+        return self._done
+
+    def _finish(self) -> None:
+        if self._name is not None:
+            self._done[self._name] = FileMaterial(
+                name=self._name, values=dict(self._values), slots=tuple(self._slots)
+            )
+        self._values, self._slots = {}, []
+
+    def _take(self, number: int, words: list[str]) -> None:
+        key = words[0]
+        if key == "newmtl":
+            self._finish()
+            self._name = " ".join(words[1:])
+        elif self._name is None:
+            return
+        elif key in CONSTANTS:
+            self._constant(number, words)
+        elif key.lower() == "map_kd":
+            self._texture(number, words[1:])
+        elif key in CLEAR and _is_number(words[-1]) and float(words[-1]) != CLEAR[key]:
+            self._notes.add("transparency is not read: opaque", f"material {self._name}")
+
+    def _constant(self, number: int, words: list[str]) -> None:
+        if words[1:2] in (["xyz"], ["spectral"]):
+            self._notes.add(
+                f"{words[0]} is given as {words[1]}, which is not read", f"material {self._name}"
+            )
+            return
+        numbers = self._numbers(number, words[1:4])
+        if not numbers:
+            raise self._error(number, f"{words[0]} has no number")
+        if words[0] in ("Pr", "Pm"):
+            self._values[CONSTANTS[words[0]]] = numbers[0]
+        else:
+            r, g, b = (numbers * 3)[:3] if len(numbers) == 1 else (numbers + numbers[-1:])[:3]
+            self._values[CONSTANTS[words[0]]] = (r, g, b)
+
+    def _texture(self, number: int, words: list[str]) -> None:
+        wrap, scale, offset = "repeat", [1.0, 1.0], [0.0, 0.0]
+        i = 0
+        while i < len(words) and words[i].startswith("-"):
+            option = words[i]
+            if option in NUMBERS:
+                end = i + 1
+                while end < min(i + 4, len(words)) and _is_number(words[end]):
+                    end += 1
+                numbers = self._numbers(number, words[i + 1 : end])
+                target = {"-s": scale, "-o": offset}.get(option, [])
+                target[: len(numbers)] = numbers[: len(target)]
+            elif option in OPTIONS:
+                end = i + 1 + OPTIONS[option]
+                if option == "-clamp":
+                    wrap = "clamp" if words[i + 1 : end] == ["on"] else "repeat"
+            else:
+                raise self._error(number, f"map_Kd has the unknown option {option}")
+            i = end
+        name = " ".join(words[i:])
+        if not name:
+            raise self._error(number, "map_Kd names no file")
+        picture = self._picture(name)
+        if picture is None:
+            self._notes.add(
+                f"its texture {name} does not exist: a constant colour instead",
+                f"material {self._name}",
+            )
+            return
+        self._slots.append(
+            Slot(
+                input="diffuseColor",
+                picture=picture,
+                wraps=(wrap, wrap),
+                uv_scale=(scale[0], scale[1]),
+                uv_offset=(offset[0], offset[1]),
+            )
+        )
+
+    def _picture(self, name: str) -> Picture | None:
+        """The file as named, or one of that name beside the MTL file."""
+        plain = name.replace("\\", "/")
+        beside = self._path.parent / plain.rsplit("/", 1)[-1]
+        for path in (self._path.parent / plain, beside):
+            if path.is_file():
+                if path == beside and "/" in plain:
+                    self._notes.add(f"its texture {name} was found beside the material file")
+                return Picture(name=path.name, path=path)
+        return None
+
+    def _numbers(self, number: int, words: list[str]) -> list[float]:
+        if not all(_is_number(word) for word in words):
+            raise self._error(number, f"'{' '.join(words)}' holds what is no finite number")
+        return [float(word) for word in words]
+
+    def _error(self, line: int, what: str) -> InputError:
+        return InputError(f"{self._path}, line {line}: {what}", REPAIR)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return abs(float(word)) < float("inf")
+    except ValueError:
+        return False

@@ -1,0 +1,105 @@
+"""OFF files: a line of counts, a line for each vertex and a line for each polygon.
+
+trimesh cuts the polygons into triangles and stumbles over comments; here they stay.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.data import (
+    REPAIR,
+    FileMesh,
+    FileNode,
+    MeshFile,
+    refuse_pointer,
+    require_sound,
+)
+from gf_usd.readers.notes import Notes
+
+HEADS = ("OFF", "COFF")
+Rows = list[tuple[int, list[str]]]  # (line number, words)
+
+
+def read_off(path: Path) -> MeshFile:
+    """The polygons of an OFF or COFF file; colours are not read.
+
+    Raises InputError for counts that do not fit the lines, and for what is no number.
+    """
+    data = path.read_bytes()
+    refuse_pointer(path, data)
+    notes = Notes()
+    vertices, faces = _rows(path, data)
+    points = [_numbers(path, line, words[:3]) for line, words in vertices]
+    corners: list[int] = []
+    counts: list[int] = []
+    for line, words in faces:
+        count = int(words[0]) if words[0].isdigit() else -1
+        if not 0 <= count < len(words) or not all(_is_whole(w) for w in words[1 : 1 + count]):
+            raise InputError(
+                f"{path}, line {line}: '{' '.join(words)[:60]}' is no face: a count and as many "
+                "indices",
+                REPAIR,
+            )
+        counts.append(count)
+        corners.extend(int(word) for word in words[1 : 1 + count])
+    if any(len(words) > 3 for _, words in vertices) or any(
+        len(words) > 1 + count for (_, words), count in zip(faces, counts)
+    ):
+        notes.add("its colours are not read")
+    mesh = FileMesh(
+        name="mesh",
+        points=np.array(points).reshape(-1, 3),
+        counts=np.array(counts, np.int64),
+        indices=np.array(corners, np.int64),
+    )
+    return require_sound(
+        MeshFile(
+            path=path,
+            format="OFF",
+            nodes=(FileNode(name=mesh.name, mesh=mesh),),
+            inputs=(path,),
+            notes=notes.lines(),
+        )
+    )
+
+
+def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
+    """The lines of the vertices and those of the faces."""
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    rows = [(n, words) for n, line in enumerate(lines, 1) if (words := line.split("#")[0].split())]
+    if not rows or rows[0][1][0] not in HEADS:
+        raise InputError(
+            f"{path} does not begin with {' or '.join(HEADS)}",
+            "check what the file really is; other kinds of OFF are not read",
+        )
+    # The counts may stand on the first line, too.
+    rows[0] = (rows[0][0], rows[0][1][1:])
+    rows = rows if rows[0][1] else rows[1:]
+    if not rows or len(rows[0][1]) < 2 or not all(word.isdigit() for word in rows[0][1][:2]):
+        raise InputError(f"{path}: no line with its numbers of vertices and faces", REPAIR)
+    n_vertices, n_faces = (int(word) for word in rows[0][1][:2])
+    if len(rows) < 1 + n_vertices + n_faces:
+        raise InputError(
+            f"{path} announces {n_vertices} vertices and {n_faces} faces, and {len(rows) - 1} "
+            "lines follow",
+            "it was cut off or altered: " + REPAIR,
+        )
+    return rows[1 : 1 + n_vertices], rows[1 + n_vertices : 1 + n_vertices + n_faces]
+
+
+def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3:
+        raise InputError(f"{path}, line {line}: '{' '.join(words)[:60]}' is no vertex", REPAIR)
+    return numbers
+
+
+def _is_whole(word: str) -> bool:
+    return word.removeprefix("-").isdigit()

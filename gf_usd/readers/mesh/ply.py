@@ -1,0 +1,462 @@
+"""PLY files: the elements of the header as tables, and the polygons in them.
+
+trimesh refuses a binary PLY whose faces differ in their number of corners and cuts every polygon
+into triangles; here they stay as they are.
+
+The body of a PLY file, text or binary, as one table for each element.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.radiance import srgb_to_linear
+from gf_usd.readers.mesh.data import (
+    REPAIR,
+    FileMaterial,
+    FileMesh,
+    FileNode,
+    MeshFile,
+    Picture,
+    Slot,
+    refuse_pointer,
+    require_sound,
+    tidy,
+)
+from gf_usd.readers.notes import Notes
+
+TYPES = {
+    name: kind
+    for names, kind in (
+        (("char", "int8"), "i1"),
+        (("uchar", "uint8"), "u1"),
+        (("short", "int16"), "i2"),
+        (("ushort", "uint16"), "u2"),
+        (("int", "int32"), "i4"),
+        (("uint", "uint32"), "u4"),
+        (("int64",), "i8"),
+        (("uint64",), "u8"),
+        (("float16",), "f2"),
+        (("float", "float32"), "f4"),
+        (("double", "float64"), "f8"),
+    )
+    for name in names
+}
+ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+
+def read_ply(path: Path) -> MeshFile:
+    """The polygons of a PLY file with their colours, normals and texture coordinates.
+
+    Raises InputError for a header or a body that is not what it says, and for a file that holds
+    points without faces.
+    """
+    data = path.read_bytes()
+    refuse_pointer(path, data)
+    elements, order, texture, start = header(path, data)
+    tables = read_body(path, data, start, elements, order)
+    notes = Notes()
+    _require_mesh(path, tables)
+    picture = _picture(path, texture, notes)
+    mesh = _mesh(path, tables, picture is not None, notes)
+    materials = ()
+    if picture is not None and mesh.uvs is not None:
+        slot = Slot(input="diffuseColor", picture=picture)
+        materials = (FileMaterial(name="texture", slots=(slot,)),)
+    return require_sound(
+        MeshFile(
+            path=path,
+            format="PLY",
+            nodes=(FileNode(name=mesh.name, mesh=mesh),),
+            materials=materials,
+            inputs=(path,),
+            notes=notes.lines(),
+        )
+    )
+
+
+def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
+    """Elements, byte order ("" for text), texture name, and where the body begins."""
+    if not data.startswith(b"ply") or b"end_header" not in data:
+        raise InputError(
+            f"{path} is not a PLY file: it does not begin with 'ply' and a header",
+            "check what the file really is",
+        )
+    end = data.index(b"end_header")
+    rest = data.find(b"\n", end)
+    start = len(data) if rest < 0 else rest + 1
+    elements: list[Element] = []
+    order, texture = None, ""
+    for number, line in enumerate(data[:end].decode("utf-8", errors="replace").splitlines(), 1):
+        words = line.split()
+        where = f"{path}, line {number}: '{line.strip()[:60]}'"
+        if words[:1] == ["format"]:
+            order = ENCODINGS.get(words[1] if len(words) > 1 else "")
+        elif words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdigit():
+                raise InputError(f"{where} is no element with a count", REPAIR)
+            elements.append(Element(words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            column = _column(where, words)
+            if not elements or column.name in [c.name for c in elements[-1].columns]:
+                raise InputError(f"{where} stands before any element, or twice in one", REPAIR)
+            elements[-1].columns.append(column)
+        elif words[:2] == ["comment", "TextureFile"]:
+            texture = line.split("TextureFile", 1)[1].strip()
+    if order is None:
+        raise InputError(f"{path}: its header names no format that exists", REPAIR)
+    return elements, order, texture, start
+
+
+def _column(where: str, words: list[str]) -> Column:
+    kinds = words[2:4] if words[1:2] == ["list"] else words[1:2]
+    if len(words) != len(kinds) + 2 + (words[1:2] == ["list"]):
+        raise InputError(f"{where} is no property", REPAIR)
+    unknown = [kind for kind in kinds if kind not in TYPES]
+    if unknown:
+        raise InputError(f"{where} has the unknown type {unknown[0]}", REPAIR)
+    types = [TYPES[kind] for kind in kinds]
+    return Column(words[-1], types[-1], types[0] if len(types) == 2 else "")
+
+
+def _require_mesh(path: Path, tables: dict[str, dict[str, Floats | Ragged]]) -> None:
+    vertex = tables.get("vertex", {})
+    missing = [axis for axis in "xyz" if axis not in vertex]
+    if missing:
+        raise InputError(f"{path}: its vertices have no {missing[0]}", REPAIR)
+    if _faces(tables) is not None:
+        return
+    if "tristrips" in tables:
+        raise InputError(
+            f"{path} holds triangle strips, which are not read", "export it with faces"
+        )
+    count = len(np.asarray(vertex["x"]))
+    raise InputError(
+        f"{path} holds {count} points and no face: it has no surface to fill",
+        "give a file with faces; a reconstruction program makes a mesh of a point cloud",
+    )
+
+
+def _faces(tables: dict[str, dict[str, Floats | Ragged]]) -> Ragged | None:
+    face = tables.get("face", {})
+    found = face.get("vertex_indices", face.get("vertex_index"))
+    return found if isinstance(found, Ragged) and len(found.counts) else None
+
+
+def _mesh(
+    path: Path, tables: dict[str, dict[str, Floats | Ragged]], textured: bool, notes: Notes
+) -> FileMesh:
+    vertex, face = tables["vertex"], tables["face"]
+    faces = _faces(tables)
+    assert faces is not None
+    corners = faces.values.astype(np.int64)
+    uvs, uv_indices = _uvs(vertex, face, faces, notes)
+    colours, per_face = _colours(vertex), False
+    if colours is None:
+        colours = _colours(face)
+        per_face = colours is not None
+    normals = _columns(vertex, ("nx", "ny", "nz"))
+    if normals is not None and not np.isfinite(normals).all():
+        notes.add("its normals are not all finite: left out")
+        normals = None
+    if textured and uvs is None:
+        notes.add("it names a texture but has no texture coordinates: left out")
+    points = _columns(vertex, ("x", "y", "z"))
+    assert points is not None
+    return FileMesh(
+        name="mesh",
+        points=points,
+        counts=faces.counts,
+        indices=corners,
+        uvs=uvs,
+        uv_indices=uv_indices,
+        normals=normals,
+        colours=colours,
+        colours_per_face=per_face,
+        materials=np.zeros(len(faces.counts), np.int64) if textured and uvs is not None else None,
+    )
+
+
+def _columns(table: dict[str, Floats | Ragged], names: tuple[str, ...]) -> Floats | None:
+    """(n, k) of scalar columns; None where one is missing."""
+    found = [table.get(name) for name in names]
+    if any(column is None or isinstance(column, Ragged) for column in found):
+        return None
+    return np.stack([np.asarray(column, np.float64) for column in found], axis=1)
+
+
+def _colours(table: dict[str, Floats | Ragged]) -> Floats | None:
+    """(n, 3) linear: whole numbers are sRGB up to the type's largest, fractions linear."""
+    first = table.get("red")
+    colours = _columns(table, ("red", "green", "blue"))
+    if colours is None or not np.isfinite(colours).all():
+        return None
+    kind = np.asarray(first).dtype
+    if kind.kind in "iu":
+        return srgb_to_linear(np.clip(colours / np.iinfo(kind).max, 0.0, 1.0))
+    return np.clip(colours, 0.0, 1.0)
+
+
+def _uvs(
+    vertex: dict[str, Floats | Ragged], face: dict[str, Floats | Ragged], faces: Ragged,
+    notes: Notes,
+) -> tuple[Floats | None, Ints | None]:  # fmt: skip
+    """Texture coordinates at corners (as MeshLab writes them), or else at points."""
+    texcoord = face.get("texcoord")
+    uvs = indices = None
+    if isinstance(texcoord, Ragged) and (texcoord.counts == 2 * faces.counts).all():
+        values = texcoord.values.astype(np.float64).reshape(-1, 2)
+        uvs, inverse = np.unique(values, axis=0, return_inverse=True)
+        uvs, indices = tidy(uvs, inverse.reshape(-1))
+    else:
+        for names in UV_NAMES:
+            uvs = _columns(vertex, names) if uvs is None else uvs
+    if uvs is not None and not np.isfinite(uvs).all():
+        notes.add("its texture coordinates are not all finite: left out")
+        return None, None
+    return uvs, indices
+
+
+def _picture(path: Path, texture: str, notes: Notes) -> Picture | None:
+    if not texture:
+        return None
+    found = path.parent / texture.replace("\\", "/")
+    if not found.is_file():
+        notes.add(f"its texture {texture} does not exist: no texture")
+        return None
+    return Picture(name=found.name, path=found)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A property: a number, or a list of them."""
+
+    name: str
+    type: str  # numpy's, without the byte order
+    count_type: str = ""  # of the list's length; empty: a single number
+
+
+@dataclass(frozen=True)
+class Element:
+    """What the header announces."""
+
+    name: str
+    count: int
+    columns: list[Column]
+
+
+@dataclass(frozen=True)
+class Ragged:
+    """A list property: counts (n,) and the values (sum of counts,) one after the other."""
+
+    counts: Ints
+    values: Floats | Ints
+
+
+Table = dict[str, Floats | Ragged]
+
+
+def read_body(
+    path: Path, data: bytes, start: int, elements: list[Element], order: str
+) -> dict[str, Table]:
+    """The columns of every element by their names.
+
+    Parameters
+    ----------
+    data : the whole file.   start : where its header ends.
+    order : "<" or ">" of binary files, "" of text.
+
+    Raises InputError for a body that is shorter than announced or holds what is no number.
+    """
+    body = _Text(path, data, start) if not order else _Binary(path, data, start, order)
+    return {element.name: body.read(element) for element in elements if element.columns}
+
+
+class _Text:
+    """One row a line."""
+
+    def __init__(self, path: Path, data: bytes, start: int) -> None:
+        self._path = path
+        first = data[:start].count(b"\n") + 1
+        lines = data[start:].decode("ascii", errors="replace").splitlines()
+        self._rows = [(n, words) for n, line in enumerate(lines, first) if (words := line.split())]
+        self._at = 0
+
+    def read(self, element: Element) -> Table:
+        rows = self._rows[self._at : self._at + element.count]
+        if len(rows) < element.count:
+            raise _short(self._path, element, len(rows))
+        self._at += element.count
+        if not any(column.count_type for column in element.columns):
+            return self._scalars(element, rows)
+        values: dict[str, list[float]] = {c.name: [] for c in element.columns}
+        counts: dict[str, list[int]] = {c.name: [] for c in element.columns}
+        for number, words in rows:
+            at = 0
+            numbers = self._numbers(number, words)
+            for column in element.columns:
+                count = 1
+                if column.count_type:
+                    count = self._count(number, numbers[at : at + 1])
+                    at += 1
+                if at + count > len(numbers):
+                    raise self._error(
+                        number, f"{element.name} needs {at + count} numbers, has {len(numbers)}"
+                    )
+                values[column.name].extend(numbers[at : at + count])
+                counts[column.name].append(count)
+                at += count
+        return {
+            column.name: Ragged(np.array(counts[column.name]), _cast(values[column.name], column))
+            if column.count_type
+            else _cast(values[column.name], column)
+            for column in element.columns
+        }
+
+    def _scalars(self, element: Element, rows: list[tuple[int, list[str]]]) -> Table:
+        width = len(element.columns)
+        flat: list[float] = []
+        for number, words in rows:
+            if len(words) < width:
+                raise self._error(number, f"{element.name} needs {width} numbers, has {len(words)}")
+            flat.extend(self._numbers(number, words[:width]))
+        table = np.array(flat).reshape(-1, width)
+        return {c.name: _cast(table[:, i], c) for i, c in enumerate(element.columns)}
+
+    def _numbers(self, number: int, words: list[str]) -> list[float]:
+        try:
+            return [float(word) for word in words]
+        except ValueError:
+            raise self._error(number, f"'{' '.join(words)[:60]}' holds what is no number") from None
+
+    def _count(self, number: int, found: list[float]) -> int:
+        if not found or not (0 <= found[0] < 1e6 and found[0] == int(found[0])):
+            raise self._error(number, f"a list has the length {found[0] if found else 'missing'}")
+        return int(found[0])
+
+    def _error(self, line: int, what: str) -> InputError:
+        return InputError(f"{self._path}, line {line}: {what}", REPAIR)
+
+
+class _Binary:
+    """Rows packed one after the other."""
+
+    def __init__(self, path: Path, data: bytes, start: int, order: str) -> None:
+        self._path, self._data, self._at, self._order = path, data, start, order
+
+    def read(self, element: Element) -> Table:
+        lengths = self._first_lengths(element)
+        row = np.dtype(
+            [
+                field
+                for column, length in zip(element.columns, lengths)
+                for field in self._fields(column, length)
+            ]
+        )
+        held = min(element.count, (len(self._data) - self._at) // max(1, row.itemsize))
+        table = np.frombuffer(self._data, row, count=held, offset=self._at) if held else None
+        if table is not None and held == element.count and _even(table, element, lengths):
+            self._at += held * row.itemsize
+            return {
+                column.name: Ragged(np.full(held, length), table[column.name].reshape(-1))
+                if column.count_type
+                else table[column.name]
+                for column, length in zip(element.columns, lengths)
+            }
+        if element.count and not any(column.count_type for column in element.columns):
+            raise _short(self._path, element, held)
+        return self._row_by_row(element)
+
+    def _fields(self, column: Column, length: int) -> list[tuple]:
+        kind = self._order + column.type
+        if not column.count_type:
+            return [(column.name, kind)]
+        return [
+            (f"#{column.name}", self._order + column.count_type),
+            (column.name, kind, (length,)),
+        ]
+
+    def _first_lengths(self, element: Element) -> list[int]:
+        """Lengths of the lists in the element's first row; 0 for a single number."""
+        lengths, at = [], self._at
+        for column in element.columns:
+            length = 1
+            if column.count_type:
+                found = self._take(at, column.count_type, 1) if element.count else None
+                length = int(found[0]) if found is not None else 0
+                at += np.dtype(column.count_type).itemsize
+            if not 0 <= length <= len(self._data):
+                raise InputError(
+                    f"{self._path}: a list of its first {element.name} has the length {length}",
+                    REPAIR,
+                )
+            lengths.append(length)
+            at += length * np.dtype(column.type).itemsize
+        return lengths
+
+    def _take(self, at: int, kind: str, count: int) -> np.ndarray | None:
+        size = np.dtype(kind).itemsize
+        if at + count * size > len(self._data):
+            return None
+        return np.frombuffer(self._data, self._order + kind, count=count, offset=at)
+
+    def _row_by_row(self, element: Element) -> Table:
+        parts: dict[str, list[np.ndarray]] = {c.name: [] for c in element.columns}
+        at = self._at
+        for done in range(element.count):
+            for column in element.columns:
+                count = 1
+                if column.count_type:
+                    length = self._take(at, column.count_type, 1)
+                    if length is None or length[0] < 0:
+                        raise _short(self._path, element, done)
+                    count = int(length[0])
+                    at += np.dtype(column.count_type).itemsize
+                values = self._take(at, column.type, count)
+                if values is None:
+                    raise _short(self._path, element, done)
+                parts[column.name].append(values)
+                at += values.nbytes
+        self._at = at
+        return {
+            column.name: Ragged(
+                np.array([len(p) for p in parts[column.name]], np.int64),
+                np.concatenate([np.zeros(0, column.type), *parts[column.name]]),
+            )
+            if column.count_type
+            else np.concatenate([np.zeros(0, column.type), *parts[column.name]])
+            for column in element.columns
+        }
+
+
+def _even(table: np.ndarray, element: Element, lengths: list[int]) -> bool:
+    """True where every row's lists are as long as the first row's."""
+    return all(
+        bool((table[f"#{column.name}"] == length).all())
+        for column, length in zip(element.columns, lengths)
+        if column.count_type
+    )
+
+
+def _cast(values: list[float] | Floats, column: Column) -> Floats:
+    """Text numbers as the header's type; a whole number that does not fit stays as it is."""
+    numbers = np.asarray(values, np.float64)
+    kind = np.dtype(column.type)
+    if kind.kind not in "iu" or not np.isfinite(numbers).all():
+        return numbers
+    fits = (numbers >= np.iinfo(kind).min) & (numbers <= np.iinfo(kind).max)
+    return numbers.astype(kind if fits.all() else np.int64)
+
+
+def _short(path: Path, element: Element, held: int) -> InputError:
+    return InputError(
+        f"{path}: its header announces {element.count} of element '{element.name}', "
+        f"and the file holds {held}",
+        "it was cut off or altered: " + REPAIR,
+    )

@@ -1,0 +1,71 @@
+"""STL files, parsed by trimesh; what it would pass over in silence is looked at first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import weld
+from gf_usd.readers.mesh.data import (
+    REPAIR,
+    FileMesh,
+    FileNode,
+    MeshFile,
+    load,
+    refuse_pointer,
+    require_sound,
+    tidy,
+)
+from gf_usd.readers.notes import Notes
+
+STL_HEADER, STL_FACET = 84, 50  # bytes
+
+
+def read_stl(path: Path) -> MeshFile:
+    """The triangles of an STL file, one mesh for each solid; corners in one place are one point.
+
+    Raises InputError for a file that is neither text nor as long as its header says.
+    """
+    data = path.read_bytes()
+    refuse_pointer(path, data)
+    notes = Notes()
+    loaded = load(path, _stl_body(path, data, notes), "stl")
+    nodes = []
+    for name, points, triangles in loaded:
+        joined, indices = tidy(points, weld(points, 0.0)[0][triangles.reshape(-1)])
+        mesh = FileMesh(
+            name=name, points=joined, counts=np.full(len(triangles), 3), indices=indices
+        )
+        nodes.append(FileNode(name=name, mesh=mesh))
+    return require_sound(
+        MeshFile(
+            path=path,
+            format="STL",
+            nodes=tuple(nodes),
+            up_axis="Z",
+            inputs=(path,),
+            notes=notes.lines(),
+        )
+    )
+
+
+def _stl_body(path: Path, data: bytes, notes: Notes) -> bytes:
+    """The file, in the form that trimesh is sure to understand."""
+    count = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
+    whole = STL_HEADER + STL_FACET * count
+    text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data.lower()
+    if count and len(data) >= whole and not (text and len(data) > whole):
+        if len(data) > whole:
+            notes.add(f"{len(data) - whole} bytes follow its {count} triangles: left out")
+        return data[:whole]
+    if text:
+        if data.lower().count(b"endsolid") == 0:
+            raise InputError(f"{path} is cut off: its solid does not end", REPAIR)
+        return data.decode("utf-8", errors="replace").encode()
+    raise InputError(
+        f"{path} is no whole STL file: a binary one with {count} triangles has {whole} bytes, "
+        f"this has {len(data)}, and it is no text that begins with 'solid'",
+        "it was cut off or altered: " + REPAIR,
+    )

@@ -1,0 +1,117 @@
+"""When a stage moves, and the box that holds all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.scene import Bounds, to_frame
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
+from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import LeftAlone, Placement
+
+LOOKS = 48  # times at which a longer motion is looked at, evenly spread, first and last included
+POINTS = ("points", "positions", "positionsh")
+
+
+def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
+    """Every time code at which points, transforms or skeletons of the prims have a sample."""
+    times: set[float] = set()
+    seen: set[str] = set()
+    for prim in prims:
+        for name in POINTS:
+            if attribute := prim.GetAttribute(name):
+                times.update(attribute.GetTimeSamples())
+        above = prim
+        while above and str(above.GetPath()) not in seen:
+            seen.add(str(above.GetPath()))
+            if xformable := UsdGeom.Xformable(above):
+                times.update(xformable.GetTimeSamples())
+            if above.IsA(UsdSkel.Root):
+                times.update(_skeleton_times(above))
+            above = above.GetParent()
+    return sorted(times)
+
+
+def _skeleton_times(root: Usd.Prim) -> set[float]:
+    times: set[float] = set()
+    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdSkel.Animation):
+            for attribute in prim.GetAttributes():
+                times.update(attribute.GetTimeSamples())
+    return times
+
+
+def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
+    """The box [m] of the prims' points over up to 48 of the times; None where there are none."""
+    chosen: list[float | None] = [None]
+    if times:
+        spread = np.linspace(0, len(times) - 1, min(LOOKS, len(times)))
+        chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
+    boxes: list[Floats] = []
+    for code in chosen:
+        time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
+        xforms = UsdGeom.XformCache(time)
+        skins = Skins(time, xforms, Notes())
+        for prim in prims:
+            points = _world_points(prim, time, xforms, skins)
+            points = points[np.isfinite(points).all(axis=1)] * unit
+            if len(points):
+                boxes.append(np.stack([points.min(axis=0), points.max(axis=0)]))
+    if not boxes:
+        return None
+    x0, y0, z0 = np.min(boxes, axis=(0, 1)).tolist()
+    x1, y1, z1 = np.max(boxes, axis=(0, 1)).tolist()
+    return Bounds(low=(x0, y0, z0), high=(x1, y1, z1))
+
+
+def _world_points(
+    prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins
+) -> Floats:
+    """(n, 3) points of a prim, grown by its widths or scales; none where it is left alone."""
+    try:
+        posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
+        place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
+        if str(prim.GetTypeName()) in IMPLICIT:
+            return place.points(np.asarray(tessellate(prim, time)[0], dtype=np.float64))
+    except LeftAlone:
+        return np.zeros((0, 3))
+    for name in POINTS:
+        values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
+        if values is not None and len(values):
+            local = np.asarray(values, dtype=np.float64).reshape(-1, 3)
+            if str(prim.GetTypeName()) == SPLAT_TYPE and not is_ours(prim):
+                local = local[_of_the_object(prim, time, local)]
+            reach = _reach(prim, time)
+            return np.concatenate([place.points(local - reach), place.points(local + reach)])
+    return np.zeros((0, 3))
+
+
+def _of_the_object(prim: Usd.Prim, time: Usd.TimeCode, local: Floats) -> NDArray[np.bool_]:
+    """(n,) which captured Gaussians at local (n, 3) are no strays."""
+    opacities = np.ones(len(local))
+    for name in ("opacities", "opacitiesh"):
+        values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
+        if values is not None and len(values) == len(local):
+            opacities = np.asarray(values, dtype=np.float64)
+            break
+    finite = np.isfinite(local).all(axis=1)
+    out = np.zeros(len(local), bool)
+    out[finite] = to_frame(local[finite], opacities[finite])
+    return out
+
+
+def _reach(prim: Usd.Prim, time: Usd.TimeCode) -> float:
+    """How far a prim extends beyond its points: a typical radius, or two standard deviations."""
+    for name, factor in (("widths", 0.5), ("scales", 2.0), ("scalesh", 2.0)):
+        values = prim.GetAttribute(name).Get(time) if prim.HasAttribute(name) else None
+        if values is not None and len(values):
+            sizes = np.asarray(values, dtype=np.float64)
+            return factor * float(np.median(sizes.reshape(len(sizes), -1).max(axis=1)))
+    return 0.0

@@ -1,0 +1,332 @@
+"""The motion of a bake, or of any moving stage, as plain arrays: one look, frame by frame.
+
+Which bake of a root layer is read: its variants, selected in the session only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
+from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
+from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import (
+    ANIMATED,
+    LeftAlone,
+    Placement,
+    open_stage,
+    reading,
+    stage_facts,
+)
+
+PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+
+
+class BakedMotion:
+    """A stage opened to read one look of its motion.
+
+    Parameters
+    ----------
+    path : the root layer of a bake, or any USD file with moving meshes or Gaussians.
+    look : variant to show; None: the one that is selected in the file.
+
+    Raises
+    ------
+    InputError : no such file, not USD, damaged, or nothing in it moves.
+    UsageError : the file has no such look.
+    """
+
+    def __init__(self, path: Path, look: str | None = None) -> None:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise InputError(f"{path} {what}.", "give the root layer that gf-usd bake wrote")
+        self._path = path
+        self._notes = Notes()
+        with reading(path):
+            self._stage = open_stage(path)
+            self._facts = stage_facts(
+                self._stage, path, self._notes, meters_per_unit=None, up_axis=None
+            )
+            self.looks = looks_of(self._stage)
+            self.look = select_look(self._stage, path, look)
+            self._find()
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """What the bake says of itself in the root layer; empty for other files."""
+        data = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
+        return data if isinstance(data, dict) else {}
+
+    def recording(self) -> Recording:
+        """The look without its frames; the arrays that do not change."""
+        default = self._stage.GetDefaultPrim()
+        up, ground = self._facts.up, self._ground()
+        return Recording(
+            path=self._path,
+            name=default.GetName() if default else self._path.stem,
+            look=self.look,
+            up=(float(up[0]), float(up[1]), float(up[2])),
+            ground=ground,
+            unit=self._facts.units.length,
+            time_codes=tuple(self._times),
+            time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
+            meshes=tuple(self._shapes),
+            baked=tuple(str(prim.GetPath()) in self._bodies for prim in self._meshes),
+            gaussians=self._gaussians,
+            about=self.about,
+            notes=tuple(n for n in self._notes.lines() if not n.endswith(ANIMATED)),
+        )
+
+    def frames(self, time_codes: Sequence[float] | None = None) -> Iterator[MotionFrame]:
+        """The moving arrays at these time codes, default all; one frame is held at a time.
+
+        Raises InputError where an array has another length, or a number that is not finite.
+        """
+        for code in self._times if time_codes is None else time_codes:
+            try:
+                with reading(self._path):
+                    frame = self._frame(code)
+            except LeftAlone as reason:
+                raise InputError(
+                    f"{self._path}: at time code {code:g} a prim cannot be shown: {reason}.",
+                    "gf-usd check says more; bake the asset again",
+                ) from reason
+            yield frame
+
+    def _frame(self, code: float) -> MotionFrame:
+        time = Usd.TimeCode(code)
+        xforms = UsdGeom.XformCache(time)
+        skins = Skins(time, xforms, Notes())
+        meshes = []
+        for prim, shape in zip(self._meshes, self._shapes):
+            points = _points(prim, time, xforms, skins) * self._facts.units.length
+            if points.shape != shape.points.shape or not np.isfinite(points).all():
+                raise InputError(
+                    f"{self._path}: {prim.GetPath()} has {len(points)} points at time code"
+                    f" {code:g} and {len(shape.points)} at the first, or some are not finite.",
+                    "gf-usd check says more; bake the asset again",
+                )
+            meshes.append(points)
+        if self._gaussians is None:
+            return MotionFrame(time_code=code, meshes=tuple(meshes))
+        positions, axes = self._splats(time, xforms)
+        return MotionFrame(
+            time_code=code,
+            meshes=tuple(meshes),
+            positions=positions,
+            axes=axes,
+            stress=self._stress(time, len(positions)),
+        )
+
+    def _splats(self, time: Usd.TimeCode, xforms: UsdGeom.XformCache) -> tuple[Floats, Floats]:
+        prim = self._cloud
+        place = Placement.of(xforms.GetLocalToWorldTransform(prim))
+        count = len(self._gaussians or ())
+        values = {}
+        for name, width in (("positions", 3), ("orientations", 4), ("scales", 3)):
+            array = _either(prim, name, time)
+            if array is None or len(array) != count or not np.isfinite(array).all():
+                raise InputError(
+                    f"{self._path}: {prim.GetPath()} has {0 if array is None else len(array)}"
+                    f" {name} at {time} for {count} Gaussians, or some are not finite.",
+                    "gf-usd check says more; bake the asset again",
+                )
+            values[name] = array.reshape(-1, width)
+        # numpy sees a quaternion as (x, y, z, w)
+        local = gaussian_axes(values["orientations"][:, [3, 0, 1, 2]], values["scales"])
+        unit = self._facts.units.length
+        return place.points(values["positions"]) * unit, place.matrix[:3, :3].T * unit @ local
+
+    def _stress(self, time: Usd.TimeCode, count: int) -> Floats | None:
+        values = self._cloud.GetAttribute("gaussianFlesh:vonMisesStress").Get(time)
+        if values is None or len(values) != count:
+            return None
+        return np.asarray(values, dtype=np.float64) * self._facts.units.pressure
+
+    def _find(self) -> None:
+        """Meshes, Gaussians and their times."""
+        prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
+        clouds = [p for p in prims if str(p.GetTypeName()) == SPLAT_TYPE]
+        clouds.sort(key=lambda p: not is_ours(p))
+        if len(clouds) > 1:
+            self._notes.add("only these Gaussians are shown", str(clouds[0].GetPath()))
+        self._cloud = clouds[0] if clouds else Usd.Prim()
+        candidates = [p for p in prims if p.IsA(UsdGeom.Mesh) or str(p.GetTypeName()) in IMPLICIT]
+        ours = clouds[:1] if clouds and is_ours(clouds[0]) else []
+        self._times = sample_times(ours or [*candidates, *clouds])
+        if len(self._times) < 2:
+            raise InputError(
+                f"{self._path}: nothing in it moves.",
+                "bake it first: gf-usd bake, and give the root layer that this writes",
+            )
+        self._read_rest(candidates)
+
+    def _read_rest(self, candidates: Sequence[Usd.Prim]) -> None:
+        time = Usd.TimeCode(self._times[0])
+        xforms = UsdGeom.XformCache(time)
+        context = Reading(
+            path=self._path,
+            time=time,
+            meters_per_unit=self._facts.units.length,
+            xforms=xforms,
+            skins=Skins(time, xforms, self._notes),
+            looks=Looks(time, self._notes),
+            notes=self._notes,
+        )
+        self._meshes: list[Usd.Prim] = []
+        self._shapes: list[RenderMesh] = []
+        for prim in candidates:
+            image = UsdGeom.Imageable(prim)
+            visible = image.ComputeVisibility(time) != UsdGeom.Tokens.invisible
+            if not visible or image.ComputePurpose() not in PURPOSES:
+                continue
+            try:
+                surface = read_surface(prim, context)
+            except LeftAlone as reason:
+                self._notes.add(f"not shown: {reason}", str(prim.GetPath()))
+                continue
+            self._meshes.append(prim)
+            self._shapes.append(to_render_mesh(surface, self._stage, time))
+        self._gaussians = self._read_gaussians(context) if self._cloud else None
+        self._bodies = self._body_paths()
+
+    def _read_gaussians(self, context: Reading) -> GaussianSet | None:
+        prim, units = self._cloud, self._facts.units
+        try:
+            place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
+            first = read_splats(prim, context.time, place, units.length, self._notes)
+        except LeftAlone as reason:
+            self._notes.add(f"not shown: {reason}", str(prim.GetPath()))
+            return None
+        count = len(first.positions)
+        rest = prim.GetAttribute("gaussianFlesh:restScales").Get()
+        scales = np.linalg.norm(first.axes, axis=1)
+        if rest is not None and len(rest) == count:
+            scales = np.asarray(rest, dtype=np.float64) * units.length
+        masses = prim.GetAttribute("gaussianFlesh:masses").Get()
+        kept = masses is not None and len(masses) == count
+        return GaussianSet(
+            name=first.name,
+            colours=first.colours,
+            opacities=first.opacities,
+            rest_scales=scales,
+            masses=np.asarray(masses, dtype=np.float64) * units.mass if kept else None,
+        )
+
+    def _body_paths(self) -> set[str]:
+        """Meshes that the bake moves: those its Gaussians name, else every one."""
+        targets = None
+        if self._cloud and (rel := self._cloud.GetRelationship("gaussianFlesh:sourceMeshes")):
+            targets = {str(path) for path in rel.GetForwardedTargets()}
+        return targets or {str(prim.GetPath()) for prim in self._meshes}
+
+    def _ground(self) -> float | None:
+        """Height [m] of the bake's floor; None where none is said."""
+        looks = self.about.get("looks")
+        bake = looks.get(self.look) if isinstance(looks, dict) else None
+        settings = bake.get("settings") if isinstance(bake, dict) else None
+        if not isinstance(settings, dict):
+            return None
+        if settings.get("floor_normal") is not None:
+            self._notes.add("its floor is tilted, which is not drawn")
+            return None
+        floor = settings.get("floor")
+        return float(floor) if isinstance(floor, int | float) else None
+
+
+def _points(prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins) -> Floats:
+    """(V, 3) points of a mesh or shape, world, stage units."""
+    posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
+    place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
+    if str(prim.GetTypeName()) in IMPLICIT:
+        return place.points(np.asarray(tessellate(prim, time)[0], dtype=np.float64))
+    values = UsdGeom.Mesh(prim).GetPointsAttr().Get(time)
+    return place.points(np.asarray(values or [], dtype=np.float64).reshape(-1, 3))
+
+
+def _either(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
+    """An attribute, or its half-precision twin, as doubles."""
+    for attribute in (prim.GetAttribute(name), prim.GetAttribute(f"{name}h")):
+        values = attribute.Get(time) if attribute else None
+        if values is not None and len(values):
+            return np.asarray(values, dtype=np.float64)
+    return None
+
+
+VARIANTS, NONE = "gaussianFlesh", "none"  # the variant set of a bake, and the source in it
+DISPLAYS = {"mesh", "gaussians", "points"}
+
+
+def looks_of(stage: Usd.Stage) -> tuple[str, ...]:
+    """Names of the bakes in a file, in the order of the variants."""
+    names: list[str] = []
+    for prim in _switches(stage):
+        names += prim.GetVariantSet(VARIANTS).GetVariantNames()
+    return tuple(name for name in dict.fromkeys(names) if name != NONE) or _flattened(stage)
+
+
+def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
+    """Select a look on every root prim that has it, and its display of meshes; returns its name.
+
+    look : None: what is selected in the file, or the first where that is the source.  The name is
+    "" where the file holds no bake.
+
+    Raises UsageError where there is no such look.
+    """
+    looks = looks_of(stage)
+    if look is not None and look not in looks:
+        there = f"it holds {', '.join(looks)}" if looks else "it holds no bake: leave --look out"
+        raise UsageError(f"{path} has no look {look!r}.", there)
+    prims = _switches(stage)
+    if not prims or not looks:
+        return looks[0] if looks else ""
+    chosen = look or prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
+    if chosen not in looks:
+        chosen = looks[0]
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for prim in prims:
+        prim.GetVariantSet(VARIANTS).SetVariantSelection(chosen)
+    for prim in prims:
+        sets = prim.GetVariantSets()
+        for name in sets.GetNames():
+            if "mesh" in displays_in(prim, name):
+                sets.SetSelection(name, "mesh")
+    return chosen
+
+
+def displays_in(prim: Usd.Prim, name: str) -> set[str]:
+    """The shapes that a variant set switches between; empty where it is no display of ours.
+
+    A bake need not hold all of the shapes.
+    """
+    names = set(prim.GetVariantSet(name).GetVariantNames())
+    return names if name.lower().endswith("display") and names <= DISPLAYS else set()
+
+
+def _flattened(stage: Usd.Stage) -> tuple[str, ...]:
+    """The look of a bake that is one file, which has no variants of looks any more."""
+    told = stage.GetRootLayer().customLayerData.get(VARIANTS)
+    names = told.get("looks") if isinstance(told, dict) else None
+    return tuple(names) if isinstance(names, dict) and len(names) == 1 else ()
+
+
+def _switches(stage: Usd.Stage) -> list[Usd.Prim]:
+    """Root prims that carry the variants of a bake."""
+    return [
+        prim
+        for prim in stage.GetPseudoRoot().GetChildren()
+        if prim.GetVariantSets().HasVariantSet(VARIANTS)
+    ]

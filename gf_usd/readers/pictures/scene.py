@@ -1,0 +1,386 @@
+"""A stage as a picture shows it: what is visible at a time, and its extent over the motion.
+
+A UsdGeomCamera of a stage as pictures see through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom
+
+from gf_usd.core.asset import Texture
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.scene import (
+    Bounds,
+    Camera,
+    Motion,
+    RenderEllipsoids,
+    RenderMesh,
+    RenderSplats,
+    Scene,
+)
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.extent import motion_bounds, sample_times
+from gf_usd.readers.pictures.prims import (
+    SPLAT_TYPE,
+    as_ellipsoids,
+    is_ours,
+    read_points,
+    read_splats,
+    to_render_mesh,
+)
+from gf_usd.readers.pictures.recording import displays_in
+from gf_usd.readers.pictures.values import Values
+from gf_usd.readers.usd.implicit import IMPLICIT
+from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import (
+    ANIMATED,
+    LeftAlone,
+    Placement,
+    open_stage,
+    reading,
+    stage_facts,
+)
+
+# what can be shown: kinds of prim, and the display variant of a bake that holds them
+SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
+    "mesh": (("mesh", "splats"), "mesh"),
+    "splats": (("splats", "mesh"), "mesh"),  # captured Gaussians, which are an asset's own look
+    "gaussians": (("gaussians", "splats"), "gaussians"),
+    "ellipsoids": (("gaussians", "splats"), "gaussians"),
+    "points": (("points",), "points"),
+    "both": (("mesh", "splats", "gaussians"), "mesh"),
+}
+KINDS = ("mesh", "splats", "gaussians", "points")
+PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+FLOOR_TOLERANCE = 0.05  # of the size: a body whose lowest point is this near height 0 stands there
+
+
+class PictureStage:
+    """A stage opened for pictures.
+
+    Parameters
+    ----------
+    path : a USD file.
+    show : "mesh", "splats", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
+        splats, gaussians and points that is there.
+    camera : prim path of a camera of the stage; None: pictures bring their own.
+    colour : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
+
+    Raises
+    ------
+    InputError : no such file, not USD, nothing of that kind is visible in it, no such camera, or
+        the bake does not hold the quantity.
+    UsageError : an unknown `show` or `colour`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        show: str | None = None,
+        *,
+        camera: str | None = None,
+        colour: str | None = None,
+    ) -> None:
+        if show is not None and show not in SHOWS:
+            raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise InputError(f"{path} {what}.", "give the USD file to draw")
+        self._path = path
+        self._stage_notes = Notes()
+        with reading(path):
+            self._stage = open_stage(path)
+            self._facts = stage_facts(
+                self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
+            )
+            self.show = show or self._first_kind()
+            self._select_display(SHOWS[self.show][1])
+            self._prims = self._visible(SHOWS[self.show][0])
+            self._camera = find_camera(self._stage, path, camera) if camera else None
+            pressure = self._facts.units.pressure
+            self.values = Values(self._stage, colour, path, pressure) if colour else None
+        if not self._prims:
+            there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
+            raise InputError(
+                f"{path}: there is no visible {' or '.join(SHOWS[self.show][0])} in it.",
+                f"it holds {there}: choose with --show",
+            )
+        self._motion: Motion | None = None
+        self._textures: dict[tuple[object, ...], Texture] = {}  # decoded once for a film
+
+    @property
+    def motion(self) -> Motion:
+        """The extent over the whole time range, looked up once.
+
+        The floor is height 0 where the body stands there, to 5 % of its size, or comes down on it
+        from above; else it is under the lowest point of the motion.
+        """
+        if self._motion is None:
+            prims = [prim for _, prim in self._prims]
+            moving = [*prims, *([self._camera.GetPrim()] if self._camera else [])]
+            with reading(self._path):
+                times = sample_times(moving)
+                bounds = motion_bounds(prims, times, self._facts.units.length)
+                first = motion_bounds(prims, times[:1], self._facts.units.length)
+            up = self._facts.up
+            self._motion = Motion(
+                bounds=bounds,
+                up=(float(up[0]), float(up[1]), float(up[2])),
+                ground=_ground(bounds, first, up),
+                time_codes=tuple(times),
+                frames_per_second=float(self._stage.GetFramesPerSecond()),
+                time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
+            )
+        return self._motion
+
+    def scene(self, time_code: float | None = None) -> Scene:
+        """What is visible at a time code; None: the first of the stage.
+
+        Raises InputError for broken meshes, and where nothing can be drawn at that time.
+        """
+        time = self._time(time_code)
+        notes = Notes()
+        with reading(self._path):
+            context = self._context(time, notes)
+            drawn = [
+                item for kind, prim in self._prims if (item := self._read(kind, prim, context))
+            ]
+        if not drawn:
+            raise InputError(
+                f"{self._path}: nothing can be drawn at {time}: {'; '.join(notes.lines())}",
+                "check the file with usdview, or choose another --frame",
+            )
+        clouds = [item for item in drawn if isinstance(item, RenderSplats)]
+        solid = [item for item in drawn if isinstance(item, RenderEllipsoids)]
+        if self.show == "ellipsoids":
+            clouds, solid = [], [as_ellipsoids(cloud) for cloud in clouds]
+        return Scene(
+            up=self.motion.up,
+            meshes=tuple(item for item in drawn if isinstance(item, RenderMesh)),
+            splats=tuple(clouds),
+            ellipsoids=tuple(solid),
+            ground=self.motion.ground,
+            # that the motion is not simulated further is no news for a picture
+            notes=tuple(
+                line
+                for line in (*self._stage_notes.lines(), *notes.lines(), *self._value_notes())
+                if not line.endswith(ANIMATED)
+            ),
+        )
+
+    def require_time(self, time_code: float | None) -> None:
+        """Raise UsageError for a time code outside the motion; a still has all times."""
+        times = self.motion.time_codes
+        if time_code is not None and times and not times[0] <= time_code <= times[-1]:
+            raise UsageError(
+                f"--frame {time_code:g} is outside the motion of {self._path}.",
+                f"its time codes run from {times[0]:g} to {times[-1]:g}",
+            )
+
+    def camera(self, time_code: float | None, aspect: float) -> Camera | None:
+        """The stage's camera at a time, for pictures of a width / height; None: none was named.
+
+        Raises InputError for one that makes no picture.
+        """
+        if self._camera is None:
+            return None
+        with reading(self._path):
+            time, unit = self._time(time_code), self._facts.units.length
+            return read_camera(self._camera, time, unit, self._path, aspect)
+
+    def _value_notes(self) -> list[str]:
+        return self.values.notes if self.values else []
+
+    def _context(self, time: Usd.TimeCode, notes: Notes) -> Reading:
+        xforms = UsdGeom.XformCache(time)
+        return Reading(
+            path=self._path,
+            time=time,
+            meters_per_unit=self._facts.units.length,
+            xforms=xforms,
+            skins=Skins(time, xforms, notes),
+            looks=Looks(time, notes, self._textures),
+            notes=notes,
+        )
+
+    def _read(
+        self, kind: str, prim: Usd.Prim, context: Reading
+    ) -> RenderMesh | RenderSplats | RenderEllipsoids | None:
+        """One prim; None, and a note, for one that holds nothing."""
+        try:
+            if kind == "mesh":
+                mesh = to_render_mesh(read_surface(prim, context), self._stage, context.time)
+                return replace(mesh, values=self._mesh_values(prim, context.time))
+            place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
+            values = self.values.of_particles(prim, context.time) if self.values else None
+            read = read_points if kind == "points" else read_splats
+            unit = context.meters_per_unit
+            return read(prim, context.time, place, unit, context.notes, values)
+        except LeftAlone as reason:
+            context.notes.add(f"not drawn: {reason}", str(prim.GetPath()))
+            return None
+
+    def _mesh_values(self, prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:
+        """(V,) of the quantity at a mesh's vertices; None where it has none."""
+        where = str(prim.GetPath())
+        carrier = self.values.carrier_of(where) if self.values else None
+        if self.values is None or carrier is None:
+            return None
+        first = self._context(carrier.first, Notes())
+        if not self.values.knows(where):
+            place = Placement.of(first.xforms.GetLocalToWorldTransform(carrier.prim))
+            cloud = np.asarray(carrier.prim.GetAttribute("positions").Get(carrier.first))
+            vertices = read_surface(prim, first).points
+            self.values.learn(where, vertices, place.points(cloud) * first.meters_per_unit)
+        return self.values.of_mesh(carrier, where, time)
+
+    def _time(self, time_code: float | None) -> Usd.TimeCode:
+        if time_code is not None:
+            return Usd.TimeCode(time_code)
+        start = self._facts.start_time_code
+        return Usd.TimeCode.EarliestTime() if start is None else Usd.TimeCode(start)
+
+    def _all(self) -> list[tuple[str, Usd.Prim]]:
+        """Every prim that could be drawn with its kind, hidden ones included."""
+        found = []
+        walk = iter(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
+        for prim in walk:
+            name = str(prim.GetTypeName())
+            if prim.IsA(UsdGeom.PointInstancer):
+                # its prototypes below it stand nowhere by themselves
+                self._stage_notes.add("not drawn: PointInstancer", str(prim.GetPath()))
+                walk.PruneChildren()
+            elif prim.IsA(UsdGeom.Mesh) or name in IMPLICIT:
+                found.append(("mesh", prim))
+            elif name == SPLAT_TYPE:
+                found.append(("gaussians" if is_ours(prim) else "splats", prim))
+            elif prim.IsA(UsdGeom.Points):
+                found.append(("points", prim))
+        return found
+
+    def _visible(self, kinds: tuple[str, ...]) -> list[tuple[str, Usd.Prim]]:
+        """Prims of these kinds to draw; a bake's particles even where its display hides them."""
+        time = self._time(None)
+        return [
+            (kind, prim)
+            for kind, prim in self._all()
+            if kind in kinds
+            and UsdGeom.Imageable(prim).ComputePurpose() in PURPOSES
+            and (_is_visible(prim, time) or is_ours(prim))
+        ]
+
+    def _first_kind(self) -> str:
+        time = self._time(None)
+        there = {kind for kind, prim in self._all() if _is_visible(prim, time)}
+        return next((kind for kind in KINDS if kind in there), "mesh")
+
+    def _select_display(self, display: str) -> None:
+        """Select a bake's display variant, in the session only."""
+        self._stage.SetEditTarget(self._stage.GetSessionLayer())
+        for prim in self._stage.GetPseudoRoot().GetChildren():
+            sets = prim.GetVariantSets()
+            for name in sets.GetNames():
+                if display in displays_in(prim, name):
+                    sets.SetSelection(name, display)
+
+
+def read_scene(path: Path, time_code: float | None = None, show: str | None = None) -> Scene:
+    """What is visible in a stage at a time code; see `PictureStage`."""
+    return PictureStage(path, show).scene(time_code)
+
+
+def _is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    return UsdGeom.Imageable(prim).ComputeVisibility(time) != UsdGeom.Tokens.invisible
+
+
+def _ground(motion: Bounds | None, first: Bounds | None, up: np.ndarray) -> float | None:
+    """Height of the floor [m]; see `PictureStage.motion`."""
+    if motion is None or first is None:
+        return None
+    lowest, start = (float(np.min(box.corners @ up)) for box in (motion, first))
+    near = FLOOR_TOLERANCE * motion.diagonal
+    stands, lands = abs(lowest) <= near, lowest <= near and start >= -near
+    return 0.0 if stands or lands else lowest
+
+
+def find_camera(stage: Usd.Stage, path: Path, name: str) -> UsdGeom.Camera:
+    """The camera of that prim path.
+
+    Raises InputError where there is no such prim, or it is not a camera with perspective.
+    """
+    prim = stage.GetPrimAtPath(name) if Sdf.Path.IsValidPathString(name) else None
+    if not prim or not prim.IsA(UsdGeom.Camera):
+        if prim:
+            what = f"<{name}> is of type {prim.GetTypeName() or 'none'}, not Camera."
+        else:
+            what = f"there is no camera <{name}>."
+        raise InputError(f"{path}: {what}", _choice(stage))
+    camera = UsdGeom.Camera(prim)
+    projection = camera.GetProjectionAttr().Get()
+    if projection != UsdGeom.Tokens.perspective:
+        raise InputError(
+            f"{path}: the camera {name} has {projection} projection; pictures have perspective.",
+            "choose another camera, or leave --camera out to have one fitted to the motion",
+        )
+    return camera
+
+
+def _choice(stage: Usd.Stage) -> str:
+    walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    there = [str(prim.GetPath()) for prim in walk if prim.IsA(UsdGeom.Camera)]
+    if not there:
+        return "the stage has no camera: leave --camera out to have one fitted to the motion"
+    return f"the cameras of the stage: {', '.join(there)}"
+
+
+def read_camera(
+    camera: UsdGeom.Camera, time: Usd.TimeCode, unit: float, path: Path, aspect: float
+) -> Camera:
+    """The camera at a time for pictures of a width / height.
+
+    The whole of its aperture is in the picture, as a viewer shows a scene's camera: where the
+    picture is narrower than the aperture its width fits and the picture shows more above and
+    below, where it is wider its height fits.  Clipping planes, depth of field and the shutter
+    are left out.
+
+    Raises InputError where focal length, aperture or transform make no picture.
+    """
+    seen = camera.GetCamera(time)
+    focal = float(seen.focalLength)
+    across, down = float(seen.horizontalAperture), float(seen.verticalAperture)
+    matrix = np.array(seen.transform, dtype=np.float64)
+    up, back = matrix[1:3, :3]
+    sound = min(focal, across, down) > 0.0 and np.isfinite(matrix).all()
+    if not sound or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        raise InputError(
+            f"{path}: the camera {camera.GetPath()} makes no picture at {time}: focal length "
+            f"{focal:g}, aperture {across:g} x {down:g}, transform {_short(seen.transform)}.",
+            "give it a focal length and apertures above 0 and a transform that can be inverted",
+        )
+    half = max(down, across / aspect) / (2.0 * focal)
+    eye = matrix[3, :3] * unit
+    target = eye - back / np.linalg.norm(back)
+    return Camera(
+        eye=_triple(eye),
+        target=_triple(target),
+        up=_triple(up / np.linalg.norm(up)),
+        fov=float(np.degrees(2.0 * np.arctan(half))),
+        shift=(
+            float(seen.horizontalApertureOffset) / focal,
+            float(seen.verticalApertureOffset) / focal,
+        ),
+    )
+
+
+def _short(matrix: Gf.Matrix4d) -> str:
+    return " ".join(f"{value:.3g}" for row in matrix for value in row)
+
+
+def _triple(v: np.ndarray) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

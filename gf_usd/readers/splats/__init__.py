@@ -1,0 +1,1 @@
+"""Files of captured Gaussians are read, converted and written."""

@@ -1,0 +1,76 @@
+"""A splat file made into USD, as mesh files are: a suffix, its parser and its usual axis."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.core.asset import Splats, tidy
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.splats.ply import holds_splats
+from gf_usd.readers.usd.splats import write_splat_layer
+
+PARSERS = {
+    ".ply": ("3DGS PLY", "gf_usd.readers.splats.ply:read_splat_ply"),
+    ".spz": ("SPZ", "gf_usd.readers.splats.spz:read_spz"),
+    ".splat": (".splat", "gf_usd.readers.splats.raw:read_raw_splats"),
+}
+# Captures often have y or z down, for that is how cameras see: a half turn about x mends it.
+AXES = {"Y": ("Y", 0.0), "Z": ("Z", 0.0), "-Y": ("Y", 180.0), "-Z": ("Z", 180.0)}
+SAYS_AXIS = {".spz"}  # right, up, back: Y is up
+
+
+def is_splat_file(path: Path) -> bool:
+    """Whether a file holds Gaussians rather than a mesh; PLY may hold either."""
+    suffix = path.suffix.lower()
+    return suffix in PARSERS and (suffix != ".ply" or holds_splats(path))
+
+
+def read_splat_file(path: Path, notes: Notes) -> Splats:
+    """The Gaussians of a file, those that can be what was meant.
+
+    Raises InputError for a damaged file and for one that holds none.
+    """
+    module, function = PARSERS[path.suffix.lower()][1].split(":")
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # `tidy` counts what comes of it
+            splats: Splats = getattr(import_module(module), function)(path)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read: {error}", "check the permissions of the file"
+        ) from error
+    return tidy(splats, str(path), notes.add)
+
+
+def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:
+    """A splat file as USD, not yet written anywhere.
+
+    meters_per_unit : [m] size of the file's unit; None: 1.   up_axis : Y, Z, -Y or -Z; None: Y.
+
+    Raises InputError for a damaged file, and for an axis that is none of these.
+    """
+    axis = "Y" if up_axis is None else up_axis.upper()
+    if axis not in AXES:
+        raise InputError(
+            f"up axis {up_axis!r}: Gaussians know Y, Z, -Y and -Z", "give one of --up-axis these"
+        )
+    name, _ = PARSERS[path.suffix.lower()]
+    notes = Notes()
+    unit = 1.0 if meters_per_unit is None else meters_per_unit
+    if meters_per_unit is None:
+        notes.add(f"{name} files name no unit: 1 m per unit is assumed (--meters-per-unit)")
+    else:
+        notes.add(f"metersPerUnit = {unit:g}, as asked for")
+    if up_axis is not None:
+        notes.add(f"upAxis = {axis}, as asked for")
+    elif path.suffix.lower() not in SAYS_AXIS:
+        notes.add(f"{name} files name no up axis: Y is assumed (--up-axis, -Y where it hangs)")
+    splats = read_splat_file(path, notes)
+    folder = Folder()
+    up, turn = AXES[axis]
+    write_splat_layer(splats, folder.layer, path.stem, meters_per_unit=unit, up_axis=up, turn=turn)
+    return MeshSource(path, folder, record_of(path, (path,), unit, axis), notes.lines())

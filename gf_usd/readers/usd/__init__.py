@@ -1,0 +1,1 @@
+"""A USD stage becomes an Asset, and what it says about its bake."""

@@ -1,0 +1,123 @@
+"""USD files (usda, usdc, usd, usdz) to an Asset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.asset import Asset, Splats, StageFacts, Surface, first_time_code
+from gf_usd.core.errors import InputError
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.select import Selection, instances_above, select
+from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.splats import is_captured, read_captured
+from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading, stage_facts
+
+INSTANCE = "is an instance: in the bake it is an ordinary prim, since what is in it moves"
+
+
+def read_usd(
+    path: Path,
+    *,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    time_code: float | None = None,
+    named: Path | None = None,
+) -> Asset:
+    """The visible meshes, implicit shapes and Gaussian splats of a stage, posed at one time.
+
+    The arguments are those of `gf_usd.readers.read_asset`; `named` is the file that the user named
+    where `path` was made from it.  Raises InputError for a file that is not USD or damaged, for
+    broken meshes, and where there is nothing to make soft.
+    """
+    with reading(path):
+        stage = open_stage(path)
+        path = named or path
+        notes = Notes()
+        facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
+        time = Usd.TimeCode(first_time_code(facts, time_code))
+        found = select(stage, path, prims, time)
+        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes)
+        if not surfaces and not splats:
+            raise _nothing(stage, path, found, skipped, notes, by_name=bool(prims))
+        return Asset(
+            facts=replace(facts, notes=notes.lines()),
+            surfaces=tuple(surfaces),
+            splats=tuple(splats),
+            skipped=tuple(skipped.items()),
+        )
+
+
+def _surfaces(
+    path: Path, found: Selection, facts: StageFacts, time: Usd.TimeCode, notes: Notes
+) -> tuple[list[Surface], list[Splats], dict[str, str]]:
+    """The surfaces and Gaussians of the selection, and (path, reason) of what is left alone."""
+    xforms = UsdGeom.XformCache(time)
+    context = Reading(
+        path=path,
+        time=time,
+        meters_per_unit=facts.units.length,
+        xforms=xforms,
+        skins=Skins(time, xforms, notes),
+        looks=Looks(time, notes),
+        notes=notes,
+    )
+    surfaces: list[Surface] = []
+    splats: list[Splats] = []
+    skipped = dict(found.skipped)
+    for prim in found.geometry:
+        try:
+            if is_captured(prim):
+                place = xforms.GetLocalToWorldTransform(prim)
+                unit = facts.units.length
+                splats.append(read_captured(prim, time, place, unit, notes))
+            else:
+                surfaces.append(read_surface(prim, context))
+        except LeftAlone as reason:
+            skipped[str(prim.GetPath())] = str(reason)
+        else:
+            for instance in instances_above(prim):
+                notes.add(INSTANCE, str(instance.GetPath()))
+    return surfaces, splats, skipped
+
+
+def _nothing(
+    stage: Usd.Stage,
+    path: Path,
+    found: Selection,
+    skipped: dict[str, str],
+    notes: Notes,
+    *,
+    by_name: bool,
+) -> InputError:
+    """The error for a selection without one surface, with what was there instead."""
+    under = ", ".join(str(root.GetPath()) for root in found.roots[:3]) or "its root"
+    if missing := [line for line in notes.lines() if line.startswith("does not compose")]:
+        return InputError(
+            f"{path}: there is no mesh under {under}; {missing[0]}",
+            "bring the missing files along, or correct the paths in the asset",
+        )
+    if skipped:
+        where, reason = next(iter(skipped.items()))
+        more = f" and {len(skipped) - 1} more" if len(skipped) > 1 else ""
+        return InputError(
+            f"{path}: nothing under {under} can be made soft: {where} ({reason}){more}",
+            "give the asset a visible mesh, or name other prims with --prim",
+        )
+    there = ", ".join(f"{n} {name}" for name, n in found.types.most_common(5)) or "nothing"
+    elsewhere = [] if by_name else _meshes_elsewhere(stage)
+    hint = "give an asset with a mesh in it"
+    if elsewhere:
+        hint = f"there are meshes outside the default prim: --prim {elsewhere[0]}"
+    return InputError(f"{path}: there is no mesh under {under}: found {there}", hint)
+
+
+def _meshes_elsewhere(stage: Usd.Stage) -> list[str]:
+    every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    return [str(prim.GetPath()) for prim in every if prim.IsA(UsdGeom.Mesh)]

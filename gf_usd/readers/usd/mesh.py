@@ -1,0 +1,282 @@
+"""A mesh or an implicit shape of a stage, posed at one time, as a Surface.
+
+Authored normals of a mesh, in the world, each with the point that carries it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import Surface
+from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import triangulate
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
+from gf_usd.readers.usd.primvars import Corners
+from gf_usd.readers.usd.shading import Looks, colours
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What reading one prim needs of the whole stage."""
+
+    path: Path  # the file, for messages
+    time: Usd.TimeCode
+    meters_per_unit: float
+    xforms: UsdGeom.XformCache
+    skins: Skins
+    looks: Looks
+    notes: Notes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polygons:
+    """A mesh as authored: stage units, in its own space."""
+
+    points: Floats  # (V, 3)
+    counts: Ints  # (P,)
+    indices: Ints  # (C,)
+    holes: Ints  # (H,) faces that are not there
+    left_handed: bool
+
+
+def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
+    """The Surface of a Mesh or implicit prim, in metres, world.
+
+    Raises InputError for broken data (prim path and numbers in it) and LeftAlone for a prim
+    without a surface.
+    """
+    polygons = _polygons(prim, reading)
+    place = _placement(prim, reading)
+    points = place.points(polygons.points) * reading.meters_per_unit
+    if not np.isfinite(points).all():
+        raise _broken(prim, reading, "its points leave the range of numbers in the world")
+    triangles, corners, faces = triangulate(points, polygons.counts, polygons.indices)
+    kept = ~np.isin(faces, polygons.holes)
+    triangles, corners, faces = triangles[kept], corners[kept], faces[kept]
+    if len(triangles) == 0:
+        raise LeftAlone("has no face with three or more corners")
+    if polygons.left_handed != place.mirrored:
+        triangles, corners = triangles[:, ::-1], corners[:, ::-1]
+    where = Corners(
+        n_points=len(points),
+        n_corners=len(polygons.indices),
+        n_faces=len(polygons.counts),
+        triangles=triangles,
+        corners=corners,
+        faces=faces,
+    )
+    normals = read_normals(
+        prim, place, points, where, polygons.counts, polygons.indices, reading.time, reading.notes
+    )
+    look = colours(prim, where, reading.looks, reading.time, reading.notes)
+    return Surface(
+        path=str(prim.GetPath()),
+        type_name=str(prim.GetTypeName()),
+        points=points,
+        face_counts=polygons.counts,
+        face_indices=polygons.indices,
+        triangles=np.ascontiguousarray(triangles),
+        triangle_corners=np.ascontiguousarray(corners),
+        normals=normals.values,
+        normals_interpolation=normals.interpolation,
+        normal_points=normals.carriers,
+        triangle_colours=look.colours,
+        triangle_uvs=look.uvs,
+        triangle_materials=look.indices,
+        materials=look.materials,
+        skinned=place.skinned,
+    )
+
+
+def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
+    """Points (V, 3) [m] of a Mesh or implicit prim, world; errors as `read_surface`."""
+    return _placement(prim, reading).points(_polygons(prim, reading).points) * (
+        reading.meters_per_unit
+    )
+
+
+def _placement(prim: Usd.Prim, reading: Reading) -> Placement:
+    posed = reading.skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
+    return posed or Placement.of(reading.xforms.GetLocalToWorldTransform(prim))
+
+
+def _broken(prim: Usd.Prim, reading: Reading, what: str) -> InputError:
+    return InputError(
+        f"{reading.path}: {prim.GetPath()}: {what}",
+        "repair this mesh in the program that made it, or choose other prims with --prim",
+    )
+
+
+def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
+    if str(prim.GetTypeName()) in IMPLICIT:
+        points, counts, indices = tessellate(prim, reading.time)
+        none = np.zeros(0, dtype=np.int64)
+        return Polygons(
+            points=points, counts=counts, indices=indices, holes=none, left_handed=False
+        )
+    mesh, time = UsdGeom.Mesh(prim), reading.time
+    counts = _ints(mesh.GetFaceVertexCountsAttr(), prim, reading)
+    indices = _ints(mesh.GetFaceVertexIndicesAttr(), prim, reading)
+    points = _points(mesh.GetPointsAttr(), prim, reading)
+    if len(points) == 0 or len(counts) == 0:
+        raise LeftAlone(f"has {len(points)} points and {len(counts)} faces")
+    _require_sound(prim, reading, points, counts, indices)
+    if mesh.GetPointsAttr().ValueMightBeTimeVarying():
+        reading.notes.add(ANIMATED, str(prim.GetPath()))
+    if mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying():
+        reading.notes.add(
+            "its topology changes over time: the one at the first frame is used",
+            str(prim.GetPath()),
+        )
+    return Polygons(
+        points=points,
+        counts=counts,
+        indices=indices,
+        holes=_ints(mesh.GetHoleIndicesAttr(), prim, reading),
+        left_handed=mesh.GetOrientationAttr().Get(time) == UsdGeom.Tokens.leftHanded,
+    )
+
+
+def _ints(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Ints:
+    values = _values(attribute, reading)
+    if len(values) and (values.dtype.kind not in "iu" or values.ndim != 1):
+        raise _mistyped(attribute, prim, reading, "int[]")
+    return values.astype(np.int64).reshape(-1)
+
+
+def _points(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Floats:
+    values = _values(attribute, reading)
+    if len(values) and (values.dtype.kind not in "fiu" or values.shape[1:] != (3,)):
+        raise _mistyped(attribute, prim, reading, "point3f[]")
+    return values.astype(np.float64).reshape(-1, 3)
+
+
+def _values(attribute: Usd.Attribute, reading: Reading) -> np.ndarray:
+    """Values as they are; a file may author another type than the schema's, known or not."""
+    values = attribute.Get(reading.time)
+    return np.atleast_1d(np.asarray([] if values is None else values))
+
+
+def _mistyped(
+    attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading, wanted: str
+) -> InputError:
+    return _broken(prim, reading, f"the values of {attribute.GetName()} are not of type {wanted}")
+
+
+def _require_sound(
+    prim: Usd.Prim, reading: Reading, points: Floats, counts: Ints, indices: Ints
+) -> None:
+    """Raise InputError where points or topology cannot be what was meant."""
+    lost = int((~np.isfinite(points)).any(axis=1).sum())
+    if lost:
+        raise _broken(prim, reading, f"{lost} of {len(points)} points are not finite (NaN or inf)")
+    if counts.min() < 0:
+        raise _broken(prim, reading, f"a face has {counts.min()} corners")
+    if counts.sum() != len(indices):
+        raise _broken(
+            prim,
+            reading,
+            f"faceVertexCounts add up to {counts.sum()} corners, "
+            f"but there are {len(indices)} faceVertexIndices",
+        )
+    outside = (indices < 0) | (indices >= len(points))
+    if outside.any():
+        raise _broken(
+            prim,
+            reading,
+            f"{int(outside.sum())} faceVertexIndices are outside its {len(points)} points, "
+            f"the first is {indices[outside][0]}",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normals:
+    """Unit normals (K, 3) with their points (K,), or nothing."""
+
+    values: Floats | None = None
+    interpolation: str = ""
+    carriers: Ints | None = None
+
+
+def read_normals(
+    prim: Usd.Prim,
+    place: Placement,
+    points: Floats,
+    where: Corners,
+    counts: Ints,
+    indices: Ints,
+    time: Usd.TimeCode,
+    notes: Notes,
+) -> Normals:
+    """Authored normals; none (and a note) where their number fits no interpolation.
+
+    `primvars:normals` wins over `normals`, as USD says.  A normal without direction becomes that
+    of the faces around its point.
+    """
+    authored = _authored(prim, time)
+    if authored is None:
+        return Normals()
+    values, interpolation = authored
+    starts = np.minimum(np.cumsum(counts) - counts, len(indices) - 1)
+    carriers = {
+        "vertex": np.arange(len(points)),
+        "varying": np.arange(len(points)),
+        "faceVarying": indices,
+        "uniform": indices[starts],
+    }.get(interpolation)
+    if carriers is None or len(carriers) != len(values):
+        notes.add(
+            f"its {len(values)} normals are not one for each '{interpolation}' element: ignored",
+            str(prim.GetPath()),
+        )
+        return Normals()
+    finite = np.all(np.isfinite(values), axis=1, keepdims=True)
+    world = place.normals(np.where(finite, values, 0.0), carriers)
+    length = np.asarray(np.linalg.norm(world, axis=1))
+    lost = np.asarray(length == 0.0)
+    if lost.any():
+        notes.add(
+            f"{int(lost.sum())} of its {len(values)} normals have no direction: "
+            "that of the faces around them is used",
+            str(prim.GetPath()),
+        )
+        world[lost] = _of_the_faces(points, where.triangles)[carriers[lost]]
+        length = np.asarray(np.linalg.norm(world, axis=1))
+    unit = world / np.where(length > 0.0, length, 1.0)[:, None]
+    return Normals(values=unit, interpolation=interpolation, carriers=carriers)
+
+
+def _authored(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Floats, str] | None:
+    """Values (K, 3) in the prim's space and their interpolation."""
+    if not prim.IsA(UsdGeom.PointBased):
+        return None
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    if primvar and primvar.HasAuthoredValue():
+        values, interpolation = primvar.ComputeFlattened(time), primvar.GetInterpolation()
+    else:
+        base = UsdGeom.PointBased(prim)
+        values, interpolation = base.GetNormalsAttr().Get(time), base.GetNormalsInterpolation()
+    array = np.asarray([] if values is None else values)
+    if array.ndim != 2 or array.shape[1] != 3 or not np.issubdtype(array.dtype, np.number):
+        return None
+    return array.astype(np.float64), str(interpolation)
+
+
+def _of_the_faces(points: Floats, triangles: Ints) -> Floats:
+    """(V, 3) sum of the area vectors of the triangles at each point."""
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    area = np.cross(b - a, c - a)
+    total = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(total, triangles[:, corner], area)
+    # A point without area keeps some direction rather than none.
+    total[~np.any(total, axis=1)] = (0.0, 0.0, 1.0)
+    return total

@@ -1,0 +1,311 @@
+"""The diffuse look of bound materials: a constant, a texture or a primvar of the mesh.
+
+The colours of a mesh: displayColor, bound materials, texture coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdShade
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import SurfaceMaterial, Texture
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.primvars import Corners, primvar_at_corners
+
+GREY = (0.18, 0.18, 0.18)  # the fallback of UsdPreviewSurface's diffuseColor
+MAX_TRANSFORMS = 16  # UsdTransform2d nodes in a row; a longer chain is a loop
+
+
+@dataclass(frozen=True, kw_only=True)
+class TexturePlace:
+    """Where a texture is looked up: a primvar, then u' = A u + b."""
+
+    primvar: str  # empty: the same place everywhere
+    fallback: Floats  # (2,) where the primvar is missing
+    linear: Floats  # (2, 2) A
+    offset: Floats  # (2,) b
+
+    def __call__(self, uvs: Floats) -> Floats:
+        """(..., 2) texture coordinates of primvar values (..., 2)."""
+        return uvs @ self.linear.T + self.offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """A material, and what it needs of the mesh it is bound to."""
+
+    material: SurfaceMaterial
+    place: TexturePlace | None = None  # of material.texture
+    colour_primvar: str = ""  # the diffuse colour is this primvar of the mesh
+    understood: bool = True  # False: another shading language; the colour is only a stand-in
+
+
+class Looks:
+    """Materials of a stage at one time, each read once.
+
+    `textures` may be shared by several times of one stage, so that a file is decoded once.
+    """
+
+    def __init__(
+        self,
+        time: Usd.TimeCode,
+        notes: Notes,
+        textures: dict[tuple[object, ...], Texture] | None = None,
+    ) -> None:
+        self._time = time
+        self._notes = notes
+        self._looks: dict[Sdf.Path, Look] = {}
+        self._textures = {} if textures is None else textures
+
+    def bound(self, prim: Usd.Prim) -> Look | None:
+        """The look bound to a mesh or subset, inherited and collection bindings included."""
+        for purpose in (UsdShade.Tokens.preview, UsdShade.Tokens.full):
+            material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
+            if material:
+                break
+        else:
+            return None
+        path = material.GetPath()
+        if path not in self._looks:
+            self._looks[path] = self._read(material)
+        return self._looks[path]
+
+    def _read(self, material: UsdShade.Material) -> Look:
+        path = str(material.GetPath())
+        shader = material.ComputeSurfaceSource()[0]
+        if not shader or shader.GetShaderId() != "UsdPreviewSurface":
+            kind = self._kind(material, shader)
+            self._notes.add(f"{kind} is not read: displayColor or grey instead", path)
+            return Look(material=SurfaceMaterial(path=path, colour=GREY), understood=False)
+        diffuse = shader.GetInput("diffuseColor")
+        colour = _triple(self._value(diffuse), GREY)
+        source = self._source(diffuse)
+        if source is None:
+            return Look(material=SurfaceMaterial(path=path, colour=colour))
+        node, output = source
+        if node.GetShaderId() == "UsdUVTexture":
+            return self._textured(path, node, output, colour)
+        if node.GetShaderId() == "UsdPrimvarReader_float3":
+            name = str(self._input(node, "varname") or "")
+            colour = _triple(self._input(node, "fallback"), colour)
+            return Look(material=SurfaceMaterial(path=path, colour=colour), colour_primvar=name)
+        self._notes.add(
+            f"diffuseColor comes from {node.GetShaderId() or 'an unknown shader'}, which is not "
+            "read: a constant colour instead",
+            path,
+        )
+        return Look(material=SurfaceMaterial(path=path, colour=colour))
+
+    def _kind(self, material: UsdShade.Material, shader: UsdShade.Shader) -> str:
+        """Words for a surface shader that is not UsdPreviewSurface."""
+        if shader:
+            return f"shader {shader.GetShaderId() or shader.GetImplementationSource()}"
+        contexts = [output.GetBaseName() for output in material.GetSurfaceOutputs()]
+        named = [name.removesuffix(":surface") for name in contexts if name != "surface"]
+        return f"a {' and '.join(named)} shader" if named else "a material without a surface shader"
+
+    def _textured(
+        self, path: str, node: UsdShade.Shader, output: str, colour: tuple[float, float, float]
+    ) -> Look:
+        from gf_usd.readers.usd.texture import (
+            Unreadable,
+            load_texture,  # many assets have none
+        )
+
+        authored = self._input(node, "fallback")
+        constant = SurfaceMaterial(path=path, colour=_triple(authored, colour))
+        asset = self._input(node, "file")
+        if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+            self._notes.add("its texture names no file: a constant colour instead", path)
+            return Look(material=constant)
+        options = {
+            "space": str(self._input(node, "sourceColorSpace") or "auto"),
+            "wraps": (str(self._input(node, "wrapS")), str(self._input(node, "wrapT"))),
+            "scale": np.array(_triple(self._input(node, "scale"), (1.0, 1.0, 1.0))),
+            "bias": np.array(_triple(self._input(node, "bias"), (0.0, 0.0, 0.0))),
+            "channel": output if output in ("r", "g", "b", "a") else "rgb",
+        }
+        key = (asset.resolvedPath or asset.path, *(str(value) for value in options.values()))
+        try:
+            if key not in self._textures:
+                self._textures[key] = load_texture(asset, **options)
+        except Unreadable as error:
+            self._notes.add(f"{error}: a constant colour instead", path)
+            return Look(material=constant)
+        material = SurfaceMaterial(path=path, colour=colour, texture=self._textures[key])
+        return Look(material=material, place=self._place(path, node.GetInput("st")))
+
+    def _place(self, path: str, st: UsdShade.Input) -> TexturePlace:
+        """Follow `st` through UsdTransform2d nodes to the primvar."""
+        linear, offset = np.eye(2), np.zeros(2)
+        for _ in range(MAX_TRANSFORMS):
+            source = self._source(st)
+            if source is None:
+                break
+            node = source[0]
+            if node.GetShaderId() == "UsdTransform2d":
+                own, shift = self._transform(node)
+                # The node nearest the texture acts last.
+                linear, offset = linear @ own, linear @ shift + offset
+                st = node.GetInput("in")
+                continue
+            if node.GetShaderId() == "UsdPrimvarReader_float2":
+                return TexturePlace(
+                    primvar=str(self._input(node, "varname") or ""),
+                    fallback=_pair(self._input(node, "fallback"), 0.0),
+                    linear=linear,
+                    offset=offset,
+                )
+            self._notes.add(
+                f"its texture coordinates come from {node.GetShaderId()}, which is not read", path
+            )
+            break
+        return TexturePlace(
+            primvar="", fallback=_pair(self._value(st), 0.0), linear=linear, offset=offset
+        )
+
+    def _transform(self, node: UsdShade.Shader) -> tuple[Floats, Floats]:
+        """u' = R(rotation) diag(scale) u + translation of a UsdTransform2d."""
+        angle = np.deg2rad(float(self._input(node, "rotation") or 0.0))
+        cos, sin = np.cos(angle), np.sin(angle)
+        scale = _pair(self._input(node, "scale"), 1.0)
+        return np.array([[cos, -sin], [sin, cos]]) * scale, _pair(
+            self._input(node, "translation"), 0.0
+        )
+
+    def _input(self, node: UsdShade.Shader, name: str) -> Any:
+        return self._value(node.GetInput(name))
+
+    def _value(self, shader_input: UsdShade.Input) -> Any:
+        """The value an input gets, through node graphs; None where it has none."""
+        if not shader_input:
+            return None
+        for attribute in shader_input.GetValueProducingAttributes():
+            if not UsdShade.Output.IsOutput(attribute):
+                return attribute.Get(self._time)
+        return shader_input.Get(self._time)
+
+    def _source(self, shader_input: UsdShade.Input) -> tuple[UsdShade.Shader, str] | None:
+        """The shader and output that feed an input, through node graphs."""
+        if not shader_input:
+            return None
+        for attribute in shader_input.GetValueProducingAttributes():
+            if UsdShade.Output.IsOutput(attribute):
+                output = UsdShade.Output(attribute)
+                return UsdShade.Shader(attribute.GetPrim()), output.GetBaseName()
+        return None
+
+
+def _triple(value: object, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The first three numbers of a colour of three or four."""
+    if value is None:
+        return otherwise
+    numbers = np.asarray(value, dtype=np.float64).reshape(-1)
+    if len(numbers) < 3 or not np.isfinite(numbers[:3]).all():
+        return otherwise
+    return float(numbers[0]), float(numbers[1]), float(numbers[2])
+
+
+def _pair(value: object, otherwise: float) -> Floats:
+    if value is None:
+        return np.full(2, otherwise)
+    numbers = np.asarray(value, dtype=np.float64).reshape(-1)
+    return numbers[:2] if len(numbers) >= 2 else np.full(2, otherwise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Colours:
+    """Fields of a Surface that say its colour."""
+
+    colours: Floats | None  # (T, 3, 3) linear
+    uvs: Floats | None  # (T, 3, 2)
+    indices: Ints | None  # (T,) into materials, -1 none
+    materials: tuple[SurfaceMaterial, ...]
+
+
+def colours(
+    prim: Usd.Prim, corners: Corners, looks: Looks, time: Usd.TimeCode, notes: Notes
+) -> Colours:
+    """What colours each triangle of `prim`; None in each field where nothing is authored."""
+    display = primvar_at_corners(prim, "displayColor", 3, corners, time, notes)
+    bound, of_face = _bindings(prim, corners.n_faces, looks, time, notes)
+    indices = of_face[corners.faces]
+    uvs: Floats | None = None
+    materials: list[SurfaceMaterial] = []
+    slots = np.full(len(bound) + 1, -1)  # the last is for faces without a material
+    for i, look in enumerate(bound):
+        mine = indices == i
+        if look.colour_primvar and mine.any():
+            named = primvar_at_corners(prim, look.colour_primvar, 3, corners, time, notes)
+            if named is not None:
+                display = np.full(named.shape, 0.5) if display is None else display.copy()
+                display[mine] = named[mine]
+                continue
+        if not look.understood and display is not None:
+            continue
+        if look.place is not None and mine.any():
+            uvs = np.zeros((*corners.triangles.shape, 2)) if uvs is None else uvs
+            uvs[mine] = _texture_coordinates(prim, look, corners, time, notes)[mine]
+        slots[i] = len(materials)
+        materials.append(look.material)
+    return Colours(
+        colours=display,
+        uvs=uvs,
+        indices=slots[indices] if materials else None,
+        materials=tuple(materials),
+    )
+
+
+def _texture_coordinates(
+    prim: Usd.Prim, look: Look, corners: Corners, time: Usd.TimeCode, notes: Notes
+) -> Floats:
+    """(T, 3, 2) where the look's texture is read."""
+    place = look.place
+    assert place is not None
+    found = None
+    if place.primvar:
+        found = primvar_at_corners(prim, place.primvar, 2, corners, time, notes)
+        if found is None:
+            notes.add(
+                f"has no usable primvar {place.primvar}, which the texture of "
+                f"{look.material.path} reads: one place of the texture instead",
+                str(prim.GetPath()),
+            )
+    if found is None:
+        found = np.broadcast_to(place.fallback, (*corners.triangles.shape, 2))
+    return place(found)
+
+
+def _bindings(
+    prim: Usd.Prim, n_faces: int, looks: Looks, time: Usd.TimeCode, notes: Notes
+) -> tuple[list[Look], Ints]:
+    """The looks bound to a mesh or its subsets, and the one of each face (P,); -1 none."""
+    found: list[Look] = []
+    of_face = np.full(n_faces, -1)
+
+    def bind(look: Look | None, faces: Ints | slice) -> None:
+        if look is not None:
+            if look not in found:
+                found.append(look)
+            of_face[faces] = found.index(look)
+
+    bind(looks.bound(prim), slice(None))
+    if prim.IsA(UsdGeom.Mesh):
+        for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+            if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
+                continue
+            values = subset.GetIndicesAttr().Get(time)
+            faces = np.asarray([] if values is None else values, dtype=np.int64).reshape(-1)
+            inside = (faces >= 0) & (faces < n_faces)
+            if not inside.all():
+                notes.add(
+                    f"{int((~inside).sum())} of its {len(faces)} indices are outside the "
+                    f"{n_faces} faces: ignored",
+                    str(subset.GetPath()),
+                )
+            bind(looks.bound(subset.GetPrim()), faces[inside])
+    return found, of_face

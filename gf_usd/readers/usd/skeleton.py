@@ -1,0 +1,186 @@
+"""Meshes posed by a skeleton (UsdSkel): skinned points, blend shapes and normals at one time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.core.arrays import Floats
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.stage import ANIMATED, Placement
+
+PROXIES = Usd.TraverseInstanceProxies()
+
+
+@dataclass(frozen=True)
+class SkinnedPlacement(Placement):
+    """Points skinned into the skeleton's space, then its local-to-world `matrix`."""
+
+    skeleton: UsdSkel.SkeletonQuery
+    skin: UsdSkel.SkinningQuery
+    time: Usd.TimeCode
+    notes: Notes
+
+    @property
+    def skinned(self) -> bool:
+        """True: the points are posed."""
+        return True
+
+    @property
+    def _bind(self) -> Floats:
+        return np.array(self.skin.GetGeomBindTransform(self.time))[:3, :3]
+
+    @property
+    def mirrored(self) -> bool:
+        """True where bind and skeleton transforms together turn the winding over."""
+        return bool(np.linalg.det(self._bind @ self.matrix[:3, :3]) < 0.0)
+
+    def points(self, points: Floats) -> Floats:
+        """(V, 3) authored points to posed world points."""
+        posed = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
+        if self.skin.HasBlendShapes():
+            self._blend(posed)
+        if self.skin.HasJointInfluences():
+            joints = self.skeleton.ComputeSkinningTransforms(self.time)
+            self.skin.ComputeSkinnedPoints(joints, posed, self.time)
+        return super().points(np.array(posed, dtype=np.float64).reshape(-1, 3))
+
+    def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
+        """(K, 3) authored normals to world, each by the joints of the point that carries it."""
+        if self.skin.HasBlendShapes():
+            self._remark("its normals follow its joints, but not its blend shapes")
+        if self.skin.HasJointInfluences():
+            posed = self._skin_normals(normals, carriers)
+            if posed is None:
+                self._remark("its normals cannot follow its joints: left in their bind pose")
+            else:
+                normals = posed
+        return super().normals(normals, carriers)
+
+    def _skin_normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats | None:
+        """(K, 3) into the skeleton's space; None where that cannot be done."""
+        joints = self._joint_matrices()
+        influences = self.skin.GetNumInfluencesPerComponent()
+        count = len(UsdGeom.PointBased(self.skin.GetPrim()).GetPointsAttr().Get(self.time))
+        found = self.skin.ComputeVaryingJointInfluences(count, self.time)
+        if joints is None or not found or len(found[0]) != count * influences:
+            return None
+        if np.linalg.det(self._bind) == 0.0:
+            return None
+        rows = [np.array(part).reshape(count, influences)[carriers].reshape(-1) for part in found]
+        posed = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals, dtype=np.float32))
+        done = UsdSkel.SkinNormals(
+            self.skin.GetSkinningMethod(),
+            Gf.Matrix3d(*np.linalg.inv(self._bind).T.reshape(-1).tolist()),
+            Vt.Matrix3dArray.FromNumpy(np.ascontiguousarray(joints)),
+            Vt.IntArray.FromNumpy(rows[0].astype(np.int32)),
+            Vt.FloatArray.FromNumpy(rows[1].astype(np.float32)),
+            influences,
+            posed,
+            False,
+        )
+        return np.array(posed, dtype=np.float64).reshape(-1, 3) if done else None
+
+    def _joint_matrices(self) -> Floats | None:
+        """(J, 3, 3) inverse transposes of the skinning transforms, in the mesh's joint order."""
+        joints = self.skeleton.ComputeSkinningTransforms(self.time)
+        linear = np.array(joints, dtype=np.float64).reshape(-1, 4, 4)[:, :3, :3]
+        order = self.skin.GetJointOrder()
+        if order:
+            rows = {name: row for row, name in enumerate(self.skeleton.GetJointOrder())}
+            still = np.concatenate([linear, np.eye(3)[None]])
+            linear = still[[rows.get(name, len(linear)) for name in order]]
+        if len(linear) == 0 or not np.all(np.abs(np.linalg.det(linear)) > 0.0):
+            return None
+        return np.linalg.inv(linear).transpose(0, 2, 1).astype(np.float64)
+
+    def _blend(self, posed: Vt.Vec3fArray) -> None:
+        """Add the weighted offsets of the blend shapes to `posed`."""
+        animation = self.skeleton.GetAnimQuery()
+        weights = animation.ComputeBlendShapeWeights(self.time) if animation else None
+        mapper = self.skin.GetBlendShapeMapper()
+        if not weights or mapper is None:
+            return
+        shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(self.skin.GetPrim()))
+        parts = shapes.ComputeSubShapeWeights(mapper.Remap(weights))
+        deformed = parts is not None and shapes.ComputeDeformedPoints(
+            *parts,
+            shapes.ComputeBlendShapePointIndices(),
+            shapes.ComputeSubShapePointOffsets(),
+            posed,
+        )
+        if not deformed:
+            self._remark("its blend shapes do not fit its points: read without them")
+
+    def _remark(self, text: str) -> None:
+        self.notes.add(text, str(self.skin.GetPrim().GetPath()))
+
+
+class Skins:
+    """The skinned meshes of a stage at one time, looked up by path."""
+
+    def __init__(self, time: Usd.TimeCode, xforms: UsdGeom.XformCache, notes: Notes) -> None:
+        self._time = time
+        self._xforms = xforms
+        self._notes = notes
+        self._cache = UsdSkel.Cache()
+        self._roots: set[Sdf.Path] = set()
+        self._bound: dict[Sdf.Path, tuple[Usd.Prim, UsdSkel.SkinningQuery]] = {}
+
+    def placement(self, prim: Usd.Prim) -> SkinnedPlacement | None:
+        """Where `prim`'s points stand; None for a mesh that no skeleton poses.
+
+        Raises LeftAlone where the skeleton's own transform flattens space.
+        """
+        self._populate(prim)
+        bound = self._bound.get(prim.GetPath())
+        if bound is None:
+            if UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().HasAuthoredValue():
+                self._notes.add(
+                    "has joint influences but no skeleton poses it (none is bound, or no SkelRoot "
+                    "is above it): read without a pose",
+                    str(prim.GetPath()),
+                )
+            return None
+        skeleton, skin = bound
+        world = Placement.of(self._xforms.GetLocalToWorldTransform(skeleton))
+        query = self._cache.GetSkelQuery(UsdSkel.Skeleton(skeleton))
+        animation = query.GetAnimQuery()
+        if animation and animation.JointTransformsMightBeTimeVarying():
+            self._notes.add(ANIMATED, str(prim.GetPath()))
+        if not query.HasBindPose():
+            self._notes.add("its skeleton has no bind pose: read as identity", str(prim.GetPath()))
+        if not self._fits(prim, query, skin):
+            self._notes.add(
+                "its joint influences do not fit its points: read without a pose",
+                str(prim.GetPath()),
+            )
+            return None
+        return SkinnedPlacement(world.matrix, query, skin, self._time, self._notes)
+
+    def _fits(
+        self, prim: Usd.Prim, query: UsdSkel.SkeletonQuery, skin: UsdSkel.SkinningQuery
+    ) -> bool:
+        """True where the influences can pose the points."""
+        points = UsdGeom.PointBased(prim).GetPointsAttr().Get(self._time)
+        if not points or not skin.HasJointInfluences():
+            return True
+        joints = query.ComputeSkinningTransforms(self._time)
+        return bool(skin.ComputeSkinnedPoints(joints, points, self._time))
+
+    def _populate(self, prim: Usd.Prim) -> None:
+        """Resolve the bindings under the outermost SkelRoot above `prim`, once."""
+        above, root = prim, None
+        while above:
+            root = UsdSkel.Root(above) if above.IsA(UsdSkel.Root) else root
+            above = above.GetParent()
+        if root is None or root.GetPath() in self._roots:
+            return
+        self._roots.add(root.GetPath())
+        self._cache.Populate(root, PROXIES)
+        for binding in self._cache.ComputeSkelBindings(root, PROXIES):
+            for skin in binding.GetSkinningTargets():
+                self._bound[skin.GetPrim().GetPath()] = (binding.GetSkeleton().GetPrim(), skin)

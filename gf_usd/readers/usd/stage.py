@@ -1,0 +1,265 @@
+"""Open a USD file, and what the stage says of itself.
+
+Where a prim's points stand in the world.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import StageFacts
+from gf_usd.core.errors import InputError
+from gf_usd.core.units import StageUnits
+from gf_usd.readers.notes import Notes
+
+MAGIC = {b"PXR-USDC": "usdc", b"PK\x03\x04": "usdz", b"#usda": "usda", b"#sdf": "usda"}
+NO_TEXT = "it holds bytes that are not UTF-8"
+RATES = ("timeCodesPerSecond", "framesPerSecond")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Keep USD's own diagnostics off the screen; damage it meets becomes an InputError."""
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield
+    except (Tf.ErrorException, UnicodeDecodeError) as error:  # the latter: a name that is no text
+        words = _first_words(error) if isinstance(error, Tf.ErrorException) else NO_TEXT
+        raise InputError(
+            f"{path} is damaged: {words}",
+            "export the asset again; a USD viewer should open it before it is baked",
+        ) from error
+    finally:
+        delegate.TakeUncoalescedDiagnostics()
+
+
+def _first_words(error: Tf.ErrorException) -> str:
+    """The first sentence of a USD error, without the place in USD's own source."""
+    said = _text(error)
+    quoted = re.search(r": '(.*?)'(?:\n|$)", said, re.DOTALL)
+    return _first_line(quoted.group(1) if quoted else said)
+
+
+def _text(error: object) -> str:
+    """What an error of USD says, which may quote bytes of the file that are no text."""
+    try:
+        return str(error)
+    except UnicodeDecodeError:
+        return NO_TEXT
+
+
+def _first_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it does not say why"])[0].strip()
+
+
+def open_stage(path: Path) -> Usd.Stage:
+    """The composed stage, every payload loaded.
+
+    Raises InputError for a file that is not USD, or whose rate of time codes is zero (reading its
+    samples would never end).
+    """
+    with path.open("rb") as file:
+        head = file.read(64)
+    if not any(head.startswith(magic) for magic in MAGIC):
+        shown = head.split(b"\n")[0][:24].decode("ascii", errors="replace")
+        raise InputError(
+            f"{path} is not a USD file: it begins with {shown!r}",
+            "a text layer begins with '#usda 1.0'; check what the file really is",
+        )
+    root = Sdf.Layer.FindOrOpen(str(path))
+    if root is None:
+        raise InputError(
+            f"{path} is damaged: USD cannot open it",
+            "export the asset again; a USD viewer should open it before it is baked",
+        )
+    _require_rates(path, root)
+    stage = Usd.Stage.Open(root, Usd.Stage.LoadAll)
+    for layer in stage.GetUsedLayers():
+        _require_rates(path, layer)
+    return stage
+
+
+def _require_rates(path: Path, layer: Sdf.Layer) -> None:
+    """Raise InputError for a rate that is not a positive number."""
+    for key in RATES:
+        if layer.pseudoRoot.HasInfo(key):
+            rate = layer.pseudoRoot.GetInfo(key)
+            known = isinstance(rate, float | int)  # a text layer holds any type here
+            if not (known and math.isfinite(rate) and rate > 0.0):
+                inside = "" if Path(layer.realPath) == path.resolve() else f" in {layer.identifier}"
+                shown = f"{rate:g}" if known else f"{_text(rate)!r}, which is no number"
+                raise InputError(
+                    f"{path}: {key} = {shown}{inside}; it must be above 0",
+                    f"set {key} to the frames per second that the asset was made for, e.g. 24",
+                )
+
+
+def stage_facts(
+    stage: Usd.Stage,
+    path: Path,
+    notes: Notes,
+    *,
+    meters_per_unit: float | None,
+    up_axis: str | None,
+) -> StageFacts:
+    """Units, axis, times and root prims; `notes` gets what is assumed, and is not yet folded in.
+
+    Raises InputError for a unit or an axis that makes no sense.
+    """
+    root = stage.GetRootLayer()
+    rate = next((_metadata(stage, key) for key in RATES if stage.HasAuthoredMetadata(key)), None)
+    for error in stage.GetCompositionErrors():
+        notes.add(f"does not compose: {_first_line(_text(error))}")
+    default = stage.GetDefaultPrim()
+    if root.HasDefaultPrim() and not default:
+        notes.add(f"defaultPrim names '{root.defaultPrim}', which does not exist: every root prim")
+    return StageFacts(
+        path=path,
+        units=StageUnits(
+            meters_per_unit=_meters_per_unit(stage, path, notes, meters_per_unit),
+            kilograms_per_unit=_positive(stage, path, "kilogramsPerUnit") or 1.0,
+        ),
+        up_axis=_up_axis(stage, path, notes, up_axis),
+        time_codes_per_second=None if rate is None else float(rate),
+        start_time_code=root.startTimeCode if root.HasStartTimeCode() else None,
+        end_time_code=root.endTimeCode if root.HasEndTimeCode() else None,
+        root_prims=tuple(
+            str(prim.GetPath())
+            for prim in stage.GetPseudoRoot().GetAllChildren()
+            if prim.IsDefined() and not prim.IsAbstract()
+        ),
+        default_prim=str(default.GetPath()) if default else None,
+        animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
+        says_physics=any(_is_physics(prim) for prim in _everything(stage)),
+    )
+
+
+def _everything(stage: Usd.Stage) -> Usd.PrimRange:
+    return Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+
+
+def _is_physics(prim: Usd.Prim) -> bool:
+    names = [prim.GetTypeName(), *prim.GetAppliedSchemas()]
+    return any(str(name).startswith("Physics") for name in names)
+
+
+def _metadata(stage: Usd.Stage, key: str) -> Any:
+    """Authored metadata, whatever its type (old exporters write floats where doubles belong)."""
+    try:
+        return stage.GetMetadata(key)
+    except Tf.ErrorException:
+        return stage.GetRootLayer().pseudoRoot.GetInfo(key)
+
+
+def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
+    """An authored size of a unit; None where nothing is authored."""
+    if not stage.HasAuthoredMetadata(key):
+        return None
+    value = _metadata(stage, key)
+    if not isinstance(value, float | int) or not (1e-30 < value < 1e30):
+        option = " or give --meters-per-unit" if key == "metersPerUnit" else ""
+        odd = isinstance(value, float | int) and value > 0.0
+        raise InputError(
+            f"{path}: {key} = {value!r}; it must be a number "
+            + ("from 1e-30 to 1e30" if odd else "above 0"),
+            f"author {key} in the file{option}",
+        )
+    # A unit that went through single precision (0.00999999977...) is the short decimal it was.
+    single = np.float32(value)
+    return float(str(single)) if float(single) == value else float(value)
+
+
+def _meters_per_unit(stage: Usd.Stage, path: Path, notes: Notes, override: float | None) -> float:
+    if override is not None:
+        if not (math.isfinite(override) and override > 0.0):
+            raise InputError(
+                f"--meters-per-unit {override:g} is not a size",
+                "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+            )
+        notes.add(f"metersPerUnit = {override:g}, as asked for")
+        return override
+    authored = _positive(stage, path, "metersPerUnit")
+    if authored is None:
+        notes.add("metersPerUnit is not authored: 0.01 (centimetres) is assumed, as USD says")
+        return float(UsdGeom.LinearUnits.centimeters)
+    return authored
+
+
+def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -> str:
+    hint = "give --up-axis Y or --up-axis Z"
+    if override is not None:
+        axis = override.upper()
+        if axis not in ("Y", "Z"):
+            raise InputError(f"up axis {override!r}: USD knows Y and Z", hint)
+        notes.add(f"upAxis = {axis}, as asked for")
+        return axis
+    if not stage.HasAuthoredMetadata("upAxis"):
+        notes.add("upAxis is not authored: Y is assumed, as USD says")
+        return "Y"
+    axis = str(_metadata(stage, "upAxis"))
+    if axis not in ("Y", "Z"):
+        raise InputError(f"{path}: upAxis = {axis!r}; USD knows Y and Z", hint)
+    return axis
+
+
+# Below this fraction of its scale cubed a 3 x 3 matrix has no usable inverse in double precision.
+FLAT = 1e-12
+
+# The note on a mesh whose own animation the simulation takes the place of.
+ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+
+
+class LeftAlone(Exception):
+    """The prim is not made soft; the text says why."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """x_world = x M (row vectors), M the 4 x 4 local-to-world matrix."""
+
+    matrix: Floats  # (4, 4)
+
+    @property
+    def skinned(self) -> bool:
+        """True where a skeleton poses the points."""
+        return False
+
+    @classmethod
+    def of(cls, matrix: Gf.Matrix4d) -> Placement:
+        """Raises LeftAlone for a matrix that is not finite or flattens space."""
+        rows = np.array(matrix, dtype=np.float64)
+        if not np.isfinite(rows).all():
+            raise LeftAlone("its transform is not finite")
+        scale = np.linalg.norm(rows[:3, :3], axis=1)
+        det = float(np.linalg.det(rows[:3, :3]))
+        if abs(det) <= FLAT * float(scale.max()) ** 3:
+            raise LeftAlone(f"its transform flattens it (determinant {det:.3g})")
+        return cls(rows)
+
+    @property
+    def mirrored(self) -> bool:
+        """True where the placement turns the winding over."""
+        return bool(np.linalg.det(self.matrix[:3, :3]) < 0.0)
+
+    def points(self, points: Floats) -> Floats:
+        """(V, 3) local to world."""
+        return points @ self.matrix[:3, :3] + self.matrix[3, :3]
+
+    def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
+        """(K, 3) local to world by the inverse transpose, not normalised.
+
+        `carriers` (K,): the point whose place each normal has; a rigid placement needs it not.
+        """
+        del carriers
+        return normals @ np.linalg.inv(self.matrix[:3, :3]).T

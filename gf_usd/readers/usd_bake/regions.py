@@ -1,0 +1,142 @@
+"""Prims that name a region of the asset: a GeomSubset, a mesh, or all meshes under a prim."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import StageFacts, first_time_code
+from gf_usd.core.errors import InputError
+from gf_usd.core.stage import Region
+from gf_usd.readers.usd.implicit import IMPLICIT
+from gf_usd.readers.usd.mesh import posed_points, read_surface
+from gf_usd.readers.usd.select import PROXIES, named_prim
+from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading
+from gf_usd.readers.usd_physics.motion import bare_reading, shape_varies, transform_varies
+
+
+def read_regions(
+    file: Path,
+    names: Sequence[str],
+    facts: StageFacts,
+    *,
+    rest: float | None,
+    times: Sequence[float],
+) -> tuple[Region, ...]:
+    """The regions that prim paths name, with their motion.
+
+    file : the USD file; facts.path is what messages call it.
+    rest : time code of the rest pose; None: the stage's start, or 1.
+    times : time codes of the frames.
+
+    Raises InputError for a path that names no prim, or one without a surface.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        first = Usd.TimeCode(first_time_code(facts, rest))
+        return tuple(_region(stage, facts, name, first, times) for name in names)
+
+
+def _region(
+    stage: Usd.Stage, facts: StageFacts, name: str, rest: Usd.TimeCode, times: Sequence[float]
+) -> Region:
+    prim = named_prim(stage, facts.path, name)
+    subset = UsdGeom.Subset(prim)
+    if subset:
+        prims = [prim.GetParent()]
+    else:
+        prims = [p for p in Usd.PrimRange(prim, PROXIES) if _has_surface(p)]
+    if not prims:
+        raise InputError(
+            f"{facts.path}: --pin {name}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
+            " without a mesh under it",
+            "name a GeomSubset, a mesh or a prim above meshes, or give a box:"
+            " --pin box:x0,y0,z0,x1,y1,z1",
+        )
+    points, triangles = _triangles(prims, facts, rest, name)
+    moving = _posed(prims, facts, times)
+    path = points[None]
+    if moving is not None:
+        moving[0] = points
+        path = moving
+    if not subset:
+        return Region(name=name, kind="volume", points=points, triangles=triangles, path=path)
+    chosen = _chosen(subset, prims[0], triangles, rest, facts, name)
+    used, renumbered = np.unique(chosen, return_inverse=True)
+    return Region(
+        name=name,
+        kind="patch",
+        points=points[used],
+        triangles=renumbered.reshape(-1, 3),
+        path=path[:, used],
+        body=str(prims[0].GetPath()),
+    )
+
+
+def _has_surface(prim: Usd.Prim) -> bool:
+    return prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in IMPLICIT
+
+
+def _triangles(
+    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, name: str
+) -> tuple[Floats, Ints]:
+    """All points (V, 3) [m] and triangles (T, 3) of some prims."""
+    context, points, triangles, count = bare_reading(facts, rest), [], [], 0
+    for prim in prims:
+        try:
+            surface = read_surface(prim, context)
+        except LeftAlone as reason:
+            raise InputError(
+                f"{facts.path}: --pin {name}: <{prim.GetPath()}> {reason}", "name other prims"
+            ) from reason
+        points.append(surface.points)
+        triangles.append(surface.triangles + count)
+        count += len(surface.points)
+    return np.concatenate(points), np.concatenate(triangles)
+
+
+def _posed(prims: Sequence[Usd.Prim], facts: StageFacts, times: Sequence[float]) -> Floats | None:
+    """(F, V, 3) [m] at the time codes; None where nothing moves."""
+    readings = [bare_reading(facts, Usd.TimeCode(time)) for time in times]
+    if not any(transform_varies(p) or shape_varies(p, readings[0]) for p in prims):
+        return None
+    path = np.stack(
+        [np.concatenate([posed_points(prim, reading) for prim in prims]) for reading in readings]
+    )
+    return None if np.array_equal(path, np.broadcast_to(path[0], path.shape)) else path
+
+
+def _chosen(
+    subset: UsdGeom.Subset,
+    mesh: Usd.Prim,
+    triangles: Ints,
+    rest: Usd.TimeCode,
+    facts: StageFacts,
+    name: str,
+) -> Ints:
+    """Triangles (n, 3) of the mesh that belong to a subset of its faces or points."""
+    indices = np.asarray(subset.GetIndicesAttr().Get(rest) or [], dtype=np.int64)
+    kind = subset.GetElementTypeAttr().Get()
+    if kind == UsdGeom.Tokens.point:
+        mine = np.isin(triangles, indices).all(1)
+    elif kind == UsdGeom.Tokens.face:
+        counts = np.asarray(UsdGeom.Mesh(mesh).GetFaceVertexCountsAttr().Get(rest), np.int64)
+        holes = UsdGeom.Mesh(mesh).GetHoleIndicesAttr().Get(rest) or []
+        per_face = np.maximum(counts - 2, 0)
+        per_face[np.asarray(holes, np.int64)] = 0
+        mine = np.isin(np.repeat(np.arange(len(counts)), per_face), indices)
+    else:
+        raise InputError(
+            f"{facts.path}: --pin {name} is a subset of elementType {kind!r}",
+            "name a subset of faces or points",
+        )
+    if not mine.any():
+        raise InputError(
+            f"{facts.path}: --pin {name} holds {len(indices)} indices but no face of its mesh",
+            "name a subset that has faces",
+        )
+    return triangles[mine]

@@ -1,0 +1,251 @@
+"""Bake settings that a stage carries: GaussianFleshBakeAPI.
+
+Names and labels of prims that are to be soft: bound materials and UsdSemantics labels.
+
+Stiffness and density painted on meshes: primvars in the namespace gaussianFlesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdSemantics, UsdShade
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import StageFacts, Surface, first_time_code
+from gf_usd.core.errors import InputError
+from gf_usd.core.materials import presets
+from gf_usd.core.stage import PrimBake, Subject
+from gf_usd.readers.usd.select import named_prim
+from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd_physics.attributes import count, flag, number, role, word
+
+T = TypeVar("T")
+
+ENABLED, MATERIAL = "gaussianFlesh:enabled", "gaussianFlesh:material"
+SPACING, PARTICLES = "gaussianFlesh:spacing", "gaussianFlesh:particles"
+SEED, SOLVER = "gaussianFlesh:seed", "gaussianFlesh:solver"
+SOLVERS = {"totalLagrangian": "tl", "updatedLagrangian": "ul"}
+
+
+def read_bake_settings(
+    file: Path, facts: StageFacts, prims: Sequence[str], *, rest: float | None = None
+) -> tuple[PrimBake, ...]:
+    """The settings that hold for each of the prims, in their order.
+
+    Each attribute is that of the prim itself or of the nearest one above that authors it.  The
+    attributes count also where the API's name is not applied: a program without our schema can
+    author those but not this.
+
+    file : the USD file; facts.path is what messages call it.  rest : time code of the rest pose.
+
+    Raises InputError for a path that names no prim and for values that make no sense.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        return tuple(_settings(named_prim(stage, facts.path, path), facts, time) for path in prims)
+
+
+def _settings(prim: Usd.Prim, facts: StageFacts, time: Usd.TimeCode) -> PrimBake:
+    path = facts.path
+    spacing, particles, particles_of = _resolution(prim, path, time)
+    return PrimBake(
+        path=str(prim.GetPath()),
+        enabled=_nearest(prim, lambda p: flag(path, p, ENABLED, time)),
+        # Without a name the bound physics material counts, whatever is named above.
+        material=_nearest(prim, lambda p: word(path, p, MATERIAL, time, ("", *presets()))) or None,
+        spacing=None if spacing is None else spacing * facts.units.length,
+        particles=particles,
+        particles_of=particles_of,
+        seed=_nearest(prim, lambda p: count(path, p, SEED, time)),
+        solver=SOLVERS.get(_nearest(prim, lambda p: word(path, p, SOLVER, time, SOLVERS)) or ""),
+        role=role(prim, time),
+    )
+
+
+def _resolution(
+    prim: Usd.Prim, path: Path, time: Usd.TimeCode
+) -> tuple[float | None, int | None, str]:
+    """Spacing [stage units], or number of particles with its prim: the nearest that is set, and of
+    two on one prim the spacing.  0 unsets what is said above.
+    """
+    spacing_open = particles_open = True
+    for above in _upwards(prim):
+        spacing = number(path, above, SPACING, time)
+        particles = count(path, above, PARTICLES, time)
+        if spacing and spacing_open:
+            return spacing, None, ""
+        if particles and particles_open:
+            return None, particles, str(above.GetPath())
+        spacing_open = spacing_open and spacing is None
+        particles_open = particles_open and particles is None
+    return None, None, ""
+
+
+def _nearest(prim: Usd.Prim, read: Callable[[Usd.Prim], T | None]) -> T | None:
+    """What the prim itself says, or the nearest above it."""
+    return next((value for one in _upwards(prim) if (value := read(one)) is not None), None)
+
+
+def _upwards(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    """The prim and those above it."""
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
+
+
+PURPOSES = (UsdShade.Tokens.preview, UsdShade.Tokens.full, "physics")
+
+
+def read_subjects(
+    file: Path, facts: StageFacts, prims: Sequence[str], *, rest: float | None = None
+) -> tuple[Subject, ...]:
+    """What the stage calls each of the prims, in their order.
+
+    file : the USD file; facts.path is what messages call it.  rest : time code of the rest pose.
+
+    Raises InputError for a path that names no prim.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        return tuple(_subject(named_prim(stage, facts.path, path), time) for path in prims)
+
+
+def _subject(prim: Usd.Prim, time: Usd.TimeCode) -> Subject:
+    above = [label for one in _above(prim) for label in _labels(one, time)]
+    return Subject(
+        path=str(prim.GetPath()),
+        looks=_looks(prim, time),
+        labels=_labels(prim, time),
+        labels_above=tuple(dict.fromkeys(above)),
+    )
+
+
+def _looks(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
+    """Paths of the materials bound to the prim and its subsets, that of most faces first."""
+    faces: dict[str, int] = {}
+    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        count = len(subset.GetIndicesAttr().Get(time) or [])
+        for path in _bound(subset.GetPrim()):
+            faces[path] = faces.get(path, 0) + count
+    mesh = UsdGeom.Mesh(prim)
+    total = len(mesh.GetFaceVertexCountsAttr().Get(time) or []) if mesh else 0
+    left = total - sum(faces.values())
+    for path in _bound(prim):
+        faces[path] = faces.get(path, 0) + left
+    return tuple(sorted(faces, key=lambda path: -faces[path]))
+
+
+def _bound(prim: Usd.Prim) -> tuple[str, ...]:
+    api = UsdShade.MaterialBindingAPI(prim)
+    found = (api.ComputeBoundMaterial(purpose)[0] for purpose in PURPOSES)
+    return tuple(dict.fromkeys(str(one.GetPath()) for one in found if one))
+
+
+def _labels(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[str, ...]:
+    """Labels of all taxonomies that are applied to a prim, in the order of the taxonomies."""
+    out: list[str] = []
+    for taxonomy in UsdSemantics.LabelsAPI.GetDirectTaxonomies(prim):
+        labels = UsdSemantics.LabelsAPI(prim, taxonomy).GetLabelsAttr()
+        out += [str(label) for label in (labels.Get(time) if labels else None) or []]
+    return tuple(dict.fromkeys(out))
+
+
+def _above(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+    prim = prim.GetParent()
+    while prim and not prim.IsPseudoRoot():
+        yield prim
+        prim = prim.GetParent()
+
+
+YOUNG, NU, DENSITY = (
+    f"gaussianFlesh:{name}" for name in ("youngsModulus", "poissonsRatio", "density")
+)
+# primvar: (field, least, most); what is stated must lie between
+KNOWN = {
+    YOUNG: ("youngs_modulus", 0.0, np.inf),
+    NU: ("poissons_ratio", -1.0, 0.5),
+    DENSITY: ("density", 0.0, np.inf),
+}
+
+
+def read_painted(
+    file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
+) -> dict[str, dict[str, Floats]]:
+    """By prim path and field (youngs_modulus [Pa], poissons_ratio, density [kg/m^3]) the painted
+    value (C,) at each corner of each face, in the order of Surface.face_indices.
+
+    A constant one is inherited, as primvars are.  rest : time code of the rest pose.
+
+    Raises InputError for values that are no number, out of range, or not one for each element.
+    """
+    scales = {YOUNG: facts.units.pressure, NU: 1.0, DENSITY: facts.units.density}
+    out: dict[str, dict[str, Floats]] = {}
+    with reading(file):
+        stage = open_stage(file)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        for surface in surfaces:
+            api = UsdGeom.PrimvarsAPI(named_prim(stage, facts.path, surface.path))
+            for name, (field, least, most) in KNOWN.items():
+                primvar = api.FindPrimvarWithInheritance(name)
+                if not (primvar and primvar.HasValue()):
+                    continue
+                where = f"{facts.path}: <{surface.path}>: {primvar.GetAttr().GetName()}"
+                values = _numbers(primvar, time, where)
+                _require_within(values, least, most, where)
+                corners = _at_corners(values, str(primvar.GetInterpolation()), surface, where)
+                out.setdefault(surface.path, {})[field] = corners * scales[name]
+    return out
+
+
+def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats:
+    """(n,) the values, indices followed."""
+    flat = primvar.ComputeFlattened(time)
+    if flat is None:
+        raise InputError(
+            f"{where} has indices outside its values", "author the primvar again, without indices"
+        )
+    values = np.atleast_1d(np.asarray(flat))
+    if values.ndim != 1 or not np.issubdtype(values.dtype, np.number):
+        raise InputError(
+            f"{where} is of type {primvar.GetTypeName()}", "author it as float or float[]"
+        )
+    return values.astype(np.float64)
+
+
+def _require_within(values: Floats, least: float, most: float, where: str) -> None:
+    # NaN compares false: it counts as bad
+    bad = ~((values > least) & (values < most))
+    if bad.any():
+        first = float(values[np.flatnonzero(bad)[0]])
+        limits = f"between {least:g} and {most:g}" if np.isfinite(most) else f"above {least:g}"
+        raise InputError(
+            f"{where} has {int(bad.sum())} of {len(values)} values out of range, the first is"
+            f" {first:g}",
+            f"paint finite values {limits}, in units of the stage",
+        )
+
+
+def _at_corners(values: Floats, interpolation: str, surface: Surface, where: str) -> Floats:
+    """(C,) of values (n,)."""
+    corners = np.asarray(surface.face_indices)
+    faces = np.repeat(np.arange(len(surface.face_counts)), surface.face_counts)
+    rows = {
+        "constant": (1, np.zeros_like(corners)),
+        "uniform": (len(surface.face_counts), faces),
+        "varying": (len(surface.points), corners),
+        "vertex": (len(surface.points), corners),
+        "faceVarying": (len(corners), np.arange(len(corners))),
+    }
+    count, index = rows[interpolation]
+    if len(values) != count:
+        raise InputError(
+            f"{where} has {len(values)} values, and '{interpolation}' wants {count}",
+            "paint the mesh again, or correct the interpolation",
+        )
+    return values[index]

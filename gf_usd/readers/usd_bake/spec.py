@@ -1,0 +1,68 @@
+"""What a stage says of its own bake and of physics, read for the prims that are made soft."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import InputError
+from gf_usd.core.stage import PrimBake, StagePhysics, StageWords
+
+
+def read_words(
+    asset: Asset, file: Path, prims: Sequence[str], *, rest: float | None, elastic: bool
+) -> tuple[Asset, StageWords]:
+    """The asset without what its stage keeps out of a bake, and what the stage says of the rest.
+
+    file : the asset's USD file; prims : what was asked for by name, which goes before the stage;
+    rest : time code of the rest pose; elastic : False: the materials of bodies and what is painted
+    on them are not read.
+
+    Raises InputError where nothing is left, and for values that make no sense.
+    """
+    from gf_usd.readers.usd_bake.settings import read_bake_settings, read_painted
+
+    found = read_bake_settings(file, asset.facts, [s.path for s in asset.surfaces], rest=rest)
+    bakes = {bake.path: bake for bake in found}
+    out = {
+        path: why for path, bake in bakes.items() if path not in prims and (why := _kept_out(bake))
+    }
+    if out and len(out) == len(asset.surfaces):
+        listed = "\n".join(f"  {path}: {why}" for path, why in out.items())
+        raise InputError(
+            f"{asset.facts.path}: the stage keeps every mesh out of a bake:\n{listed}",
+            "name the mesh that is to be soft with --prim",
+        )
+    asset = replace(
+        asset,
+        surfaces=tuple(s for s in asset.surfaces if s.path not in out),
+        skipped=(*asset.skipped, *out.items()),
+    )
+    physics = read_motion(asset, file, rest=rest, times=(), elastic=elastic)
+    left = {s.path for s in asset.surfaces}
+    return asset, StageWords(
+        bakes={path: bake for path, bake in bakes.items() if path in left},
+        physics=physics,
+        painted=read_painted(file, asset.facts, asset.surfaces, rest=rest) if elastic else {},
+    )
+
+
+def read_motion(
+    asset: Asset, file: Path, *, rest: float | None, times: Sequence[float], elastic: bool
+) -> StagePhysics:
+    """What the stage says of physics, with its obstacles at time codes `times`."""
+    from gf_usd.readers.usd_physics.scene import read_physics
+
+    paths = [s.path for s in asset.surfaces]
+    return read_physics(file, asset.facts, paths, rest=rest, times=times, elastic=elastic)
+
+
+def _kept_out(bake: PrimBake) -> str:
+    """Why the stage wants a prim left as it is; "" where it does not."""
+    if bake.enabled is False:
+        return "the stage turns its bake off (gaussianFlesh:enabled)"
+    if bake.obstacle:
+        return f"it is a {bake.role} collider: an obstacle"
+    return ""

@@ -1,0 +1,1 @@
+"""UsdPhysics prims become bodies, materials, colliders and filters."""

@@ -1,0 +1,157 @@
+"""Attributes of physics as checked numbers.
+
+What UsdPhysics does with a prim: nothing, hold it, follow its animation, or let it fall.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Usd
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError
+
+
+def authored(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Any:
+    """The authored value of an attribute; None where there is none."""
+    attribute = prim.GetAttribute(name)
+    return attribute.Get(time) if attribute and attribute.HasAuthoredValue() else None
+
+
+def number(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
+    """An authored number that is 0 or more; None where none is.
+
+    path : the file, for messages.  Raises InputError for anything else.
+    """
+    value = authored(prim, name, time)
+    if value is None:
+        return None
+    if not isinstance(value, float | int) or not 0.0 <= value < np.inf:
+        raise refuse(path, prim, name, value, "author a number of 0 or more (0: not stated)")
+    return float(value)
+
+
+def count(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> int | None:
+    """An authored whole number, 0 or more; None where none is.  Raises InputError for another."""
+    value = authored(prim, name, time)
+    if value is not None and not (isinstance(value, int) and value >= 0):
+        raise refuse(path, prim, name, value, "author a whole number of 0 or more")
+    return value
+
+
+def flag(path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> bool | None:
+    """An authored truth; None where there is none.  Raises InputError for what is no bool."""
+    value = authored(prim, name, time)
+    if value is not None and not isinstance(value, bool):
+        raise refuse(path, prim, name, value, "author it as a bool")
+    return value
+
+
+def word(
+    path: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode, known: Collection[str]
+) -> str | None:
+    """An authored token, one of those known; None where there is none.
+
+    Raises InputError for another, with the nearest in the hint.
+    """
+    value = authored(prim, name, time)
+    if value is None or (isinstance(value, str) and value in known):
+        return value
+    close = difflib.get_close_matches(str(value), known, n=1)
+    guess = f"did you mean {close[0]}? " if close else ""
+    shown = ", ".join(one for one in known if one)
+    raise refuse(path, prim, name, value, f"{guess}author one of {shown}")
+
+
+def vector(
+    path: Path,
+    prim: Usd.Prim,
+    name: str,
+    time: Usd.TimeCode,
+    *,
+    unstated: float | None = None,
+) -> Floats | None:
+    """An authored vector (3,), finite; None where none is, or all three say `unstated`.
+
+    Raises InputError for another.
+    """
+    value = authored(prim, name, time)
+    if value is None:
+        return None
+    try:
+        made = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        made = np.zeros(0)
+    if unstated is not None and made.shape == (3,) and (made == unstated).all():
+        return None
+    if made.shape != (3,) or not np.isfinite(made).all():
+        raise refuse(path, prim, name, value, "author three finite numbers")
+    return made
+
+
+def refuse(path: Path, prim: Usd.Prim, name: str, value: object, hint: str) -> InputError:
+    """The error for a value that makes no sense."""
+    shown = f"{value:g}" if isinstance(value, float) else repr(value)
+    return InputError(f"{path}: <{prim.GetPath()}>: {name} is {shown}", hint)
+
+
+RIGID_BODY = "PhysicsRigidBodyAPI"
+# The AOUSD proposal's and Omniverse's, with the attributes that switch each on and make it follow
+# its animation: usd-core defines neither schema.
+SOFT_BODIES = {
+    "PhysicsDeformableBodyAPI": ("physics:bodyEnabled", "physics:kinematicEnabled"),
+    "OmniPhysicsDeformableBodyAPI": (
+        "omniphysics:deformableBodyEnabled",
+        "omniphysics:kinematicEnabled",
+    ),
+}
+BODIES = {RIGID_BODY: ("physics:rigidBodyEnabled", "physics:kinematicEnabled"), **SOFT_BODIES}
+COLLISION = "PhysicsCollisionAPI"
+
+
+def apis(prim: Usd.Prim) -> set[str]:
+    """Names of the applied API schemas, also of those that this USD has no definition of."""
+    return {*prim.GetAppliedSchemas(), *prim.GetPrimTypeInfo().GetAppliedAPISchemas()}
+
+
+def switch(prim: Usd.Prim, name: str, time: Usd.TimeCode, *, otherwise: bool) -> bool:
+    """A boolean attribute's value."""
+    attribute = prim.GetAttribute(name)
+    value = attribute.Get(time) if attribute else None
+    return otherwise if value is None else bool(value)
+
+
+def body_of(prim: Usd.Prim, time: Usd.TimeCode) -> Usd.Prim | None:
+    """The prim, or the nearest above it, that is an enabled rigid or deformable body."""
+    above = prim
+    while above and not above.IsPseudoRoot():
+        for api in apis(above) & BODIES.keys():
+            if switch(above, BODIES[api][0], time, otherwise=True):
+                return above
+        above = above.GetParent()
+    return None
+
+
+def is_collider(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether the prim itself is an enabled collider."""
+    return COLLISION in apis(prim) and switch(
+        prim, "physics:collisionEnabled", time, otherwise=True
+    )
+
+
+def role(prim: Usd.Prim, time: Usd.TimeCode) -> str:
+    """dynamic: part of a body that forces move; kinematic: of one that follows its animation;
+    static: a collider without a body; "": none of them.
+    """
+    body = body_of(prim, time)
+    if body is None:
+        return "static" if is_collider(prim, time) else ""
+    follows = any(
+        switch(body, BODIES[api][1], time, otherwise=False) for api in apis(body) & BODIES.keys()
+    )
+    return "kinematic" if follows else "dynamic"

@@ -1,0 +1,165 @@
+"""Where a prim of the stage is over time, read for physics: no looks, no textures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import StageFacts
+from gf_usd.core.errors import InputError
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.mesh import Reading, posed_points
+from gf_usd.readers.usd.shading import Look, Looks
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.splats import is_captured
+
+# What gives a prim its shape in its own space.
+SHAPE = (
+    "points", "faceVertexCounts", "faceVertexIndices", "size", "radius", "radiusTop",
+    "radiusBottom", "height", "width", "length", "axis",
+)  # fmt: skip
+
+
+class NoLooks(Looks):
+    """Nothing is bound to anything: a shape is read without its colours."""
+
+    def bound(self, prim: Usd.Prim) -> Look | None:
+        """None."""
+        return None
+
+
+def bare_reading(facts: StageFacts, time: Usd.TimeCode) -> Reading:
+    """What reading the bare shapes of a stage needs at one time."""
+    notes, xforms = Notes(), UsdGeom.XformCache(time)
+    return Reading(
+        path=facts.path,
+        time=time,
+        meters_per_unit=facts.units.length,
+        xforms=xforms,
+        skins=Skins(time, xforms, notes),
+        looks=NoLooks(time, notes),
+        notes=notes,
+    )
+
+
+class Readings:
+    """The bare readings of a few times, each made once: skeletons are resolved once for all."""
+
+    def __init__(self, facts: StageFacts) -> None:
+        self.facts = facts
+        self._made: dict[Usd.TimeCode, Reading] = {}
+
+    def at(self, time: Usd.TimeCode) -> Reading:
+        """The reading of one time."""
+        if time not in self._made:
+            self._made[time] = bare_reading(self.facts, time)
+        return self._made[time]
+
+
+def matrix(prim: Usd.Prim, reading: Reading) -> NDArray[np.float64]:
+    """(4, 4) local-to-world of row vectors, stage units.  Raises InputError where not finite."""
+    rows = np.array(reading.xforms.GetLocalToWorldTransform(prim), dtype=np.float64)
+    if not np.isfinite(rows).all():
+        raise InputError(
+            f"{reading.path}: <{prim.GetPath()}>: its transform is not finite at {reading.time}",
+            "repair the animation of this prim, or of one above it",
+        )
+    return rows
+
+
+def transform_varies(prim: Usd.Prim) -> bool:
+    """Whether the prim or one above it could move."""
+    above = prim
+    while above and not above.IsPseudoRoot():
+        placed = UsdGeom.Xformable(above)
+        if placed and placed.TransformMightBeTimeVarying():
+            return True
+        above = above.GetParent()
+    return False
+
+
+def shape_varies(prim: Usd.Prim, reading: Reading) -> bool:
+    """Whether the points could move by themselves, or a skeleton moves them."""
+    if prim.IsA(UsdGeom.Mesh) and reading.skins.placement(prim) is not None:
+        return True
+    named = (prim.GetAttribute(name) for name in SHAPE)
+    return any(attribute and attribute.ValueMightBeTimeVarying() for attribute in named)
+
+
+def relative_motion(
+    at_rest: Floats, frames: Sequence[Floats], unit: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """linear (F, 3, 3) and offset (F, 3) [m] that carry points from the rest pose to each frame.
+
+    at_rest, frames : (4, 4) local-to-world of row vectors, stage units of `unit` [m].  F = 1 where
+    all frames are alike.
+    """
+    if all(np.array_equal(frame, frames[0]) for frame in frames):
+        frames = frames[:1]
+    back = np.linalg.inv(at_rest)
+    still = np.eye(4)
+    moved = np.stack([still if np.array_equal(f, at_rest) else back @ f for f in frames])
+    return np.swapaxes(moved[:, :3, :3], 1, 2).copy(), moved[:, 3, :3] * unit
+
+
+def velocity_at_rest(
+    prim: Usd.Prim, readings: Readings, rest: float | None, step: float, notes: Notes
+) -> Floats | None:
+    """(V, 3) [m/s of playback] of the animation that ends at the rest pose; None where none does.
+
+    rest : time code of the rest pose; None: nothing is before it.  step : of one frame, in time
+    codes.  By the backward difference (x(rest) - x(rest - step)) / step of posed points; a mesh
+    that stands still there has its authored point velocities.
+    """
+    if rest is None:
+        return None
+    if is_captured(prim):
+        if transform_varies(prim) or prim.GetAttribute("velocities").HasAuthoredValue():
+            notes.add("is made of Gaussians: no initial velocity is read", str(prim.GetPath()))
+        return None
+    now = readings.at(Usd.TimeCode(rest))
+    where = str(prim.GetPath())
+    if transform_varies(prim) or shape_varies(prim, now):
+        before = readings.at(Usd.TimeCode(rest - step))
+        x, earlier = posed_points(prim, now), posed_points(prim, before)
+        if x.shape != earlier.shape:
+            notes.add(
+                f"has {len(earlier)} points a frame before the first one and {len(x)} there:"
+                " no initial velocity from its animation",
+                where,
+            )
+            return None
+        if not np.array_equal(x, earlier):
+            notes.add("starts with the velocity of its animation", where)
+            return (x - earlier) / (step / (readings.facts.time_codes_per_second or 24.0))
+    return _authored_velocities(prim, now, notes)
+
+
+def _authored_velocities(prim: Usd.Prim, reading: Reading, notes: Notes) -> Floats | None:
+    attribute = prim.GetAttribute("velocities")
+    value = attribute.Get(reading.time) if attribute and attribute.HasAuthoredValue() else None
+    if value is None or attribute.GetTypeName() != Sdf.ValueTypeNames.Vector3fArray:
+        return None
+    where, local = str(prim.GetPath()), np.asarray(value)
+    # the schema names the type, the file may author another
+    if local.dtype.kind not in "fiu" or local.shape[1:] != (3,):
+        notes.add("its velocities are not of type vector3f[]: ignored", where)
+        return None
+    local = local.astype(np.float64)
+    count = len(UsdGeom.PointBased(prim).GetPointsAttr().Get(reading.time) or [])
+    if len(local) != count or not np.isfinite(local).all():
+        notes.add(
+            f"its {len(local)} velocities are not one finite one for each point: ignored", where
+        )
+        return None
+    if not local.any():
+        return None
+    if reading.skins.placement(prim) is not None:
+        notes.add("is posed by a skeleton: its authored velocities are not read", where)
+        return None
+    notes.add("starts with its authored velocities", where)
+    return local @ matrix(prim, reading)[:3, :3] * reading.meters_per_unit

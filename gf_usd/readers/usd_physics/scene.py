@@ -1,0 +1,203 @@
+"""What a stage says of physics: gravity, obstacles, and the bodies that are baked.
+
+Pairs that pass through each other: filtered pairs and collision groups of UsdPhysics.
+
+Gravity of a stage, from its PhysicsScene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd, UsdPhysics
+
+from gf_usd.core.asset import StageFacts, first_time_code
+from gf_usd.core.materials import G0
+from gf_usd.core.stage import StagePhysics, Triple
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.select import named_prim
+from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd_physics.attributes import apis, authored, body_of, refuse, vector
+from gf_usd.readers.usd_physics.bodies import PhysicsMaterials, read_body
+from gf_usd.readers.usd_physics.colliders import obstacles, read_colliders, without_instancers
+from gf_usd.readers.usd_physics.motion import Readings
+
+
+def read_physics(
+    file: Path,
+    facts: StageFacts,
+    bodies: Sequence[str],
+    *,
+    rest: float | None,
+    times: Sequence[float],
+    elastic: bool = True,
+) -> StagePhysics:
+    """What the USD file says of physics; facts.path is what messages call it.
+
+    bodies : prim paths of the surfaces that are baked; every other enabled collider is an obstacle.
+    rest : time code of the rest pose; None: the stage's start, or 1.
+    times : time codes of the frames.
+    elastic : False: the materials of the bodies are not read, whatever they hold.
+
+    Raises InputError for values that make no sense, with the prim's path.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        start = first_time_code(facts, rest)
+        time = Usd.TimeCode(start)
+        step = abs(times[1] - times[0]) if len(times) > 1 else 1.0
+        notes = Notes()
+        prims = without_instancers(stage, notes)
+        gravity, scene = read_gravity(prims, facts, time, notes)
+        materials, readings = PhysicsMaterials(facts, time, notes), Readings(facts)
+        baked = [named_prim(stage, facts.path, path) for path in bodies]
+        others, own = obstacles(prims, baked, time, notes)
+        colliders = read_colliders(others, facts, materials, time, times, notes)
+        return StagePhysics(
+            gravity=gravity,
+            scene=scene,
+            colliders=colliders,
+            bodies=tuple(
+                read_body(
+                    prim,
+                    readings,
+                    materials if elastic else None,
+                    time,
+                    rest=start,
+                    step=step,
+                    notes=notes,
+                )
+                for prim in baked
+            ),
+            ignored=ignored_pairs(
+                stage,
+                prims,
+                {str(prim.GetPath()): _stand_ins(prim, own, time) for prim in baked},
+                [collider.path for collider in colliders],
+            ),
+            notes=notes.lines(),
+        )
+
+
+def _stand_ins(body: Usd.Prim, own: Sequence[Usd.Prim], time: Usd.TimeCode) -> tuple[Sdf.Path, ...]:
+    """The paths by which others may name a baked surface: its own and its colliders'."""
+    owner, path = body_of(body, time), body.GetPath()
+    mine = [
+        prim.GetPath()
+        for prim in own
+        if prim.GetPath().HasPrefix(path) or (owner and body_of(prim, time) == owner)
+    ]
+    return (path, *(one for one in mine if one != path))
+
+
+FILTER = "PhysicsFilteredPairsAPI"
+Paths = Sequence[Sdf.Path]
+
+
+def ignored_pairs(
+    stage: Usd.Stage,
+    prims: Iterable[Usd.Prim],
+    bodies: Mapping[str, Paths],
+    colliders: Sequence[str],
+) -> tuple[tuple[str, str], ...]:
+    """(body, body or collider) that do not collide, each pair once.
+
+    bodies : path of each body and the paths that stand for it: its own and its colliders'.
+    """
+    pairs = [(prim.GetPath(), target) for prim in prims for target in _filtered(prim)]
+    groups = _Groups(stage)
+    if not pairs and not groups.disable:
+        return ()
+    stand_ins = {**bodies, **{path: (Sdf.Path(path),) for path in colliders}}
+    asked = [*combinations(bodies, 2), *((body, one) for body in bodies for one in colliders)]
+    return tuple(
+        (one, other)
+        for one, other in asked
+        if _paired(pairs, stand_ins[one], stand_ins[other])
+        or groups.apart(stand_ins[one], stand_ins[other])
+    )
+
+
+def _filtered(prim: Usd.Prim) -> list[Sdf.Path]:
+    if FILTER not in apis(prim):
+        return []
+    relation = prim.GetRelationship("physics:filteredPairs")
+    return list(relation.GetForwardedTargets()) if relation else []
+
+
+def _paired(pairs: Sequence[tuple[Sdf.Path, Sdf.Path]], one: Paths, other: Paths) -> bool:
+    """Whether a filter names both, itself or by a prim above, in either order."""
+    return any(
+        (_under(one, a) and _under(other, b)) or (_under(one, b) and _under(other, a))
+        for a, b in pairs
+    )
+
+
+def _under(paths: Paths, root: Sdf.Path) -> bool:
+    return any(path.HasPrefix(root) for path in paths)
+
+
+class _Groups:
+    """The collision groups of a stage, and which of them do not collide."""
+
+    def __init__(self, stage: Usd.Stage) -> None:
+        table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(stage)
+        self._members = {}
+        for path in table.GetGroups():
+            group = UsdPhysics.CollisionGroup(stage.GetPrimAtPath(path))
+            self._members[path] = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
+        self.disable = {
+            (a, b)
+            for a in self._members
+            for b in self._members
+            if not table.IsCollisionEnabled(a, b)
+        }
+
+    def apart(self, one: Paths, other: Paths) -> bool:
+        """Whether two sets of stand-ins are in groups that do not collide."""
+        mine, theirs = self._of(one), self._of(other)
+        return any((a, b) in self.disable for a in mine for b in theirs)
+
+    def _of(self, paths: Paths) -> list[Sdf.Path]:
+        return [
+            group
+            for group, query in self._members.items()
+            if any(query.IsPathIncluded(path) for path in paths)
+        ]
+
+
+DIRECTION, MAGNITUDE = "physics:gravityDirection", "physics:gravityMagnitude"
+
+
+def read_gravity(
+    prims: Iterable[Usd.Prim], facts: StageFacts, time: Usd.TimeCode, notes: Notes
+) -> tuple[Triple | None, str]:
+    """Gravity [m/s^2] in the world, and the path of the scene that gives it; (None, "") where the
+    prims have no scene.
+
+    As UsdPhysics has it: without a direction it points down, and without a magnitude, or with a
+    negative one, it is the earth's.  Of several scenes the first counts.
+
+    Raises InputError for a direction or a magnitude that is not a number.
+    """
+    scenes = [prim for prim in prims if prim.IsA(UsdPhysics.Scene)]
+    if not scenes:
+        return None, ""
+    scene = scenes[0]
+    for other in scenes[1:]:
+        notes.add(f"is another PhysicsScene: {scene.GetPath()} counts", str(other.GetPath()))
+    direction = vector(facts.path, scene, DIRECTION, time)
+    length = 0.0 if direction is None else float(np.linalg.norm(direction))
+    down = -facts.up if direction is None or length == 0.0 else direction / length
+    value = authored(scene, MAGNITUDE, time)
+    magnitude = -np.inf if value is None else value
+    if not isinstance(magnitude, float | int) or not magnitude < np.inf:
+        raise refuse(
+            facts.path, scene, MAGNITUDE, value,
+            "author a finite magnitude in stage units per second squared, or none for the earth's",
+        )  # fmt: skip
+    g = (G0 if magnitude < 0.0 else magnitude * facts.units.length) * down + 0.0
+    return (float(g[0]), float(g[1]), float(g[2])), str(scene.GetPath())

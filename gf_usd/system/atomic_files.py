@@ -1,0 +1,82 @@
+"""Files that appear under their final name whole, or not at all.
+
+A file is written as ``NAME.partial.EXT`` beside its final place, flushed to the disk, and renamed;
+a rename within a folder is atomic, so a kill at any moment leaves either the old file or the new
+one under the final name.  Publish what others refer to first, and what refers to it last.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from pathlib import Path
+
+from gf_usd.core.errors import BakeError
+
+WORKING = re.compile(r"\.\w{6}")
+
+
+def partial_path(path: Path) -> Path:
+    """``duck.rubber.cache.usdc`` -> ``duck.rubber.cache.partial.usdc``, in the same folder."""
+    return path.with_name(f"{path.stem}.partial{path.suffix}")
+
+
+def drop_working(path: Path) -> None:
+    """Delete what a kill in the middle of USD's saving left of `partial_path(path)`.
+
+    USD saves to a file beside it, its name without the suffix and six letters, and renames that.
+    """
+    stem = partial_path(path).stem
+    for left in path.parent.glob(f"{glob.escape(stem)}.??????"):
+        if WORKING.fullmatch(left.name.removeprefix(stem)):
+            left.unlink(missing_ok=True)
+
+
+def publish(path: Path) -> Path:
+    """Give the finished ``partial_path(path)`` its final name, replacing what had it; returns path.
+
+    Raises
+    ------
+    BakeError : there is no partial file, or the disk refuses; the partial file then remains.
+    """
+    partial = partial_path(path)
+    try:
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise BakeError(
+            f"{partial} could not be published as {path.name}: {error.strerror}.",
+            f"check that {path.parent} is writable and that no other program holds {path.name}",
+        ) from error
+    return path
+
+
+def publish_text(path: Path, text: str) -> Path:
+    """Write a small UTF-8 text file under its final name in one step; returns path.
+
+    Raises BakeError where the folder or the disk refuses.
+    """
+    partial = partial_path(path)
+    try:
+        partial.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BakeError(
+            f"{partial} could not be written: {error.strerror}.",
+            f"check that {path.parent} exists, is writable and has space left",
+        ) from error
+    return publish(path)
+
+
+def _sync_folder(folder: Path) -> None:
+    # the rename itself is lost in a power cut until its folder is on the disk; Windows cannot
+    # open a folder and keeps its own journal
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,124 @@
+"""Locks of the operating system, which end with the process that holds them, however it ends.
+
+A lock is an advisory `flock` on a file of its own.  A lock file may be removed by who holds it:
+who gets a lock looks whether its file is still the one of that name, and else begins again.  A
+child that inherits the descriptor holds the lock as well, until it ends or the lock is released.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gf_usd.core.errors import BakeError, UsageError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+AVAILABLE = fcntl is not None
+INHERITED = "GF_USD_LOCKS"  # descriptors of the locks that a parent holds for its child
+POLL = 0.2  # [s]
+
+
+class Held:
+    """A lock that is held."""
+
+    def __init__(self, descriptor: int, path: Path) -> None:
+        self.descriptor = descriptor  # to be inherited by a child
+        self._path = path
+
+    def release(self, *, remove: bool = False) -> None:
+        """Let go, also for children that inherited it; more than once does nothing.
+
+        remove : the file of the lock goes as well.
+        """
+        if self.descriptor >= 0:
+            assert fcntl is not None
+            if remove:
+                self._path.unlink(missing_ok=True)
+            fcntl.flock(self.descriptor, fcntl.LOCK_UN)
+            os.close(self.descriptor)
+            self.descriptor = -1
+
+
+def lock_path(path: Path) -> Path:
+    """``duck.rubber.usda`` -> ``.duck.rubber.usda.lock``, beside it."""
+    return path.with_name(f".{path.name}.lock")
+
+
+def acquire(
+    path: Path, *, patience: float = 0.0, stopped: Callable[[], bool] = lambda: False
+) -> Held | None:
+    """Lock what will be written under `path`; None where another holds it.
+
+    Parameters
+    ----------
+    patience : [s] to wait for it; inf for as long as it takes.
+    stopped : asked while waiting; True ends the wait.
+
+    Raises
+    ------
+    UsageError : the system has no such locks.
+    BakeError : the folder cannot be written.
+    """
+    if fcntl is None:
+        raise UsageError(
+            "file locks are needed, which this system does not have",
+            "run it under Linux, macOS or the Windows Subsystem for Linux",
+        )
+    target = lock_path(path)
+    until = time.monotonic() + patience
+    while True:
+        descriptor = _open(target)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            if time.monotonic() >= until or stopped():
+                return None
+            time.sleep(POLL)
+            continue
+        if _is(descriptor, target):
+            return Held(descriptor, target)
+        os.close(descriptor)  # its holder removed it meanwhile
+
+
+def inherited(path: Path) -> bool:
+    """Whether the process that started this one holds the lock of `path` for it."""
+    given = os.environ.get(INHERITED, "").split(",")
+    return any(_is(int(word), lock_path(path)) for word in given if word.isdigit())
+
+
+def _open(target: Path) -> int:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return os.open(target, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise BakeError(
+            f"{target} cannot be made: {error.strerror}",
+            f"check that {target.parent} is a folder that can be written, with space left",
+        ) from error
+
+
+def _is(descriptor: int, path: Path) -> bool:
+    """Whether an open file is the one that has a name now."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except OSError:  # no such descriptor, or no such file
+        return False
+
+
+@contextmanager
+def locked(path: Path, *, remove: bool = False) -> Iterator[None]:
+    """Hold the lock of `path`, waiting for it as long as it takes."""
+    held = acquire(path, patience=float("inf"))
+    assert held is not None
+    try:
+        yield
+    finally:
+        held.release(remove=remove)

@@ -1,0 +1,49 @@
+"""Which program bakes: its source, its schema, and the libraries that take part."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+PACKAGE = Path(__file__).resolve().parent.parent
+SCHEMA = "generatedSchema.usda"
+APART = ("batch", "verify", "view")  # no bake runs any of it
+# their versions may round differently, or write differently
+LIBRARIES = ("usd-core", "taichi", "numpy", "scipy", "trimesh", "libigl", "pillow")
+
+
+@cache
+def program() -> dict[str, Any]:
+    """What bakes: a hash of its source, one of the schema, versions of libraries."""
+    schemas = (PACKAGE / "schemas", PACKAGE.parent / "schemas")
+    schema = next((p for folder in schemas for p in folder.glob(f"*/{SCHEMA}")), None)
+    return {
+        "code": _hash_files(_sources(), PACKAGE),
+        "schema": _hash_files([schema], schema.parent) if schema else "",
+        "libraries": {name: _version(name) for name in LIBRARIES},
+    }
+
+
+def _sources() -> list[Path]:
+    files = sorted(PACKAGE.rglob("*.py"))
+    return [file for file in files if file.relative_to(PACKAGE).parts[0] not in APART]
+
+
+def _version(name: str) -> str:
+    # loads parsers of mail and of tables, for a bake without checkpoints in vain
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def _hash_files(files: list[Path], folder: Path) -> str:
+    content = hashlib.sha256()
+    for file in files:
+        content.update(file.relative_to(folder).as_posix().encode() + b"\0")
+        content.update(hashlib.sha256(file.read_bytes()).digest())
+    return content.hexdigest()

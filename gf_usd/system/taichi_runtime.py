@@ -1,0 +1,221 @@
+"""The one place where Taichi is imported and started.
+
+Taichi imported without what it loads for others: prompts, networks, searches for source.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import inspect
+import io
+import os
+import sys
+from collections.abc import Iterator
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+from gf_usd.core.errors import GfUsdError, UsageError
+from gf_usd.system.taichi_fast_start import quicken
+
+DEVICES = ("cpu", "cuda")
+THREADS = 8  # that kernels are compiled for, at least
+
+_started: dict[str, Any] = {}
+_starts = 0
+
+
+@cache
+def import_taichi() -> ModuleType:
+    """The taichi module, imported without its banner.
+
+    Raises GfUsdError where a system library that Taichi links to is missing.
+    """
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
+    os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
+    try:
+        with leanly():
+            taichi = importlib.import_module("taichi")
+    except ImportError as error:
+        if "libX11" in str(error):
+            raise GfUsdError(
+                f"Taichi cannot be loaded: {error}",
+                "install the system library, on Debian and Ubuntu: apt-get install libx11-6",
+            ) from error
+        raise GfUsdError(
+            f"Taichi cannot be loaded: {error}", "install it: python -m pip install 'taichi>=1.7.4'"
+        ) from error
+    quicken()
+    return taichi
+
+
+def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
+    """Start Taichi, or leave it alone where it already runs with the same arguments.
+
+    Another set of arguments starts it anew, which invalidates every field and ndarray made
+    before.  ``real_matrix_scalarize`` is off because the solver's SIMD kernels need it off;
+    with it off a kernel must build vectors by hand and never load one from a ``Vector.field``.
+    ``fast_math`` is off so that a result does not depend on how a loop was vectorised.
+
+    Parameters
+    ----------
+    device : "cpu" or "cuda".
+    threads : CPU threads; None: every one this process may use.
+    f64 : floating-point literals and unnamed types are 64 bits wide.
+
+    Raises
+    ------
+    UsageError : unknown device, fewer than one thread, or CUDA where there is none.
+    GfUsdError : a system library is missing.
+    """
+    if device not in DEVICES:
+        raise UsageError(f"Unknown device {device!r}.", f"choose one of: {', '.join(DEVICES)}")
+    if threads is not None and threads < 1:
+        raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
+    wanted = {"device": device, "threads": threads or cores(), "f64": f64}
+    if _started == wanted:
+        return
+    ti = import_taichi()
+    if device == "cuda" and not _has_cuda(ti):
+        raise UsageError(
+            "No CUDA device was found.",
+            "use --device cpu, or check with nvidia-smi that the driver sees the card",
+        )
+    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
+    _started.clear()
+    if _starts:
+        _abandon()
+    # ti.init prints the architecture on stdout, which belongs to the data of --json
+    with contextlib.redirect_stdout(io.StringIO()):
+        ti.init(
+            arch=ti.cuda if device == "cuda" else ti.cpu,
+            default_fp=ti.f64 if f64 else ti.f32,
+            cpu_max_num_threads=wanted["threads"],
+            offline_cache=True,
+            real_matrix_scalarize=False,
+            fast_math=False,
+            unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
+            log_level=ti.ERROR,
+        )
+    _leave_threads_out(ti, wanted["threads"])
+    _started.update(wanted)
+    _starts += 1
+
+
+def _abandon() -> None:
+    """Have no array of before a restart freed after it: that goes by its address.
+
+    The restart takes all memory back, and what is made then may stand at the same address.
+    """
+    gc.collect()
+    kinds = (
+        importlib.import_module("taichi.lang._ndarray").Ndarray,
+        importlib.import_module("taichi.lang.argpack").ArgPack,
+    )
+    for one in gc.get_objects():
+        if issubclass(type(one), kinds):
+            object.__setattr__(one, "__class__", _abandoned(type(one)))
+
+
+@cache
+def _abandoned(kind: type) -> type:
+    return type(kind.__name__, (kind,), {"__del__": lambda self: None})
+
+
+def _leave_threads_out(ti: ModuleType, threads: int) -> None:
+    """Compile for THREADS threads whatever their number, so that it is no part of a kernel's key.
+
+    How many there are was settled with the pool, which gives a loop no more than it has.  Compiled
+    in is in how many pieces a loop is cut: more than there are threads do no harm.
+    """
+    config = ti.lang.impl.get_runtime().prog.config()
+    config.cpu_max_num_threads = max(THREADS, threads)
+
+
+def epoch() -> int:
+    """How often Taichi was started: what was built in another epoch must be built anew."""
+    return _starts
+
+
+def ensure_taichi() -> None:
+    """Start Taichi on the CPU unless it already runs in 32 bits, on any device.
+
+    For code that draws between the frames of a solver and should not restart it.  Kernels with
+    32-bit vectors do not compile where literals are 64 bits wide, so that a runtime started with
+    ``f64`` is started anew.
+    """
+    if not _started or _started["f64"]:
+        init_taichi(_started.get("device", "cpu"), _started.get("threads"))
+
+
+def ensure_running() -> None:
+    """Start Taichi unless it runs, whatever it was started with."""
+    if not _started:
+        init_taichi()
+
+
+def threads() -> int:
+    """Threads that Taichi was started with; those of `cores` where it does not run."""
+    return _started.get("threads") or cores()
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _has_cuda(ti: ModuleType) -> bool:
+    ti.set_logging_level(ti.ERROR)  # looking for the driver is no reason to warn of its absence
+    return bool(ti.lang.misc.is_arch_supported(ti.cuda))
+
+
+VERSION_CHECK = "taichi._version_check"  # loads what talks to a network
+PROMPT = "dill"  # finds the source of what was typed at a prompt
+
+
+@contextlib.contextmanager
+def leanly() -> Iterator[None]:
+    """While Taichi is imported.
+
+    No search for the source of frames that have none, which goes through all modules; no version
+    check where it is switched off; and `dill` is loaded when something of it is asked for.
+    """
+    complete = inspect.getframeinfo
+
+    def quick(frame: Any, context: int = 1) -> Any:
+        if inspect.isframe(frame) and frame.f_code.co_filename.startswith("<"):
+            code = frame.f_code
+            return inspect.Traceback(code.co_filename, frame.f_lineno, code.co_name, None, None)
+        return complete(frame, context)
+
+    instead = {PROMPT: _loaded_when_asked(PROMPT)}
+    if os.environ.get("TI_SKIP_VERSION_CHECK") == "ON":
+        instead[VERSION_CHECK] = nothing = ModuleType(VERSION_CHECK)
+        nothing.start_version_check_thread = lambda: None
+    instead = {name: module for name, module in instead.items() if name not in sys.modules}
+    inspect.getframeinfo = quick
+    sys.modules.update(instead)
+    try:
+        yield
+    finally:
+        inspect.getframeinfo = complete
+        for name in instead:
+            del sys.modules[name]
+
+
+def _loaded_when_asked(name: str) -> ModuleType:
+    """A module that passes on what is asked of it, but for what a search of modules asks."""
+    module = ModuleType(name)
+
+    def ask(attribute: str) -> Any:
+        if attribute.startswith("__"):
+            raise AttributeError(attribute)
+        return getattr(importlib.import_module(name), attribute)
+
+    module.__getattr__ = ask
+    return module

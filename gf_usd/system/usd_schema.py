@@ -1,0 +1,94 @@
+"""The schema library gaussianFlesh, made known to USD when this module is imported.
+
+USD reads schema definitions once, at the first use of its registry (opening a stage is one).  So
+this module has to be imported before any stage is opened; where that is too late it raises instead
+of leaving the caller with APIs that apply but have no attributes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pxr import Plug, Sdf, Usd
+
+from gf_usd.core.errors import GfUsdError
+
+NAMESPACE = "gaussianFlesh"
+PARTICLES_API = "GaussianFleshParticlesAPI"
+MATERIAL_API = "GaussianFleshMaterialAPI"
+BAKE_API = "GaussianFleshBakeAPI"
+HEALTH_API = "GaussianFleshHealthAPI"
+APIS = (PARTICLES_API, MATERIAL_API, BAKE_API, HEALTH_API)
+
+DEFINITIONS = "generatedSchema.usda"
+
+
+def schema_path() -> Path:
+    """The folder of the library, to be added to ``PXR_PLUGINPATH_NAME`` of other programs.
+
+    A wheel carries it inside the package, a source checkout beside it.
+
+    Raises
+    ------
+    GfUsdError : the installation has no library.
+    """
+    package = Path(__file__).resolve().parent.parent
+    candidates = [folder / "schemas" / NAMESPACE for folder in (package, package.parent)]
+    for folder in candidates:
+        if (folder / "plugInfo.json").is_file():
+            return folder
+    raise GfUsdError(
+        f"the schema library {NAMESPACE} is missing: no plugInfo.json in "
+        + " or ".join(str(folder) for folder in candidates),
+        "install gf-usd again; from source, run tools/generate_schema.py",
+    )
+
+
+def register(folder: Path) -> None:
+    """Register the library in ``folder`` and prove that USD knows its APIs.
+
+    Raises
+    ------
+    GfUsdError : another version of the library was registered before, or USD had read its schema
+        definitions before this call.
+    """
+    Plug.Registry().RegisterPlugins(str(folder))
+    _refuse_another_version(folder)
+    registry = Usd.SchemaRegistry()
+    missing = [name for name in APIS if registry.FindAppliedAPIPrimDefinition(name) is None]
+    if missing:
+        raise GfUsdError(
+            f"the schema library {NAMESPACE} was registered too late: USD had already read its "
+            f"schema definitions and has none for {', '.join(missing)}",
+            "import gf_usd.system.usd_schema before anything opens a stage, or start the program"
+            f" with PXR_PLUGINPATH_NAME={folder}",
+        )
+
+
+def _refuse_another_version(folder: Path) -> None:
+    """USD keeps the first plugin of a name: a second copy must hold the same definitions."""
+    plugin = Plug.Registry().GetPluginWithName(NAMESPACE)
+    registered = Path(plugin.resourcePath) if plugin else folder
+    if registered.resolve() == folder.resolve():
+        return
+    theirs, ours = registered / DEFINITIONS, folder / DEFINITIONS
+    if not theirs.is_file() or theirs.read_bytes() != ours.read_bytes():
+        raise GfUsdError(
+            f"another version of the schema library {NAMESPACE} is registered already: "
+            f"{registered} differs from {folder}",
+            f"take {registered} out of PXR_PLUGINPATH_NAME, or put {folder} there instead",
+        )
+
+
+def can_apply_to(api: str) -> tuple[str, ...]:
+    """The prim types that the API named ``api`` may be applied to; empty: any."""
+    return tuple(Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(api, ""))
+
+
+def property_names(api: str) -> tuple[str, ...]:
+    """The attributes and relationships of ours that the API named ``api`` declares."""
+    layer = Sdf.Layer.FindOrOpen(str(schema_path() / DEFINITIONS))
+    return tuple(spec.name for spec in layer.GetPrimAtPath(f"/{api}").properties)
+
+
+register(schema_path())

@@ -1,0 +1,1 @@
+"""The cases of ``gf-usd verify``, one physical question a file."""

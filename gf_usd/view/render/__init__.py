@@ -1,0 +1,1 @@
+"""The renderer: a Scene becomes pixels, on a CPU without GL."""

@@ -1,0 +1,140 @@
+"""Cameras: where to stand so that the whole motion is in the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import UsageError
+from gf_usd.core.scene import Camera
+
+AZIMUTH = 32.0  # [deg] to the right of the front: a three-quarter view
+ELEVATION = 16.0  # [deg] above the horizon
+NEAR = 1e-4  # nearest depth drawn, as a fraction of the distance to the target
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """A camera resolved for a picture of width x height samples, relative to an origin."""
+
+    origin: NDArray[np.float64]  # (3,) [m] everything drawn is relative to it, to keep digits
+    eye: NDArray[np.float64]  # (3,) [m] from the origin
+    axes: NDArray[np.float64]  # (3, 3) rows right, up, forward; orthonormal
+    focal: float  # [samples]
+    width: int
+    height: int
+    near: float  # [m]
+    centre: tuple[float, float]  # [samples] where the view axis meets the picture
+    skew: float = 0.0  # [samples] see gf_usd.view.raster.sample_at
+
+    def clip(self, points: Floats) -> NDArray[np.float64]:
+        """(V, 3) homogeneous samples (X, Y, w) of points (V, 3) relative to the origin.
+
+        w is the depth [m]; X / w runs to the right and Y / w down, sample centres at halves.
+        """
+        x, y, w = self.axes @ (np.asarray(points, dtype=np.float64) - self.eye).T
+        across = self.focal * x + self.centre[0] * w
+        down = self.centre[1] * w - self.focal * y
+        return np.ascontiguousarray(np.stack([across, down, w], axis=1))
+
+    def packed(self) -> NDArray[np.float64]:
+        """(17,) eye, right, up, forward, focal, centre x and y, near, skew: as the kernels read."""
+        rest = (self.focal, *self.centre, self.near, self.skew)
+        return np.concatenate([self.eye, self.axes.ravel(), rest])
+
+
+def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: int = 1) -> Lens:
+    """Resolve a camera for a picture of width x height pixels with n x n samples each.
+
+    Raises UsageError where the camera has no direction: eye at the target, or up along the view.
+    """
+    eye, target = np.array(camera.eye, dtype=np.float64), np.array(camera.target)
+    forward = target - eye
+    distance = float(np.linalg.norm(forward))
+    right = np.cross(forward, np.array(camera.up, dtype=np.float64))
+    if not np.linalg.norm(right) > 1e-9 * distance > 0.0:
+        raise UsageError(
+            f"The camera at {camera.eye} looking at {camera.target} with up {camera.up} "
+            "has no direction.",
+            "move it away from its target, and choose an up that is not along the view",
+        )
+    forward = forward / distance
+    right = right / np.linalg.norm(right)
+    width, height = oversampling * width, oversampling * height
+    focal = 0.5 * height / float(np.tan(np.radians(camera.fov) / 2.0))
+    return Lens(
+        origin=np.array(origin, dtype=np.float64),
+        eye=eye - origin,
+        axes=np.stack([right, np.cross(right, forward), forward]),
+        focal=focal,
+        width=width,
+        height=height,
+        centre=(0.5 * width - focal * camera.shift[0], 0.5 * height + focal * camera.shift[1]),
+        near=NEAR * distance,
+        skew=0.25 if oversampling == 2 else 0.0,
+    )
+
+
+def view_direction(up: Floats, azimuth: float = AZIMUTH, elevation: float = ELEVATION) -> Floats:
+    """Unit vector (3,) from the scene to a camera; the front is +Z with Y up and -Y with Z up."""
+    front, right = _front(np.array(up, dtype=np.float64))
+    a, e = np.radians(azimuth), np.radians(elevation)
+    return np.cos(e) * (np.cos(a) * front + np.sin(a) * right) + np.sin(e) * np.array(up)
+
+
+def fit_camera(
+    points: Floats,
+    up: tuple[float, float, float],
+    aspect: float,
+    *,
+    azimuth: float = AZIMUTH,
+    elevation: float = ELEVATION,
+    fov: float = 30.0,
+    margin: float = 0.12,
+) -> Camera:
+    """The nearest camera of a given direction that has all points in its picture.
+
+    With t the tangent of half the field of view and (x, y, z) the points along right, up and
+    forward, the camera at depth -d and offset c sees them all where |x - c| <= t (d + z), so
+    c = (max(x - t z) + min(x + t z)) / 2 and d = (max(x - t z) - min(x + t z)) / 2t; likewise y.
+
+    Parameters
+    ----------
+    points : (K, 3) [m], e.g. the corners of the motion's bounds.
+    up : unit.   aspect : width / height.   fov : [deg] vertical.
+    margin : part of the picture's half width and height to leave free.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    out = view_direction(np.array(up), azimuth, elevation)
+    right = np.cross(np.array(up), out)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(out, right), -out])
+    middle = points.mean(axis=0)
+    x, y, z = axes @ (points - middle).T
+    slope = (1.0 - margin) * np.tan(np.radians(fov) / 2.0)
+    across, back_x = _straddle(x, z, slope * aspect)
+    upward, back_y = _straddle(y, z, slope)
+    # a lone point still gets a camera: any distance shows it
+    back = max(back_x, back_y) or 1.0
+    eye = middle + axes.T @ np.array([across, upward, -back])
+    target = middle + axes.T @ np.array([across, upward, 0.0])
+    return Camera(eye=_triple(eye), target=_triple(target), up=up, fov=fov)
+
+
+def _straddle(x: Floats, z: Floats, slope: float) -> tuple[float, float]:
+    """Offset c and distance d of the nearest frustum of half slope `slope` around (x, z)."""
+    high, low = float(np.max(x - slope * z)), float(np.min(x + slope * z))
+    return 0.5 * (high + low), 0.5 * (high - low) / slope
+
+
+def _front(up: Floats) -> tuple[Floats, Floats]:
+    """The front of an asset, and the right of someone who looks at it."""
+    front = np.array([0.0, -1.0, 0.0]) if abs(up[2]) > 0.5 else np.array([0.0, 0.0, 1.0])
+    return front, np.cross(up, front)
+
+
+def _triple(v: Floats) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

@@ -1,0 +1,311 @@
+"""HTML in which every text is escaped unless it was made here.
+
+The page around the data: its frame, tables and controls as HTML.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+from gf_usd.view.report.record import Record
+from gf_usd.view.report.words import FACTS, MATERIAL, SETTINGS, Line, health_rows, named_rows
+
+VOID = {"input", "img", "meta", "link"}  # elements without an end
+
+
+class Html(str):
+    """Text that is HTML already."""
+
+    __slots__ = ()
+
+
+def tag(name_: str, /, *children: str, **attributes: str | bool) -> Html:
+    """``<name_ attributes>children</name_>``; plain strings are escaped.
+
+    A trailing underscore is dropped and others become dashes: ``class_``, ``data_look``.
+    True is an attribute without a value, False none at all.
+    """
+    words = [name_]
+    for key, value in attributes.items():
+        key = key.rstrip("_").replace("_", "-")
+        if value is True:
+            words.append(key)
+        elif value is not False:
+            words.append(f'{key}="{escape(str(value), quote=True)}"')
+    end = "" if name_ in VOID else f"{join(children)}</{name_}>"
+    return Html(f"<{' '.join(words)}>{end}")
+
+
+def join(parts: Iterable[str]) -> Html:
+    """The parts after each other, escaped where they are plain."""
+    return Html("".join(p if isinstance(p, Html) else escape(p, quote=True) for p in parts))
+
+
+def script(text: str) -> Html:
+    """A script of ours; its hash goes into the page's policy."""
+    return Html(f"<script>{text}</script>")
+
+
+def data_script(name: str, text: str) -> Html:
+    """Data that no browser runs: JSON, or base64."""
+    # "</script>" within the text would end the element, "<!--" would hide its end
+    return Html(
+        f'<script type="text/plain" id="{escape(name, quote=True)}">'
+        + text.replace("<", "\\u003c")
+        + "</script>"
+    )
+
+
+def json_text(value: Any) -> str:
+    """Compact JSON by the standard: no NaN."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
+
+
+def policy(scripts: Iterable[str]) -> str:
+    """A content security policy: these scripts run and no other, and nothing is fetched."""
+    hashes = (
+        "'sha256-" + base64.b64encode(hashlib.sha256(s.encode("utf-8")).digest()).decode() + "'"
+        for s in scripts
+    )
+    return (
+        f"default-src 'none'; script-src {' '.join(hashes)}; style-src 'unsafe-inline';"
+        " img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
+
+
+ICONS = {
+    "start": "M4 2.5v11l9-5.5z",
+    "stop": "M4 3h3v10H4zM9 3h3v10H9z",
+    "back": "M12 3v10L6 8zM3.5 3h2v10h-2z",
+    "next": "M4 3v10l6-5zM10.5 3h2v10h-2z",
+}
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2")
+SHORT = 2.0  # [s] a motion as short as that starts at half speed
+MODES = {
+    "colour": "own colour",
+    "strain": "strain",
+    "speed": "speed",
+    "stress": "stress",
+}
+
+
+def header(name: str, looks: Sequence[str], records: Sequence[Record]) -> Html:
+    """Asset, looks to choose from, the command of each and what is missing."""
+    title = tag("h1", name)
+    if len(looks) > 1:
+        tabs = join(
+            tag("button", look, type="button", role="tab", data_open=str(i), aria_selected="false")
+            for i, look in enumerate(looks)
+        )
+        title = join([title, tag("div", tabs, class_="group", role="tablist")])
+    elif looks and looks[0]:
+        title = join([title, tag("span", looks[0], class_="soft")])
+    parts = [tag("div", title, class_="title")]
+    for i, record in enumerate(records):
+        inside: list[str] = []
+        if record.command:
+            inside.append(tag("code", record.command, class_="command"))
+        if record.failure:
+            words = tag("p", f"The bake ended early: {record.failure}")
+            inside.append(tag("div", words, class_="banner"))
+        if record.missing:
+            words = join(tag("p", f"Missing: {line}.") for line in record.missing)
+            inside.append(tag("div", words, class_="banner"))
+        parts.append(_of(i, *inside))
+    return tag("header", *parts)
+
+
+def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, cell: str) -> Html:
+    """Canvas and controls; for each look (frame, words, data URI) of its pictures."""
+    speed = "0.5" if seconds < SHORT else "1"
+    screen = tag(
+        "div",
+        tag("canvas", id="canvas", aria_label="the moving body in 3D"),
+        tag("div", id="trouble", hidden=True),
+        tag("div", id="clock", class_="over"),
+        tag("div", f"grid {cell}", id="cell", class_="over") if cell else "",
+        tag(
+            "div",
+            tag("div", id="legend-title"),
+            tag("div", id="legend-bar"),
+            tag(
+                "div",
+                *(tag("span", id=f"legend-{end}") for end in ("low", "middle", "high")),
+                class_="ends",
+            ),
+            id="legend",
+            class_="over",
+            hidden=True,
+        ),
+        class_="screen",
+    )
+    return tag(
+        "section",
+        screen,
+        _controls(speed),
+        *(_of(i, _strip(rows)) for i, rows in enumerate(pictures)),
+        class_="card viewer",
+    )
+
+
+def _controls(speed: str) -> Html:
+    kinds = (("mesh", "mesh"), ("gaussians", "Gaussians"), ("both", "both"))
+    return tag(
+        "div",
+        tag(
+            "div",
+            _button("play", "play", "start", "stop"),
+            _button("back", "one frame back", "back"),
+            _button("next", "one frame on", "next"),
+            tag(
+                "input", type="range", id="slider", min="0", max="0", value="0", aria_label="frame"
+            ),
+            tag("span", id="counter"),
+            class_="scrub",
+        ),
+        tag(
+            "div",
+            *(
+                tag("button", words, type="button", data_show=kind, aria_pressed="false")
+                for kind, words in kinds
+            ),
+            class_="group",
+            id="kinds",
+        ),
+        tag("label", "colour ", _choice("mode", list(MODES.items()), "colour")),
+        tag("label", "speed ", _choice("speed", [(s, f"{s}×") for s in SPEEDS], speed)),
+        tag(
+            "label",
+            "size ",
+            tag("input", type="range", id="size", min="0.3", max="2", step="0.05", value="1"),
+            id="sizes",
+            hidden=True,
+        ),
+        tag("span", class_="grow"),
+        tag("button", "reset view", type="button", id="reset"),
+        class_="controls",
+    )
+
+
+def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -> Html:
+    """Health, settings, materials, and what else there is to say of look number i."""
+    material = [row for m in record.materials for row in _material(m)]
+    columns = (
+        [_health(record)],
+        [_card("Settings", _pairs(named_rows(record.settings, SETTINGS)))],
+        [
+            _card("Material", _pairs(material)),
+            _card("Body", _pairs(named_rows(record.facts, FACTS))),
+            _card("Shown on this page", _list(shown)),
+            _card("Notes", _list([*record.notes, *notes])),
+            _card("Findings of the check", _list([_finding(f) for f in record.findings])),
+        ],
+    )
+    return _of(i, tag("div", *(tag("div", *c) for c in columns if any(c)), class_="tables"))
+
+
+def _card(title: str, inside: Html) -> Html:
+    """A titled box; nothing for what is empty."""
+    return tag("section", tag("h2", title), inside, class_="card") if inside else Html("")
+
+
+def _list(lines: Sequence[str]) -> Html:
+    return tag("ul", *(tag("li", line) for line in lines)) if lines else Html("")
+
+
+def _health(record: Record) -> Html:
+    rows = health_rows(record.health, {warning.about for warning in record.warnings})
+    if not rows:
+        return Html("")
+    many = len(record.warnings)
+    verdict = tag("p", "No warnings.", class_="verdict")
+    if many:
+        words = "One warning:" if many == 1 else f"{many} warnings:"
+        items = (
+            tag("li", w.message, tag("span", f" {w.hint}") if w.hint else "")
+            for w in record.warnings
+        )
+        verdict = tag("div", tag("p", words), tag("ul", *items), class_="banner")
+    parts = [verdict, _health_table([row for row in rows if row.first])]
+    if rest := [row for row in rows if not row.first]:
+        parts.append(tag("details", tag("summary", "more numbers"), _health_table(rest)))
+    return tag("section", tag("h2", "Health"), *parts, class_="card")
+
+
+def _health_table(rows: Sequence[Line]) -> Html:
+    body = (
+        tag(
+            "tr",
+            tag("th", row.label, scope="row"),
+            tag("td", row.value, class_="value"),
+            tag("td", row.meaning, class_="meaning"),
+            class_="warning" if row.marked else "fine",
+        )
+        for row in rows
+    )
+    return tag("table", tag("tbody", *body))
+
+
+def _material(material: Any) -> list[tuple[str, str]]:
+    name = str(material.get("name", ""))
+    rest = {key: value for key, value in material.items() if key != "name"}
+    return [("Name", name), *named_rows(rest, MATERIAL)]
+
+
+def _finding(finding: Any) -> str:
+    where = f"{finding.get('rule', '')} <{finding.get('prim', '')}>"
+    return f"{where}: {finding.get('message', '')} Fix: {finding.get('fix', '')}"
+
+
+def _pairs(rows: Sequence[tuple[str, str]]) -> Html:
+    if not rows:
+        return Html("")
+    lines = (
+        tag("tr", tag("th", label, scope="row"), tag("td", value, class_="value"))
+        for label, value in rows
+    )
+    return tag("table", tag("tbody", join(lines)))
+
+
+def _strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
+    return tag(
+        "div",
+        *(
+            tag(
+                "button",
+                tag("img", src=uri, alt=words),
+                tag("span", words),
+                type="button",
+                data_frame=str(frame),
+                title=words,
+            )
+            for frame, words, uri in pictures
+        ),
+        class_="pictures",
+    )
+
+
+def _button(name: str, words: str, *icons: str) -> Html:
+    drawn = join(
+        tag("svg", tag("path", d=ICONS[icon]), viewBox="0 0 16 16", class_=icon, aria_hidden="true")
+        for icon in icons
+    )
+    return tag("button", drawn, type="button", id=name, class_="icon", aria_label=words)
+
+
+def _choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
+    return tag(
+        "select",
+        *(tag("option", words, value=value, selected=value == chosen) for value, words in options),
+        id=name,
+    )
+
+
+def _of(number: int, *parts: str) -> Html:
+    """Shown only with look number `number`."""
+    return tag("div", *parts, data_look=str(number), hidden=number != 0)

@@ -1,0 +1,246 @@
+"""A bake as one page: it plays offline, and says what was measured and what was left out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from typing import Any, Protocol
+
+from gf_usd.core.scene import MotionFrame, Recording
+from gf_usd.view.report.curves import LENGTHS, plots, unit_for
+from gf_usd.view.report.html import (
+    Html,
+    data_script,
+    header,
+    join,
+    json_text,
+    policy,
+    script,
+    tables,
+    tag,
+    viewer,
+)
+from gf_usd.view.report.moments import bounds, camera_for, moments, pictures
+from gf_usd.view.report.motion import Motion, collect
+from gf_usd.view.report.pack import pack
+from gf_usd.view.report.record import Record, make_record
+from gf_usd.view.report.surface import spread
+
+LARGEST = 20_000_000  # bytes of a page: what a mail or a chat still takes
+SCRIPTS = ("data.js", "camera.js", "shaders.js", "draw.js", "viewer.js", "player.js", "plots.js",
+           "main.js")  # fmt: skip
+FEWEST = 1500  # vertices or Gaussians: below that frames are left out instead
+CELLS = 12  # about as many cells of the floor's grid across the motion
+
+
+class Source(Protocol):
+    """One look that can be read."""
+
+    def recording(self) -> Recording: ...
+
+    def frames(self, time_codes: Sequence[float]) -> Iterator[MotionFrame]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a page holds at most, of each look."""
+
+    frames: int = 240
+    vertices: int = 20_000  # of the meshes; and as many Gaussians
+    size: int = LARGEST  # bytes
+
+
+def build_report(
+    sources: Sequence[Source], report: Mapping[str, Any], why_empty: str, limits: Limits
+) -> str:
+    """The page as text, every look in it, no larger than the limits say.
+
+    Parameters
+    ----------
+    sources : one for each look.
+    report : what `report_record.load_report` found beside the root layer, and why it is empty.
+    """
+    recordings = [source.recording() for source in sources]
+    records = [make_record(recording, report, why_empty) for recording in recordings]
+    shots = []
+    plotly = _plotly()
+    room = limits.size - len(plotly.encode("utf-8")) - 60_000 - 150_000 * len(sources)
+    motions, packed = _fit(sources, recordings, limits, room)
+    for source, recording, motion in zip(sources, recordings, motions):
+        chosen = moments(motion)
+        codes = [motion.time_codes[frame] for frame, _ in chosen]
+        uris = pictures(recording, source.frames(codes), camera_for(motion))
+        words = [f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, chosen)]
+        shots.append([(f, w, uri) for (f, _), w, uri in zip(chosen, words, uris)])
+    cell = _cell(motions[0])
+    looks = [
+        _look(motion, record, table, cell)
+        for motion, record, (table, _) in zip(motions, records, packed)
+    ]
+    seconds = max(look["seconds"][-1] for look in looks)
+    body = [
+        header(recordings[0].name, [r.look for r in recordings], records),
+        tag(
+            "main",
+            tag(
+                "div",
+                viewer(shots, seconds, _words(cell) if recordings[0].ground is not None else ""),
+                tag("div", id="plots"),
+                class_="stage",
+            ),
+            *(
+                tables(i, record, _shown(motion), motion.recording.notes)
+                for i, (record, motion) in enumerate(zip(records, motions))
+            ),
+        ),
+        _footer(records),
+    ]
+    blobs = [data_script(f"motion-{i}", blob) for i, (_, blob) in enumerate(packed)]
+    names = " and ".join(r.look for r in recordings if r.look)
+    title = f"{recordings[0].name}: {names}" if names else recordings[0].name
+    return _document(title, body, json_text({"looks": looks}), blobs, plotly)
+
+
+def _fit(
+    sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, room: int
+) -> tuple[list[Motion], list[tuple[dict[str, dict[str, Any]], str]]]:
+    """Thin the looks until their blobs have room together [bytes]."""
+    now = limits
+    while True:
+        motions = []
+        for source, recording in zip(sources, recordings):
+            kept = spread(len(recording.time_codes), now.frames)
+            frames = source.frames([recording.time_codes[i] for i in kept])
+            motions.append(collect(recording, frames, now.vertices, now.vertices))
+        packed = [pack(motion) for motion in motions]
+        used = sum(len(blob) for _, blob in packed)
+        if used <= room or (now.vertices <= FEWEST and now.frames <= 2):
+            return motions, packed
+        # a little less than what would just fit, so that once more is enough
+        now = _less(motions, now, 0.93 * room / used)
+
+
+def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
+    """Limits that leave about `part` of the bytes: vertices and Gaussians first, then frames."""
+    most = max(max(len(m.skin.kept), len(m.chosen)) for m in motions)
+    if most > FEWEST:
+        return replace(limits, vertices=max(FEWEST, min(most - 1, int(part * most))))
+    frames = max(len(m.time_codes) for m in motions)
+    return replace(limits, vertices=FEWEST, frames=max(2, min(frames - 1, int(part * frames))))
+
+
+def _look(
+    motion: Motion, record: Record, table: dict[str, dict[str, Any]], cell: float
+) -> dict[str, Any]:
+    recording = motion.recording
+    low, high = bounds(motion)
+    return {
+        "name": recording.look,
+        "codes": [float(f"{code:.8g}") for code in motion.time_codes],
+        "seconds": [float(f"{recording.seconds(code):.6g}") for code in motion.time_codes],
+        "up": "Z" if recording.up[2] > 0.5 else "Y",
+        "ground": recording.ground,
+        "low": list(low),
+        "high": list(high),
+        "cell": cell,
+        "grow": _grow(motion),
+        "table": table,
+        "plots": plots(motion, record),
+    }
+
+
+def _cell(motion: Motion) -> float:
+    """Size [m] of a cell of the floor's grid: 1, 2 or 5 times a power of ten."""
+    low, high = bounds(motion)
+    size = max(math.dist(low, high), 1e-9) / CELLS
+    power = 10.0 ** math.floor(math.log10(size))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= size * 0.999)
+
+
+def _grow(motion: Motion) -> float:
+    """How much larger Gaussians are drawn where some are left out, so that they fill the body."""
+    if not len(motion.chosen):
+        return 1.0
+    return round(
+        min(2.0, (len(motion.recording.gaussians or ()) / len(motion.chosen)) ** (1 / 3)), 2
+    )
+
+
+def _words(length: float) -> str:
+    factor = unit_for([length * (1.0 + 1e-9)], LENGTHS)
+    return f"{length / factor:.3g} {dict(LENGTHS)[factor]}"
+
+
+def _shown(motion: Motion) -> list[str]:
+    """What the page holds of the bake, with the numbers."""
+    recording, skin = motion.recording, motion.skin
+    counts = [("frames", len(motion.time_codes), len(recording.time_codes))]
+    if skin.vertices:
+        counts.append(("mesh vertices", len(skin.kept), skin.vertices))
+        counts.append(("triangles", len(skin.corners), skin.triangles))
+    if recording.gaussians is not None:
+        counts.append(("Gaussians", len(motion.chosen), len(recording.gaussians)))
+    thinned = any(kept < whole for _, kept, whole in counts)
+    lines = [
+        f"{kept} of {whole} {name}" if kept < whole else f"all {whole} {name}"
+        for name, kept, whole in counts
+    ]
+    lines.append(
+        "Left out to keep the page small; the curves of points, surface and Gaussians are of all"
+        " of them at the frames shown, those of energy and particles of every frame."
+        if thinned
+        else "Nothing was left out."
+    )
+    lines.append(
+        "Positions are rounded to 1/65536 of the size of the motion. Textures are shown as one"
+        " colour a corner."
+    )
+    if recording.gaussians is not None:
+        drawn = "A Gaussian is drawn as its ellipsoid of one standard deviation"
+        grow = _grow(motion)
+        lines.append(
+            f"{drawn}, {grow:g} times as large to fill the gaps." if grow > 1 else f"{drawn}."
+        )
+    return lines
+
+
+def _footer(records: Sequence[Record]) -> Html:
+    version = next((r.version for r in records if r.version), "")
+    source = next((r.source for r in records if r.source), "")
+    baked = f"Baked by gf-usd {version}. " if version else ""
+    of = f"Source: {source.replace(chr(92), '/').rsplit('/', 1)[-1]}. " if source else ""
+    keys = "Space plays and pauses, the arrow keys step, Home and End jump. Drag to turn, wheel to"
+    return tag(
+        "footer",
+        f"{baked}{of}{keys} zoom, shift or the right button to move, double click to see all.",
+    )
+
+
+def _document(
+    title: str, body: Sequence[Html], page: str, blobs: Sequence[Html], plotly: str
+) -> str:
+    folder = files("gf_usd.view.report") / "page"
+    ours = "\n".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    ours = f'(() => {{\n"use strict";\n{ours}\n}})();'
+    style = (folder / "page.css").read_text(encoding="utf-8")
+    head = join(
+        [
+            tag("meta", charset="utf-8"),
+            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            tag("meta", http_equiv="Content-Security-Policy", content=policy([plotly, ours])),
+            tag("link", rel="icon", href="data:,"),
+            tag("title", title),
+            Html(f"<style>{style}</style>"),
+        ]
+    )
+    rest = join([*body, data_script("page", page), *blobs, script(plotly), script(ours)])
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{rest}</body></html>\n'
+
+
+def _plotly() -> str:
+    """plotly.js as it ships in the package, so that the page needs no network."""
+    from plotly.offline import get_plotlyjs
+
+    return get_plotlyjs()

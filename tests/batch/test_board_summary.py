@@ -1,0 +1,50 @@
+"""The summary: failures first, and the command that repeats just them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from batch_jobs import job, outcome
+
+from gf_usd.batch.board import again, counts, failed_in, ordered, words, write_summary
+from gf_usd.batch.record import write_record
+
+ENDS = [
+    outcome("a", "done"), outcome("c", "refused"), outcome("b", "kept"), outcome("d", "crashed"),
+    outcome("e", "done"), outcome("f b", "stopped"),
+]  # fmt: skip
+
+
+def test_what_needs_a_look_comes_first() -> None:
+    assert [o.job for o in ordered(ENDS)] == ["d", "c", "f b", "b", "a", "e"]
+    assert counts(ENDS) == {"done": 2, "kept": 1, "stopped": 1, "refused": 1, "crashed": 1}
+    assert words(ENDS) == "1 crashed, 1 refused, 1 stopped, 2 done, 1 kept"
+    assert words([]) == "no jobs"
+
+
+def test_the_command_names_just_those() -> None:
+    asked = ["gf-usd", "batch", "my toys.toml"]
+    assert again(asked, ENDS) == ("gf-usd batch 'my toys.toml' --only d --only c --only 'f b'")
+    assert again(asked, [o for o in ENDS if o.good]) == ""
+    many = [outcome(f"j{i}", "failed") for i in range(21)]
+    assert again(asked, many) == "gf-usd batch 'my toys.toml' --failed"
+
+
+def test_the_file_keeps_what_was_not_run_this_time(tmp_path: Path) -> None:
+    jobs = [job(tmp_path, name) for name in ("a", "b", "c")]
+    path = tmp_path / "out" / "toys.batch.json"
+    path.parent.mkdir()
+    write_record(jobs[1], outcome("b", "timeout"), identity="x", description={})
+    entry = write_summary(path, [outcome("a", "done")], repeat="again", seconds=1.5, jobs=jobs)
+    assert json.loads(path.read_text("utf-8")) == json.loads(json.dumps(entry))
+    assert [(row["job"], row["state"]) for row in entry["jobs"]] == [
+        ("b", "timeout"),
+        ("a", "done"),
+    ]
+    assert entry["repeat"] == "again"
+    # c was never run: it is in no list of failures either
+    assert failed_in(path) == ["b"]
+    assert failed_in(tmp_path / "none.json") == []
+    path.write_text("[]", encoding="utf-8")
+    assert failed_in(path) == []

@@ -1,0 +1,127 @@
+"""Manifests: what they ask for, and every way to ask for nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gf_usd.batch.manifest import read_manifest
+from gf_usd.core.errors import InputError, UsageError
+
+TOML = """
+out = "results"
+name = "{asset}-{material}"
+timeout = 90
+retries = 0
+
+[settings]
+particles = 200
+
+[matrix]
+material = ["rubber", "jelly"]
+
+[[assets]]
+files = ["models/*.usda", "single.obj"]
+
+[[assets]]
+files = "models/b.usda"
+name = "{asset}.{seed}"
+settings = { drop = "1r", material = "metal" }
+matrix = { seed = [0, 1] }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Assets of which only the names matter here."""
+    (tmp_path / "models").mkdir()
+    for name in ("b.usda", "a.usda", "notes.txt"):
+        (tmp_path / "models" / name).touch()
+    return tmp_path
+
+
+def written(folder: Path, text: str, name: str = "toys.toml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_it_reads_groups_axes_and_limits(folder: Path) -> None:
+    found = read_manifest(written(folder, TOML))
+    assert (found.title, found.out, found.timeout, found.retries) == (
+        "toys", folder / "results", 90.0, 0,
+    )  # fmt: skip
+    first, second = found.groups
+    # patterns are sorted; a path that is not there is kept for its job to say so
+    assert [p.relative_to(folder).as_posix() for p in first.files] == [
+        "models/a.usda", "models/b.usda", "single.obj",
+    ]  # fmt: skip
+    assert first.settings == {"particles": 200}
+    assert first.matrix == {"material": ["rubber", "jelly"]}
+    assert first.name == "{asset}-{material}"
+    # what a group sets is no axis for it
+    assert second.settings == {"particles": 200, "drop": "1r", "material": "metal"}
+    assert second.matrix == {"seed": [0, 1]}
+    assert second.name == "{asset}.{seed}"
+
+
+def test_json_says_the_same(folder: Path) -> None:
+    import tomllib
+
+    path = written(folder, json.dumps(tomllib.loads(TOML)), "toys.json")
+    assert read_manifest(path).groups == tuple(
+        # only what an error would call the group differs
+        type(g)(**{**vars(g), "where": g.where.replace("toys.toml", "toys.json")})
+        for g in read_manifest(written(folder, TOML)).groups
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "names no assets"),
+        ('file = "x"', "no key 'file'"),
+        ("[[assets]]", "names no files"),
+        ('[[assets]]\nfiles = ["none/*.usd"]', "no file is called none/*.usd"),
+        ('[[assets]]\nfiles = ["a.usd"]\nseed = 1', "no key 'seed'"),
+        ('[settings]\nparticle = 3\n[[assets]]\nfiles = ["a.usd"]', "no option 'particle'"),
+        ('[settings]\nparticles = "many"\n[[assets]]\nfiles = ["a.usd"]', "particles is 'many'"),
+        ('[settings]\nparticles = true\n[[assets]]\nfiles = ["a.usd"]', "particles is True"),
+        ('[settings]\nparticles = -1\n[[assets]]\nfiles = ["a.usd"]', "--particles is -1"),
+        ('[settings]\nmaterial = "ruber"\n[[assets]]\nfiles = ["a.usd"]', "no material 'ruber'"),
+        ('[matrix]\nseed = 3\n[[assets]]\nfiles = ["a.usd"]', "the matrix has seed = 3"),
+        ('[matrix]\nseed = []\n[[assets]]\nfiles = ["a.usd"]', "the matrix has seed = []"),
+        ('[matrix]\nlaw = ["hooke"]\n[[assets]]\nfiles = ["a.usd"]', "no law 'hooke'"),
+        ('timeout = "1h"\n[[assets]]\nfiles = ["a.usd"]', "timeout is '1h'"),
+        ('settings = 3\n[[assets]]\nfiles = ["a.usd"]', "settings is 3"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_with_its_place(folder: Path, text: str, said: str) -> None:
+    path = written(folder, text)
+    with pytest.raises(UsageError) as refused:
+        read_manifest(path)
+    assert said in refused.value.message
+    assert str(path) in refused.value.message
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize("text", ["[[assets", "\x00"])
+def test_a_damaged_manifest_is_refused(folder: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"toys\.toml cannot be read"):
+        read_manifest(written(folder, text))
+    with pytest.raises(InputError, match="No such file"):
+        read_manifest(folder / "none.toml")
+
+
+def test_numbers_may_stand_for_texts_and_underscores_for_dashes(folder: Path) -> None:
+    text = '[settings]\ndrop = 3\nfilter-rate = inf\n[[assets]]\nfiles = ["models/a.usda"]'
+    (group,) = read_manifest(written(folder, text)).groups
+    assert group.settings == {"drop": "3", "filter_rate": float("inf")}
+
+
+def test_a_material_file_is_found_from_the_manifest(folder: Path) -> None:
+    text = '[settings]\nmaterial = "looks/wax.usda"\n[[assets]]\nfiles = ["models/a.usda"]'
+    (group,) = read_manifest(written(folder, text)).groups
+    assert group.settings["material"] == str(folder / "looks" / "wax.usda")

@@ -1,0 +1,64 @@
+"""Options of a manifest against those of the command that bakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from gf_usd.batch.job import NO, Job
+from gf_usd.batch.manifest import INDIFFERENT, clean, decisive, known, parse
+from gf_usd.cli.main import app
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.plan import TWO_WAY
+
+VALUES = {"int": 3, "float": 0.5, "str": "x", "bool": True, "list": ["/A", "/B"]}
+
+
+def test_every_option_is_one_of_the_command() -> None:
+    bake = typer.main.get_command(app).commands["bake"]  # type: ignore[attr-defined]
+    there = {word for p in bake.params for word in (*p.opts, *p.secondary_opts)}
+    for name, kind in known().items():
+        job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options={name: VALUES[kind]})
+        words = [word for word in job.words()[4:] if word.startswith("--")]
+        assert words, name
+        assert set(words) <= there, name
+    assert NO == TWO_WAY
+    assert set(INDIFFERENT) <= set(known())
+
+
+def test_what_does_not_decide_is_left_out_of_the_identity() -> None:
+    asked = {"threads": 2, "strict": True, "seed": 3}
+    assert decisive(asked) == {"material": "rubber", "seed": 3}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("frames", "12", 12),
+        ("fps", "23.976", 23.976),
+        ("wls", "false", False),
+        ("drop", "3r", "3r"),
+    ],
+)
+def test_words_become_values(name: str, text: str, value: object) -> None:
+    found = parse(name, text, "--set")
+    assert found == value
+    assert type(found) is type(value)
+
+
+def test_a_word_that_is_no_number_is_refused() -> None:
+    with pytest.raises(UsageError, match="'many' is no int"):
+        parse("frames", "many", "--set")
+    with pytest.raises(UsageError, match="repair is 'yes'"):
+        clean({"repair": parse("repair", "yes", "--set")}, "here", Path())
+
+
+def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
+    options = clean({"limits": "time=60,memory=4G"}, "here", Path())
+    job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)
+    assert job.words()[-2:] == ["--limits", "time=60,memory=4G"]
+    assert decisive(options) == {"material": "rubber"}
+    with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is no limit"):
+        clean({"limits": "time=0"}, "here", Path())

@@ -1,0 +1,188 @@
+"""Jobs side by side: none is lost, whatever happens around its bake."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_jobs import job
+
+from gf_usd.batch import run as resources
+from gf_usd.batch import task
+from gf_usd.batch.record import read_record
+from gf_usd.batch.run import collect, run_here
+from gf_usd.batch.task import Limits
+from gf_usd.system.file_locks import acquire
+from gf_usd.system.processes import Children, Ended
+
+RESULT = {"warnings": [], "check": [], "bakes": [{"frames": 2, "health": {}}]}
+KILLED = (-9, "", "")
+
+
+class Bakes(Children):
+    """Stands in for processes: each bake ends as the script of its job says, in turn."""
+
+    def __init__(self, script: dict[str, list[tuple[int, str, str]]]) -> None:
+        super().__init__()
+        self.script, self.locked = script, list[bool]()
+        self.before: Callable[[str], None] = lambda name: None
+
+    def run(
+        self, command: Sequence[str], on_line: Callable[[str], None], **how: Any
+    ) -> Ended | None:
+        if "inputs" in command:
+            return super().run(command, on_line, **how)
+        assert list(command[:4]) == [sys.executable, "-m", "gf_usd", "bake"]
+        root = Path(command[command.index("--output") + 1])
+        name = root.stem
+        self.before(name)
+        self.locked.append(acquire(root) is None)
+        status, out, err = self.script[name].pop(0)
+        if status == 0 and not out:
+            root.write_text("#usda 1.0\n", encoding="utf-8")
+            on_line("frame 1/2, 120 particles")
+            on_line("frame 2/2, 120 particles")
+            out = json.dumps({**RESULT, "outputs": [str(root)]})
+        return Ended(
+            status=status, out=out, err=err, seconds=1.0, cpu_seconds=1.0, peak_memory=1,
+            timed_out=False, stopped=False,
+        )  # fmt: skip
+
+
+def ran(
+    children: Children, jobs: Sequence[Any], **limits: Any
+) -> tuple[dict[str, str], list[dict]]:
+    events: list[dict] = []
+    ends = collect(
+        run_here(jobs, Limits(**limits), at_once=2, children=children),
+        lambda event: events.append(event) if event else None,
+    )
+    return {end.job: end.state for end in ends}, events
+
+
+def test_each_job_ends_in_its_own_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Children, "pause", lambda self, seconds: None)
+    names = ("good", "twice", "dead", "bad")
+    jobs = [job(tmp_path, name) for name in names]
+    children = Bakes({
+        "good": [(0, "", "")],
+        "twice": [KILLED, (0, "", "")],
+        "dead": [KILLED, KILLED, (0, "", "")],
+        "bad": [(3, "", "error: no solid\n\nhint: close it\n"), (0, "", "")],
+    })  # fmt: skip
+    states, events = ran(children, jobs, retries=1)
+    assert states == {"good": "done", "twice": "done", "dead": "crashed", "bad": "refused"}
+    assert all(children.locked), "every bake runs under its lock"
+    tries = {e["job"]: e["attempts"] for e in events if e["event"] == "finished"}
+    assert tries == {"good": 1, "twice": 2, "dead": 2, "bad": 1}
+    assert [e["done"] for e in events if e["event"] == "frame" and e["job"] == "good"] == [1, 2]
+    record = read_record(jobs[3])
+    assert record is not None
+    assert record["outcome"]["message"] == "no solid"
+    # a second run: what is done is kept, without a bake; what failed is tried again
+    states, events = ran(children, jobs, retries=1)
+    assert states == {"good": "kept", "twice": "kept", "dead": "done", "bad": "done"}
+    assert sorted({e["job"] for e in events if e["event"] == "started"}) == ["bad", "dead"]
+    children.script["good"] = [(0, "", "")]
+    states, _ = ran(children, jobs[:1], overwrite=True)
+    assert states == {"good": "done"}
+
+
+def test_an_asset_that_changes_under_the_bake_is_not_done(tmp_path: Path) -> None:
+    jobs = [job(tmp_path, "good")]
+    children = Bakes({"good": [(0, "", "")] * 3})
+    children.before = lambda name: jobs[0].asset.write_text("#usda 1.0\n# other\n")
+    states, _ = ran(children, jobs)
+    assert states == {"good": "failed"}
+    children.before = lambda name: None
+    assert ran(children, jobs)[0] == {"good": "done"}
+    assert ran(children, jobs)[0] == {"good": "kept"}
+
+
+def test_what_is_held_is_left_and_what_is_stopped_does_not_begin(tmp_path: Path) -> None:
+    jobs = [job(tmp_path, "a"), job(tmp_path, "b")]
+    held = acquire(jobs[0].root)
+    assert held is not None
+    children = Bakes({"b": [(0, "", "")]})
+    assert ran(children, jobs)[0] == {"a": "busy", "b": "done"}
+    held.release()
+    children.stop()
+    states, events = ran(children, jobs)
+    assert states == {"a": "stopped", "b": "stopped"}
+    assert not [e for e in events if e["event"] == "started"]
+
+
+def test_a_fault_outside_the_bake_ends_one_job_not_the_batch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = [job(tmp_path, name) for name in "abc"]
+    children = Bakes({name: [(0, "", "")] for name in "abc"})
+
+    def short(name: str) -> None:
+        if name == "b":
+            raise OSError(12, "Cannot allocate memory")
+
+    children.before = short
+    states, events = ran(children, jobs)
+    assert states == {"a": "done", "b": "crashed", "c": "done"}
+    (end,) = [e for e in events if e["event"] == "finished" and e["job"] == "b"]
+    assert "Cannot allocate memory" in end["message"]
+    free = acquire(jobs[1].root)
+    assert free is not None, "its lock is free again"
+    free.release()
+
+
+def test_a_disk_that_takes_no_record_fails_the_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gf_usd.core.errors import BakeError
+
+    def full(*args: object, **kwargs: object) -> None:
+        raise BakeError("no space left", "make room")
+
+    monkeypatch.setattr(task, "write_record", full)
+    children = Bakes({"a": [(0, "", "")], "b": [(1, "", "error: full\n\nhint: make room\n")]})
+    jobs = [job(tmp_path, name) for name in "ab"]
+    states, events = ran(children, jobs)
+    assert states == {"a": "failed", "b": "failed"}
+    ends = {e["job"]: e for e in events if e["event"] == "finished"}
+    assert ends["a"]["message"] == "no space left"
+    assert ends["b"]["message"] == "full"
+    assert ends["b"]["notes"] == ("no space left",)
+
+
+@pytest.mark.parametrize(
+    ("limit", "found"),
+    [("max 100000", 8), ("150000 100000", 2), ("100000 100000", 1), ("1000 100000", 1),
+     ("1600000 100000", 8), (None, 8)],
+)  # fmt: skip
+def test_the_cores_of_a_container_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str | None, found: int
+) -> None:
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda pid: set(range(8)), raising=False)
+    path = tmp_path / "cpu.max"
+    if limit:
+        path.write_text(f"{limit}\n", encoding="ascii")
+    monkeypatch.setattr(resources, "CPU_LIMIT", str(path))
+    assert resources.cores() == found
+
+
+def test_processes_fit_into_cores_and_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resources, "cores", lambda: 8)
+    monkeypatch.setattr(resources, "free_memory", lambda: 4e9)
+    small = [job(tmp_path, f"a{i}", particles=1000) for i in range(20)]
+    assert resources.processes(small) == int(4e9 / resources.memory_of({"particles": 1000}))
+    assert resources.processes(small, memory=1.5e9) == 2
+    assert resources.processes(small, memory=9e9) == 1
+    assert resources.processes(small[:1], memory=1e6) == 1
+    assert resources.processes(small, memory=1e6) == 8
+    large = [*small, job(tmp_path, "big", particles=100_000)]
+    assert resources.processes(large) < resources.processes(small)
+    assert resources.threads(small, 4) == 1
+    assert resources.threads(large, 4) == 2

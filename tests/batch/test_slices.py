@@ -1,0 +1,116 @@
+"""Jobs in slices: how many, what an earlier one settled, and how a run of them ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_jobs import job, outcome
+
+from gf_usd.batch.board import Board
+from gf_usd.batch.record import write_record
+from gf_usd.batch.slices import Part, exit_status, faults, parse_part, settled, slices, spent
+from gf_usd.core.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("options", "clips", "runs"),
+    [
+        # 24 clips: the last run ends with the last of them
+        ({"frames": 25, "clip_frames": 1}, 24, 1),
+        ({"frames": 25, "clip_frames": 1}, 8, 3),
+        ({"frames": 25, "clip_frames": 1}, 9, 3),
+        # 4 clips of 6 frames and one frame more, which a run of its own writes
+        ({"frames": 26, "clip_frames": 6}, 4, 2),
+        ({"frames": 26, "clip_frames": 6}, 2, 3),
+        ({"frames": 26, "clip_frames": 6}, 3, 2),
+        # never a full clip
+        ({"frames": 5, "clip_frames": 6}, 2, 1),
+        # two looks, one after the other
+        ({"frames": 25, "clip_frames": 6, "material": "rubber,jelly"}, 2, 4),
+        # handles are written as well
+        ({"frames": 25, "clip_frames": 6, "handles": 12}, 2, 4),
+    ],
+)
+def test_a_job_takes_so_many_runs(
+    tmp_path: Path, options: dict[str, Any], clips: int, runs: int
+) -> None:
+    assert slices(job(tmp_path, **options), clips) == runs
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"frames": 9}, "counts value clips"), ({"clip_frames": 2}, "depends on its frames"),
+     ({"frames": 9, "clip_frames": 0}, "counts value clips")],
+)  # fmt: skip
+def test_what_cannot_be_counted_is_refused(
+    tmp_path: Path, options: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UsageError, match=rf"^a\.rubber: .*{said}"):
+        slices(job(tmp_path, **options), 1)
+
+
+def test_parts_are_counted_from_one() -> None:
+    assert parse_part(" 2/5", 4) == Part(number=2, of=5)
+    assert parse_part("5/5", 4).last
+    for text in ("0/2", "3/2", "2", "2/", "a/b"):
+        with pytest.raises(UsageError, match="--part is"):
+            parse_part(text, 4)
+    with pytest.raises(UsageError, match="without --slice"):
+        parse_part("1/2", None)
+
+
+def test_only_the_last_part_minds_what_is_not_done() -> None:
+    ends = [outcome(s, s) for s in ("done", "kept", "sliced", "failed", "refused", "crashed")]
+    middle, last = Part(number=1, of=2), Part(number=2, of=2)
+    assert faults(ends, middle) == []
+    assert exit_status(ends, middle) == 0
+    assert [o.state for o in faults(ends, last)] == ["sliced", "failed", "refused", "crashed"]
+    assert exit_status(ends, last) == 1
+    # what another process may still do is to be done before the next part
+    for state in ("stopped", "busy"):
+        assert exit_status([*ends, outcome("x", state)], middle) == 1
+    # alone, a run says whether there is more to do, or something to look at
+    assert exit_status(ends[:2], None) == 0
+    assert exit_status(ends[:3], None) == 5
+    assert exit_status(ends, None) == 1
+
+
+def test_a_slice_is_no_alarm() -> None:
+    board = Board(["a"], 1)
+    board.hear({"event": "started", "job": "a", "attempt": 1})
+    board.hear({"event": "finished", **outcome("a", "sliced").as_json(), "job": "a"})
+    assert [row.name for row in board.ended] == ["a"]
+    assert board.bad == []
+
+
+def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> None:
+    asked = job(tmp_path)
+    asked.root.parent.mkdir()
+
+    def record(state: str) -> None:
+        told = outcome(asked.name, state, seconds=2.0, cpu_seconds=3.0)
+        write_record(asked, told, identity="x", description={})
+
+    assert settled(asked, "x") is None
+    for state in ("failed", "refused", "unsound"):
+        record(state)
+        told = settled(asked, "x")
+        assert told is not None
+        assert told.state == state
+        assert settled(asked, "y") is None, "it would be another bake"
+        assert settled(asked, None) is None, "nobody knows"
+    record("crashed")
+    assert settled(asked, "x") is None
+    # a disk that was full then may have room now: there is something to go on from
+    record("failed")
+    checkpoint = asked.beside(".checkpoint.npz")
+    checkpoint.touch()
+    assert settled(asked, "x") is None
+    assert spent(asked, "x") == (0.0, 0.0)
+    record("sliced")
+    assert spent(asked, "x") == (2.0, 3.0)
+    assert spent(asked, "y") == (0.0, 0.0)
+    checkpoint.unlink()
+    assert spent(asked, "x") == (0.0, 0.0), "the next slice begins anew"

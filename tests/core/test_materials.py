@@ -1,0 +1,135 @@
+"""Presets: looks follow the size of the body, physical ones do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import pytest
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.materials import (
+    LAW_TOKENS,
+    LOOKS,
+    PHYSICAL,
+    Fixed,
+    Material,
+    check_law,
+    find_preset,
+    presets,
+    time_scale,
+)
+
+G0 = 9.81
+CHOICES = (
+    "rubber, metal, jelly, gelatin, soft-silicone, silicone, neoprene, natural-rubber, hard-rubber,"
+    " foam"
+)
+OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
+each_look = pytest.mark.parametrize("look", LOOKS.values(), ids=lambda look: look.name)
+each_preset = pytest.mark.parametrize("preset", presets().values(), ids=lambda p: p.name)
+
+
+@each_look
+@pytest.mark.parametrize("radius", [0.025, 1.0, 5.0])
+def test_a_look_is_its_numbers_times_rho_g0_r(look, radius: float) -> None:
+    made = look.material(radius)
+    unit = look.density * G0 * radius
+    # E and nu are made of mu and lam, and read back: rounding of a few operations.
+    assert made.mu == pytest.approx(look.mu * unit, rel=1e-12)
+    assert made.lam == pytest.approx(look.lam * unit, rel=1e-12)
+    assert made.damping_time == pytest.approx(look.damping * math.sqrt(radius / G0), rel=1e-12)
+    assert (made.name, made.density, made.law) == (look.name, look.density, look.law)
+    assert (made.friction, made.restitution) == (look.friction, look.restitution)
+
+
+@each_look
+def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(look) -> None:
+    # c T / r is free of dimensions: that is what makes every size squash alike.
+    ratios = [look.material(r).wave_speed * time_scale(r) / r for r in (0.025, 1.0, 5.0)]
+    assert ratios == pytest.approx([math.sqrt(look.lam + 2.0 * look.mu)] * 3, rel=1e-12)
+
+
+def test_looks_in_known_numbers() -> None:
+    # docs/physics.md: rubber's nu comes out as .17; mu = 26.1 of rho g0 r = 10791 Pa at one metre.
+    rubber = LOOKS["rubber"].material(1.0)
+    assert rubber.poissons_ratio == pytest.approx(0.167, abs=0.0005)
+    assert rubber.mu == pytest.approx(26.1 * 1100.0 * 9.81)
+    assert LOOKS["metal"].material(1.0).mu > 7.0 * rubber.mu
+    assert LOOKS["jelly"].material(1.0).mu < rubber.mu / 30.0
+
+
+@pytest.mark.parametrize(("young", "nu"), [(1e6, 0.0), (2e5, 0.3), (1e4, 0.47), (1.0, -0.2)])
+def test_moduli_and_lame_are_one_another(young: float, nu: float) -> None:
+    m = Material(name="m", law="neoHookean", density=1e3, youngs_modulus=young, poissons_ratio=nu)
+    assert m.mu * (3.0 * m.lam + 2.0 * m.mu) / (m.lam + m.mu) == pytest.approx(young, rel=1e-12)
+    assert m.lam / (2.0 * (m.lam + m.mu)) == pytest.approx(nu, abs=1e-12)
+    # bulk modulus, by its other formula
+    assert m.lam + 2.0 * m.mu / 3.0 == pytest.approx(young / (3.0 * (1.0 - 2.0 * nu)), rel=1e-12)
+    assert m.wave_speed == pytest.approx(math.sqrt((m.lam + 2.0 * m.mu) / 1e3))
+
+
+@pytest.mark.parametrize("preset", PHYSICAL.values(), ids=lambda p: p.name)
+def test_a_physical_preset_is_the_same_at_every_size(preset) -> None:
+    small, large = preset.material(0.01), preset.material(10.0)
+    assert small == large
+    assert small.youngs_modulus == preset.youngs_modulus
+    assert asdict(small).items() <= asdict(preset).items() | {"law": small.law}.items()
+    assert preset.source
+
+
+@each_preset
+def test_presets_are_sound(preset) -> None:
+    made = preset.material(1.0)
+    assert made.law in LAW_TOKENS
+    assert made.density > 0.0
+    assert made.youngs_modulus > 0.0
+    assert -1.0 < made.poissons_ratio < 0.5
+    assert made.damping_time >= 0.0
+    assert 0.0 <= made.restitution <= 1.0
+
+
+@each_preset
+@pytest.mark.parametrize("law", LAW_TOKENS)
+def test_a_law_replaces_the_preset_s_own_and_nothing_else(preset, law: str) -> None:
+    own, other = asdict(preset.material(0.5)), asdict(preset.material(0.5, law))
+    assert other.pop("law") == law
+    own.pop("law")
+    assert own == other
+
+
+def test_a_material_that_is_given_stays_as_it_is() -> None:
+    given = LOOKS["jelly"].material(1.0)
+    assert Fixed(given).name == "jelly"
+    assert Fixed(given).material(7.0) == given
+    assert Fixed(given).material(7.0, "corotated").law == "corotated"
+
+
+def test_names_lead_to_presets_looks_first() -> None:
+    assert list(presets()) == CHOICES.split(", ")
+    assert all(find_preset(name).name == name for name in presets())
+
+
+@pytest.mark.parametrize(
+    ("name", "guess"),
+    [
+        ("ruber", "did you mean rubber? "),
+        ("Metal", "did you mean metal? "),
+        ("silicon", "did you mean silicone? "),
+        ("xyz", ""),
+        ("", ""),
+    ],
+)
+def test_an_unknown_material_is_refused_with_the_nearest_name(name: str, guess: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        find_preset(name)
+    assert caught.value.message == f"there is no material {name!r}"
+    assert caught.value.hint == guess + OTHERWISE
+
+
+def test_an_unknown_law_is_refused() -> None:
+    assert [check_law(token) for token in LAW_TOKENS] == ["corotated", "neoHookean"]
+    with pytest.raises(UsageError) as caught:
+        check_law("stvk")
+    assert caught.value.message == "there is no law 'stvk'"
+    assert caught.value.hint == "choose one of corotated, neoHookean"

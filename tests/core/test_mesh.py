@@ -1,0 +1,149 @@
+"""Triangulation, welding, edges, shells and volume of polygon meshes."""
+
+import numpy as np
+import pytest
+
+from gf_usd.core.mesh import boundary_edges, proper, shells, signed_volume, triangulate, weld
+
+CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+CUBE_FACES = np.array(
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+)
+
+
+def cube_triangles():
+    return triangulate(CUBE, np.full(6, 4), CUBE_FACES.ravel())[0]
+
+
+def area(points, triangles):
+    a, b, c = np.moveaxis(np.asarray(points)[triangles], 1, 0)
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def polygon(*plane):
+    return np.array([[x, y, 0.0] for x, y in plane])
+
+
+def test_cube_has_volume_one_and_is_closed():
+    triangles = cube_triangles()
+    assert len(triangles) == 12
+    assert signed_volume(CUBE, triangles) == pytest.approx(1.0, abs=1e-15)
+    assert signed_volume(CUBE, triangles[:, ::-1]) == pytest.approx(-1.0, abs=1e-15)
+    assert len(boundary_edges(triangles)) == 0
+
+
+def test_volume_far_from_the_origin_keeps_its_digits():
+    # Float64 holds 1e6 + 1 to 1e-10; a sum about the origin would lose twelve digits more.
+    assert signed_volume(CUBE + 1e6, cube_triangles()) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_boundary_of_an_open_cube_is_its_rim_in_the_order_of_the_triangles():
+    triangles = triangulate(CUBE, np.full(5, 4), CUBE_FACES[1:].ravel())[0]
+    rim = boundary_edges(triangles)
+    assert {tuple(sorted(e)) for e in rim.tolist()} == {(0, 1), (1, 3), (2, 3), (0, 2)}
+    directed = {tuple(e) for t in triangles.tolist() for e in zip(t, t[1:] + t[:1])}
+    assert {tuple(e) for e in rim.tolist()} <= directed
+
+
+def test_collapsed_triangles_do_not_hide_or_make_boundary():
+    triangles = np.concatenate([cube_triangles(), [[0, 1, 1]], [[3, 3, 3]]])
+    assert proper(triangles).sum() == 12
+    assert len(boundary_edges(triangles)) == 0
+
+
+def test_corners_and_faces_lead_back_to_the_authored_arrays():
+    counts = np.array([3, 2, 5, 4])
+    points = np.concatenate([CUBE, polygon((0, 0), (2, 0), (3, 1), (1.5, 2), (0, 1))])
+    indices = np.array([0, 4, 5, 1, 2, 8, 9, 10, 11, 12, 4, 6, 7, 5])
+    triangles, corners, faces = triangulate(points, counts, indices)
+    np.testing.assert_array_equal(indices[corners], triangles)
+    np.testing.assert_array_equal(faces, [0, 2, 2, 2, 3, 3])
+    starts = np.cumsum(counts) - counts
+    assert np.all(corners >= starts[faces][:, None])
+    assert np.all(corners < (starts + counts)[faces][:, None])
+
+
+CONCAVE = {
+    "quad, notch at 0": polygon((1, 0.2), (3, 1), (0, 3), (0.5, 1)),
+    "quad, notch at 1": polygon((0, 3), (1, 0.6), (3, 0), (0, 0)),
+    "L": polygon((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
+    "comb": polygon((0, 0), (5, 0), (5, 3), (4, 3), (4, 1), (3, 1), (3, 3), (2, 3), (2, 1), (0, 1)),
+    "in line": polygon((0, 0), (1, 0), (2, 0), (2, 2), (1, 2), (0, 2)),
+    "star": polygon(
+        *((r * np.cos(t), r * np.sin(t)) for r, t in zip([2, 0.7] * 7, np.arange(14) * np.pi / 7))
+    ),
+    "ring with a bridge": polygon(
+        (0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CONCAVE)
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [1, -1])
+def test_concave_polygons_are_covered_once(name, axis, side):
+    points = np.roll(CONCAVE[name], axis, axis=1)[::side]
+    n = len(points)
+    triangles, _, _ = triangulate(points, np.array([n]), np.arange(n))
+    assert len(triangles) == n - 2
+    whole = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    parts = area(points, triangles)
+    upright = parts @ whole / np.linalg.norm(whole)
+    # Every part upright and the sum exact: no part outside, none twice (rounding only).
+    assert np.all(upright > 1e-9)
+    assert upright.sum() == pytest.approx(np.linalg.norm(whole), rel=1e-12)
+
+
+def test_quads_are_cut_along_the_shorter_diagonal():
+    kite = polygon((0, 0), (4, -1), (8, 0), (4, 1))
+    triangles, _, _ = triangulate(kite, np.array([4]), np.arange(4))
+    assert [{1, 3} <= set(t) for t in triangles.tolist()] == [True, True]
+    square = polygon((0, 0), (1, 0), (1, 1), (0, 1))
+    np.testing.assert_array_equal(
+        triangulate(square, np.array([4]), np.arange(4))[0], [[0, 1, 2], [0, 2, 3]]
+    )
+
+
+def test_a_polygon_that_crosses_itself_or_has_no_area_still_gives_n_minus_two():
+    for points in (polygon((0, 0), (2, 2), (2, 0), (0, 2), (1, 5), (-3, -1)), np.zeros((6, 3))):
+        assert triangulate(points, np.array([6]), np.arange(6))[0].shape == (4, 3)
+
+
+def test_weld_joins_what_is_within_the_tolerance_and_nothing_else():
+    rng = np.random.default_rng(1)
+    base = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
+    copies = np.concatenate([base, base + rng.uniform(-1, 1, base.shape) * 1e-4 / np.sqrt(3)])
+    representative, unique = weld(copies, tolerance=1e-4)
+    assert unique == len(base)
+    np.testing.assert_array_equal(representative, np.tile(np.arange(len(base)), 2))
+    assert weld(copies, tolerance=1e-9)[1] == len(copies)
+
+
+def test_weld_default_closes_a_soup_of_triangles():
+    soup = CUBE[cube_triangles()].reshape(-1, 3).astype(np.float32) * 0.01 + 3.0
+    representative, unique = weld(soup)
+    assert unique == 8
+    welded = representative[np.arange(36).reshape(-1, 3)]
+    assert len(boundary_edges(welded)) == 0
+
+
+def test_weld_of_a_cluster_beside_a_far_point_stays_small_work():
+    # 20,000 points within the tolerance of each other would be 2e8 pairs.
+    cluster = np.random.default_rng(2).uniform(0, 1e-3, (20000, 3))
+    _, unique = weld(np.concatenate([cluster, [[1e6, 0, 0]]]))
+    assert unique == 2
+
+
+def test_weld_of_nothing_and_of_one_place():
+    assert weld(np.zeros((0, 3)))[1] == 0
+    assert weld(np.ones((5, 3)))[1] == 1
+
+
+def test_shells_are_joined_by_edges_not_by_corners():
+    one = cube_triangles()
+    apart = np.concatenate([one, one + 8])
+    assert sorted(np.bincount(shells(apart)).tolist()) == [12, 12]
+    touching = np.where(apart == 8, 7, apart)  # corner 0 of the second on corner 7 of the first
+    assert len(np.unique(shells(touching))) == 2
+    assert len(np.unique(shells(one))) == 1
+    assert len(shells(np.zeros((0, 3), dtype=int))) == 0

@@ -1,0 +1,99 @@
+"""What a region holds: boxes, volumes and patches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import cube, solid, sphere, surface
+
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.stage import Region
+from gf_usd.geometry.regions import box_region, make_pin, parse_box
+
+NONE = np.zeros((0, 3))
+STILL = np.zeros((1, 0, 3))
+
+
+def test_a_box_is_read_in_stage_units_whatever_the_order_of_its_corners() -> None:
+    low, high = parse_box("box:10,0,-5,-10,20,5", 0.01)
+    np.testing.assert_allclose((low, high), [[-0.1, 0.0, -0.05], [0.1, 0.2, 0.05]])
+
+
+@pytest.mark.parametrize(
+    "text", ["box:", "box:1,2,3", "box:1,2,3,4,5,x", "box:0,0,0,1,1,nan", "box:0,0,0,1,0,1"]
+)
+def test_what_is_no_box_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_box(text, 1.0)
+    assert text in caught.value.message
+    assert "corners" in caught.value.hint
+
+
+def test_a_box_of_a_still_body_is_itself() -> None:
+    region = box_region("box:0,0,0,1,2,3", 1.0, NONE, STILL)
+    assert region.path.shape == (1, 8, 3)
+    pin = make_pin(region, solid(cube()))
+    assert pin.inside(np.array([[0.5, 1.9, 2.9], [0.5, 2.1, 2.9]])).tolist() == [True, False]
+
+
+def test_a_box_moves_with_the_points_that_lie_in_it() -> None:
+    points = np.array([[0.1, 0, 0], [0.2, 0, 0], [0.3, 0.1, 0.1], [5.0, 0, 0]])
+    path = np.stack([points, points + np.array([[1.0, 0, 0]] * 3 + [[9.0, 9, 9]])])
+    pin = make_pin(box_region("box:-1,-1,-1,1,1,1", 1.0, points, path), solid(cube()))
+    np.testing.assert_array_equal(pin.anchors, points[:3])
+    np.testing.assert_array_equal(pin.path[1] - pin.path[0], [[1.0, 0, 0]] * 3)
+
+
+def test_a_box_that_holds_no_point_moves_with_all() -> None:
+    points = np.array([[2.0, 0, 0], [3.0, 0, 0], [4.0, 0, 0], [5.0, 0, 0]])
+    path = np.stack([points, points + 1.0])
+    pin = make_pin(box_region("box:-1,-1,-1,1,1,1", 1.0, points, path), solid(cube()))
+    assert len(pin.anchors) == 4
+
+
+def test_a_volume_is_what_its_triangles_enclose_far_from_the_origin_too() -> None:
+    ball = sphere(0.5, centre=(1e5, 0.0, 0.0))
+    region = Region(
+        name="/Ball", kind="volume", points=ball.points, triangles=ball.triangles,
+        path=ball.points[None],
+    )  # fmt: skip
+    pin = make_pin(region, solid(cube()))
+    X = np.array([[1e5 + 0.4, 0.0, 0.0], [1e5 + 0.6, 0.0, 0.0]])
+    assert pin.inside(X).tolist() == [True, False]
+    # chords of the sphere lie inside it by 1.2 % at this fineness
+    np.testing.assert_allclose(
+        np.linalg.norm(pin.nearest(X) - X, axis=1), [0.1, 0.1], atol=0.012 * 0.5 + 1e-9
+    )
+
+
+def test_a_patch_of_what_is_not_filled_is_refused() -> None:
+    body = cube(path="/Body")
+    region = Region(
+        name="/Other/part", kind="patch", points=body.points, triangles=body.triangles[:2],
+        path=body.points[None], body="/Other",
+    )  # fmt: skip
+    with pytest.raises(InputError, match="not filled"):
+        make_pin(region, solid(body))
+
+
+def test_a_patch_in_a_dent_holds_what_is_nearest_to_it() -> None:
+    """Of a step, the upper tread: a point before the riser is nearer to that."""
+    points = np.array(
+        [[x, y, z] for z in (0.0, 1.0) for x, y in ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))]
+    )
+    front = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+    back = [(6 + a, 6 + c, 6 + b) for a, b, c in front]
+    ring = [(a, (a + 1) % 6) for a in range(6)]
+    sides = [t for a, b in ring for t in ((a, 6 + a, b), (b, 6 + a, 6 + b))]
+    # z grows towards the viewer: the front is at z = 0, so turn all of it
+    triangles = np.array([(a, c, b) for a, b, c in [*front, *back, *sides]])
+    stair = surface(points, triangles, path="/Stair")
+    tread = np.array([t for t in triangles if all(points[i][1] == 2.0 for i in t)])
+    assert len(tread) == 2
+    region = Region(
+        name="/Stair/top", kind="patch", points=points, triangles=tread, path=points[None],
+        body="/Stair",
+    )  # fmt: skip
+    pin = make_pin(region, solid(stair))
+    X = np.array([[0.5, 2.3, 0.5], [1.2, 1.5, 0.5], [0.5, 1.9, 0.5], [0.5, 2.0, 0.2]])
+    assert pin.inside(X).tolist() == [True, False, False, True]

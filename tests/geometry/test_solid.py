@@ -1,0 +1,187 @@
+"""Which surfaces bound a solid, how much it holds, and which points lie inside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import CUBE_TRIANGLES, asset, cube, solid, sphere, surface
+
+from gf_usd.core.errors import InputError
+from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction
+
+# A volume is counted on some 200 000 lattice points; those that cells cut by the surface hold are
+# right or wrong at random: the area in cells of edge a, times a^3, to the power of 1/2.  For bodies
+# of unit size that is sqrt(3 / a^2) a^3 = 1.7 a^2 = 5e-4, and four times that is allowed.
+COUNTED = 2e-3
+
+
+def grid_points(low: float, high: float, n: int = 12) -> np.ndarray:
+    """(n^3, 3) points off any symmetry plane."""
+    axis = low + (high - low) * (np.arange(n) + 0.37) / n
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+
+
+def test_a_closed_box_has_its_exact_volume_and_inside():
+    body = solid(cube(low=(1.0, 2.0, 3.0), edge=(2.0, 3.0, 0.5)))
+    assert body.volume == pytest.approx(3.0, rel=1e-14)
+    assert body.riders == ()
+    np.testing.assert_array_equal(body.low, [1, 2, 3])
+    np.testing.assert_array_equal(body.high, [3, 5, 3.5])
+    X = grid_points(0.5, 6.0)
+    inside = ((body.low < X) & (body.high > X)).all(1)
+    assert 10 < inside.sum() < len(X)
+    np.testing.assert_array_equal(body.inside(X), inside)
+
+
+def test_an_asset_far_from_the_origin_loses_no_digits():
+    # At 1e6 m a float64 has 1e-10 left; volumes are taken about the asset's own centre.
+    body = solid(cube(low=(1e6, -2e6, 5e5), edge=0.01))
+    assert body.volume == pytest.approx(1e-6, rel=1e-6)
+    X = np.array([[1e6, -2e6, 5e5]]) + 0.01 * np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]])
+    assert body.inside(X).tolist() == [True, False]
+
+
+def test_a_surface_that_is_inside_out_has_the_same_inside():
+    shape = sphere()
+    turned = surface(shape.points, shape.triangles[:, ::-1])
+    X = grid_points(-1.2, 1.2)
+    assert solid(turned).volume == pytest.approx(solid(shape).volume, rel=1e-14)
+    np.testing.assert_array_equal(solid(turned).inside(X), solid(shape).inside(X))
+
+
+def test_spheres_that_overlap_are_counted_once():
+    # Two unit spheres 1 m apart share a lens of 5 pi / 12; geodesic ones are smaller by the same
+    # share as their volume.
+    a, b = sphere(path="/A"), sphere(centre=(1.0, 0.0, 0.0), path="/B")
+    one = solid(a).volume
+    shrunk = one / (4.0 / 3.0 * np.pi)
+    body = solid(a, b)
+    assert body.volume == pytest.approx(2.0 * one - shrunk * 5.0 * np.pi / 12.0, rel=COUNTED)
+    X = grid_points(-1.0, 2.0)
+    union = solid(a).inside(X) | solid(b).inside(X)
+    np.testing.assert_array_equal(body.inside(X), union)
+
+
+def test_one_mesh_of_two_overlapping_shells_is_counted_once_too():
+    a, b = sphere(), sphere(centre=(1.0, 0.0, 0.0))
+    both = surface(
+        np.concatenate([a.points, b.points]),
+        np.concatenate([a.triangles, b.triangles + len(a.points)]),
+    )
+    assert solid(both).volume == pytest.approx(solid(a, b).volume, rel=2.0 * COUNTED)
+
+
+def test_opposite_orientations_of_overlapping_surfaces_do_not_cancel():
+    a, b = sphere(path="/A"), sphere(centre=(1.0, 0.0, 0.0), path="/B")
+    turned = surface(b.points, b.triangles[:, ::-1], path="/B")
+    X = grid_points(-1.0, 2.0)
+    np.testing.assert_array_equal(solid(a, turned).inside(X), solid(a, b).inside(X))
+
+
+def test_a_few_missing_faces_change_little():
+    shape = sphere(subdivisions=3)
+    keep = np.ones(len(shape.triangles), bool)
+    keep[::50] = False
+    holed = surface(shape.points, shape.triangles[keep])
+    body = solid(holed)
+    assert hole_fraction(holed.points, holed.triangles) == pytest.approx(0.02, abs=0.005)
+    # A missing face of area A moves the surface of winding number 1/2 by about sqrt(A) there:
+    # 2 % of the area times sqrt(.01) of the radius.
+    assert body.volume == pytest.approx(solid(shape).volume, rel=0.02 * 0.1 + COUNTED)
+    X = grid_points(-1.2, 1.2)
+    r = np.linalg.norm(X, axis=1)
+    clear = np.abs(r - 1.0) > 0.15
+    np.testing.assert_array_equal(body.inside(X)[clear], (r < 1.0)[clear])
+
+
+def test_vertices_that_coincide_are_welded_before_holes_are_judged():
+    shape = cube()
+    loose = surface(shape.points[shape.triangles].reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    body = solid(loose)
+    assert body.volume == pytest.approx(1.0, rel=1e-14)
+    assert body.triangles[0].max() < 36
+    assert body.sources[0].tolist() == list(range(12))
+
+
+def test_collapsed_triangles_are_dropped_and_the_rest_keep_their_rows():
+    triangles = np.insert(CUBE_TRIANGLES, 3, [1, 1, 5], axis=0)
+    body = solid(surface(cube().points, triangles))
+    assert body.sources[0].tolist() == [0, 1, 2, *range(4, 13)]
+    assert body.volume == pytest.approx(1.0, rel=1e-14)
+
+
+@pytest.mark.parametrize(("missing", "share"), [(0, 0.0), (1, 0.5 / 6.0), (2, 1.0 / 6.0)])
+def test_hole_fraction_is_the_share_of_the_closed_area(missing, share):
+    # Triangles 0 and 1 are one face of the cube; flat fans close what is missing exactly.
+    assert hole_fraction(cube().points, CUBE_TRIANGLES[missing:]) == pytest.approx(share)
+
+
+def test_a_box_without_a_lid_is_a_solid_and_a_sheet_is_not():
+    lid = surface(cube().points, CUBE_TRIANGLES[2:], path="/Box")
+    assert hole_fraction(lid.points, lid.triangles) < OPEN_FRACTION
+    assert solid(lid).riders == ()
+    open_box = surface(cube().points, CUBE_TRIANGLES[4:], path="/Tube")
+    assert hole_fraction(open_box.points, open_box.triangles) > OPEN_FRACTION
+    body = solid(cube(path="/Solid"), open_box)
+    assert [path for path, _ in body.riders] == ["/Tube"]
+    assert [s.path for s in body.surfaces] == ["/Solid"]
+    reason = body.riders[0][1]
+    # Two loops of four edges; fans of 2 m^2 beside walls of 4.
+    assert "8 boundary edges" in reason
+    assert "33 % of the closed area (at most 25 %)" in reason
+
+
+def cloth(path: str = "/Cloth"):
+    points = np.array([[x, 0.0, z] for x in range(4) for z in range(4)], float)
+    corner = np.array([4 * i + j for i in range(3) for j in range(3)])
+    quads = corner[:, None] + [0, 1, 5, 4]
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return surface(points, triangles, path=path)
+
+
+def test_cloth_alone_is_refused_in_words():
+    with pytest.raises(InputError, match="no mesh encloses a volume") as caught:
+        build_solid(asset(cloth()))
+    assert "/Cloth: the surface is open: 12 boundary edges" in caught.value.message
+    assert "asset.usda" in caught.value.message
+    assert "give the mesh thickness" in caught.value.hint
+
+
+def test_a_sheet_of_two_sides_in_one_place_is_flat():
+    one = cloth()
+    there_and_back = surface(
+        np.concatenate([one.points, one.points]),
+        np.concatenate([one.triangles, one.triangles[:, ::-1] + len(one.points)]),
+        path="/Paper",
+    )
+    with pytest.raises(InputError, match="no mesh encloses") as caught:
+        build_solid(asset(there_and_back))
+    assert "/Paper: it is flat: volume 0 m^3 for an area of 18 m^2" in caught.value.message
+
+
+def test_a_mesh_of_collapsed_faces_is_refused_in_words():
+    with pytest.raises(InputError) as caught:
+        build_solid(asset(surface(cube().points, np.array([[0, 0, 1], [2, 2, 2]]))))
+    assert "/Body: every face is collapsed" in caught.value.message
+
+
+def test_every_surface_is_named_where_none_can_be_filled():
+    with pytest.raises(InputError) as caught:
+        build_solid(asset(cloth("/One"), cloth("/Two")))
+    assert "/One" in caught.value.message
+    assert "/Two" in caught.value.message
+
+
+def test_walls_thinner_than_any_probe_are_refused_in_words():
+    # Two plates of a millimetre, a metre apart: the lattice of 200 000 points in their box, 17 mm
+    # apart, has no layer within either.
+    plates = [
+        cube(low=(0.0, 1.0003 * k, 0.0), edge=(1.0, 1e-3, 1.0), path=f"/P{k}") for k in (0, 1)
+    ]
+    n = round(PROBES ** (1.0 / 3.0))
+    middles = (np.arange(n) + 0.5) / n * 1.0013
+    assert np.abs(middles - 5e-4).min() > 5e-4
+    with pytest.raises(InputError, match="points probed lies inside") as caught:
+        build_solid(asset(*plates))
+    assert "2 surfaces" in caught.value.message
+    assert "thinner than a hundredth" in caught.value.hint

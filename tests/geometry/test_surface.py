@@ -1,0 +1,132 @@
+"""The nearest surface point, its normal and its colour."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import CUBE_TRIANGLES, cube, solid, sphere, surface
+
+from gf_usd.core.asset import SurfaceMaterial, Texture
+from gf_usd.core.radiance import srgb_to_linear
+from gf_usd.geometry.surface import DEFAULT_COLOUR, barycentric, colours, nearest, sample
+
+RED, GREEN, BLUE = (0.8, 0.1, 0.1), (0.1, 0.7, 0.2), (0.0, 0.2, 0.9)
+
+
+def test_the_nearest_point_of_a_box_by_face_normal_and_distance():
+    body = solid(cube())
+    X = np.array([[0.5, 0.5, 0.1], [0.05, 0.4, 0.6], [0.5, 2.0, 0.5], [0.6, 0.5, 0.9]])
+    at = nearest(body, X)
+    np.testing.assert_allclose(at.distance, [0.1, 0.05, 1.0, 0.1], atol=1e-12)
+    np.testing.assert_allclose(
+        at.normal, [[0, 0, -1], [-1, 0, 0], [0, 1, 0], [0, 0, 1]], atol=1e-12
+    )
+    shape = body.surfaces[0]
+    found = np.einsum("nk,nkd->nd", at.barycentric, shape.points[shape.triangles[at.triangle]])
+    np.testing.assert_allclose(
+        found, [[0.5, 0.5, 0], [0, 0.4, 0.6], [0.5, 1, 0.5], [0.6, 0.5, 1]], atol=1e-12
+    )
+
+
+def test_normals_of_an_inside_out_surface_still_point_outward():
+    shape = sphere()
+    turned = surface(shape.points, shape.triangles[:, ::-1])
+    X = 0.7 * shape.points[::20]
+    normal = nearest(solid(turned), X).normal
+    assert ((normal * X).sum(1) > 0.6).all()
+
+
+def test_each_point_finds_its_own_surface_far_from_the_origin():
+    far = np.array([4e5, 0.0, -3e5])
+    body = solid(cube(low=far, path="/A"), cube(low=far + [5.0, 0.0, 0.0], path="/B"))
+    at = nearest(body, far + [[0.5, 0.5, 0.2], [5.5, 0.5, 0.2]])
+    assert at.surface.tolist() == [0, 1]
+    # Positions of 5e5 m have 6e-11 m left in float64.
+    np.testing.assert_allclose(at.distance, 0.2, atol=1e-9)
+
+
+def test_rows_are_those_of_the_authored_triangles():
+    triangles = np.insert(CUBE_TRIANGLES, 0, [7, 7, 2], axis=0)  # a collapsed one first
+    body = solid(surface(cube().points, triangles))
+    at = nearest(body, np.array([[0.5, 0.4, 0.02]]))
+    assert at.triangle[0] in (1, 2)  # the two of the face z = 0, one row later than in the cube
+
+
+def test_barycentric_weights_of_corners_middles_and_slivers():
+    a, b, c = (np.array([p], float) for p in ([0, 0, 0], [2, 0, 0], [0, 3, 0]))
+    p = np.array([[0, 0, 0], [1, 0, 0], [0, 3, 0]], float)
+    wanted = [[1, 0, 0], [0.5, 0.5, 0], [0, 0, 1]]
+    np.testing.assert_allclose(barycentric(p, *np.repeat([a, b, c], 3, 1)), wanted, atol=1e-15)
+    np.testing.assert_allclose(barycentric(a, a, a, a), [[1.0, 0.0, 0.0]])
+
+
+def face_colours(shape, X=((0.5, 0.4, 0.05), (0.5, 0.6, 0.95))):
+    body = solid(shape)
+    return colours(body, nearest(body, np.array(X)))
+
+
+def test_nothing_said_is_grey():
+    np.testing.assert_array_equal(face_colours(cube()), [DEFAULT_COLOUR] * 2)
+
+
+def test_display_colours_are_blended_over_the_triangle():
+    corner = np.zeros((12, 3, 3))
+    corner[:] = cube().points[CUBE_TRIANGLES]  # colour = position
+    got = face_colours(cube(triangle_colours=corner))
+    np.testing.assert_allclose(got, [[0.5, 0.4, 0.0], [0.5, 0.6, 1.0]], atol=1e-12)
+
+
+def test_a_bound_constant_wins_over_display_colour_where_it_is_bound():
+    bound = np.full(12, -1)
+    bound[:2] = 1
+    shape = cube(
+        triangle_colours=np.tile(RED, (12, 3, 1)), triangle_materials=bound,
+        materials=(
+            SurfaceMaterial(path="/M0", colour=BLUE), SurfaceMaterial(path="/M1", colour=GREEN),
+        ),
+    )  # fmt: skip
+    np.testing.assert_allclose(face_colours(shape), [GREEN, RED])
+
+
+def test_a_texture_wins_over_its_materials_constant():
+    pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [51, 51, 51]]], np.uint8)
+    uvs = cube().points[CUBE_TRIANGLES][..., :2]  # u = x, v = y on the faces across z
+    made = SurfaceMaterial(path="/M", colour=BLUE, texture=Texture(pixels=pixels, srgb=False))
+    shape = cube(triangle_uvs=uvs, triangle_materials=np.zeros(12, int), materials=(made,))
+    # Texel centres lie at 1/4 and 3/4; row 0 is at the top, v = 3/4.
+    X = [(0.25, 0.75, 0.01), (0.75, 0.75, 0.01), (0.25, 0.25, 0.99), (0.75, 0.25, 0.99)]
+    wanted = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, 0.2]]
+    np.testing.assert_allclose(face_colours(shape, X), wanted, atol=1e-9)
+
+
+def test_a_texture_without_coordinates_falls_back_to_its_constant():
+    texture = Texture(pixels=np.zeros((1, 1, 3), np.uint8), srgb=True)
+    made = SurfaceMaterial(path="/M", colour=GREEN, texture=texture)
+    shape = cube(triangle_materials=np.zeros(12, int), materials=(made,))
+    np.testing.assert_allclose(face_colours(shape), [GREEN, GREEN])
+
+
+def test_every_surface_gives_its_own_colour():
+    a = cube(path="/A", triangle_colours=np.tile(RED, (12, 3, 1)))
+    b = cube(low=(3.0, 0.0, 0.0), path="/B", triangle_colours=np.tile(BLUE, (12, 3, 1)))
+    body = solid(a, b)
+    got = colours(body, nearest(body, np.array([[3.5, 0.5, 0.1], [0.5, 0.5, 0.1]])))
+    np.testing.assert_allclose(got, [BLUE, RED])
+
+
+def test_texels_are_blended_in_linear_light():
+    pixels = np.array([[[0, 0, 0], [188, 188, 188]]], np.uint8)
+    half = sample(Texture(pixels=pixels, srgb=True), np.array([[0.5, 0.5]]))
+    np.testing.assert_allclose(half, 0.5 * srgb_to_linear(np.full((1, 3), 188.0 / 255.0)))
+
+
+@pytest.mark.parametrize(
+    ("mode", "beyond"),
+    [("repeat", [0.2, 1.0]), ("clamp", [1.0, 0.2]), ("mirror", [1.0, 0.2]), ("black", [0.0, 0.0])],
+)
+def test_coordinates_beyond_the_picture_follow_its_wrap_mode(mode, beyond):
+    # Texel centres lie at u = 1/6, 3/6, 5/6: these are one beyond either end.
+    pixels = np.array([[[51] * 3, [153] * 3, [255] * 3]], np.uint8)
+    texture = Texture(pixels=pixels, srgb=False, wrap_s=mode, wrap_t="repeat")
+    got = sample(texture, np.array([[7.0 / 6.0, 0.5], [-1.0 / 6.0, 0.5]]))[:, 0]
+    np.testing.assert_allclose(got, beyond, atol=1e-9)

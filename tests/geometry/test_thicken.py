@@ -1,0 +1,112 @@
+"""Sheets that are given one spacing of flesh, and those that are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from broken import joined
+from solids import asset, cube, sphere, surface
+
+from gf_usd.core.mesh import boundary_edges
+from gf_usd.geometry.repair import repair_asset
+from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.solid import build_solid
+from gf_usd.geometry.thicken import LAYER, offsets, thicken_asset
+
+
+def sheet(n: int = 1, edge: float = 1.0, wave: float = 0.0, at=(0.0, 0.0, 0.0), path="/Sheet"):
+    """A square of n x n quads across y, bent by sin(6 x)."""
+    grid = np.array([[i, 0.0, j] for i in range(n + 1) for j in range(n + 1)]) * (edge / n)
+    grid[:, 1] = wave * np.sin(6.0 * grid[:, 0])
+    corner = np.array([(n + 1) * i + j for i in range(n) for j in range(n)])
+    quads = corner[:, None] + [0, 1, n + 2, n + 1]
+    return surface(grid + at, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), path=path)
+
+
+def thickened(*surfaces, spacing=None, particles=400):
+    mended, repairs = repair_asset(asset(*surfaces))
+    return thicken_asset(mended, repairs, spacing=spacing, particles=particles)
+
+
+@pytest.mark.parametrize("n", [1, 8])
+def test_a_plane_becomes_a_slab_of_one_layer(n: int) -> None:
+    made, (done,) = thickened(sheet(n), particles=400)
+    assert (done.thickened, done.thin_left) == (1, 0)
+    assert done.thickness == pytest.approx(LAYER / 20.0, rel=1e-9)  # a^2 = 1 / 400 m^2
+    solid = build_solid(made)
+    assert len(boundary_edges(solid.triangles[0])) == 0
+    assert solid.orientation(0) == 1.0
+    assert solid.volume == pytest.approx(done.thickness, rel=1e-9)
+    filled = sample_solid(solid, particles=400, spacing=None, seed=0)
+    # one stratum thick, and 20 or 21 of them along each side
+    assert 400 <= len(filled) <= 441
+    assert np.abs(filled.X[:, 1]).max() < 0.5 * done.thickness
+
+
+def test_a_bent_sheet_has_the_volume_of_its_area() -> None:
+    body = sheet(16, wave=0.2)
+    made, (done,) = thickened(body, particles=400)
+    a, b, c = np.moveaxis(body.points[body.triangles], 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    # its rim is cut square, and what one side gains in a bend the other side loses
+    assert build_solid(made).volume == pytest.approx(area * done.thickness, rel=0.01)
+
+
+def test_a_plate_grows_to_one_spacing_and_a_thick_one_stays() -> None:
+    plate = cube(edge=(1.0, 0.01, 1.0))
+    made, (done,) = thickened(plate, spacing=0.1)
+    assert done.thickened == 1
+    size = np.ptp(made.surfaces[0].points[np.unique(made.surfaces[0].triangles)], axis=0)
+    # 2 V / A of the plate is 0.0098 m: by that much less does it grow, and its rim stays
+    grown = 0.01 + LAYER * 0.1 - 0.02 / 2.04
+    np.testing.assert_allclose(size, [1.0, grown, 1.0], rtol=1e-9)
+    slab = cube(edge=(1.0, 0.3, 1.0))
+    same, (left,) = thickened(slab, spacing=0.1)
+    assert same.surfaces[0] is slab
+    assert left.words() == ()
+
+
+def test_only_the_sheet_of_a_mesh_changes() -> None:
+    both = joined(cube(), sheet(2, at=(0.0, 2.0, 0.0)))
+    made, (done,) = thickened(both, spacing=0.1)
+    assert done.thickened == 1
+    solid = build_solid(made)
+    X = np.array([[0.5, 0.5, 0.5], [0.5, 2.04, 0.5], [0.5, 1.96, 0.5], [0.5, 2.06, 0.5]])
+    assert solid.inside(X).tolist() == [True, True, True, False]
+
+
+def test_spacing_and_sheets_agree_on_the_number_of_particles() -> None:
+    """V + S a = N a^3 of a ball and a sheet."""
+    made, _ = thickened(sphere(0.3), sheet(2, at=(0.0, 1.0, 0.0)), particles=1000)
+    solid = build_solid(made)
+    a = np.cbrt(solid.volume / 1000)
+    # the volume is counted on a lattice of 200,000 places: to a few per cent of a thin slab
+    assert np.ptp(made.surfaces[1].points[:, 1]) == pytest.approx(LAYER * a, rel=0.03)
+
+
+def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
+    small = sheet(edge=0.3, at=(0.0, 3.0, 0.0), path="/Leaf")  # 9 particles at 0.1 m, of 16
+    made, (_, leaf) = thickened(cube(), small, spacing=0.1)
+    assert made.surfaces[1] is small
+    assert (leaf.thickened, leaf.thin_left) == (0, 1)
+    assert "left 1 sheet without flesh" in leaf.words()[-1]
+    within = joined(cube(), sheet(edge=0.5, at=(0.25, 0.5, 0.25)))
+    same, (done,) = thickened(within, spacing=0.1)
+    assert same.surfaces[0] is within
+    assert (done.thickened, done.thin_left) == (0, 0)
+
+
+def test_three_sheets_that_meet_are_all_thick() -> None:
+    """Along one edge: each is a slab, and they overlap."""
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [1, 0, 1], [-1, 0, 0], [-1, 0, 1],
+                       [0, 1, 0], [0, 1, 1]], float)  # fmt: skip
+    faces = [[0, 1, k + 1] for k in (2, 4, 6)] + [[0, k + 1, k] for k in (2, 4, 6)]
+    made, (done,) = thickened(surface(points, np.array(faces)), spacing=0.1)
+    assert done.thickened == 1
+    X = np.array([[0.5, 0.04, 0.5], [-0.5, -0.04, 0.5], [0.04, 0.5, 0.5], [0.5, 0.06, 0.5]])
+    assert build_solid(made).inside(X).tolist() == [True, True, True, False]
+
+
+def test_offsets_move_every_face_of_a_box_by_one() -> None:
+    box = cube()
+    np.testing.assert_allclose(offsets(box.points, box.triangles), 2.0 * box.points - 1.0)

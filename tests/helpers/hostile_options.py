@@ -1,0 +1,109 @@
+"""Values for the options of a bake, right and wrong, to be combined at random."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+from hostile_files import STAGE
+
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.pipeline.run import prepare
+from gf_usd.prepare.request import Request
+
+NAN, INF = float("nan"), float("inf")
+NUMBERS = (0.0, -1.0, 1e-300, 1e300, NAN, INF, -INF)
+SOFT = (0.5, *NUMBERS)
+# A number of particles that would really be filled stays small: what is tried is the judging.
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "material": ("rubber", "jelly", "metal", "steel", "rubber,jelly", "rubber,rubber", "", ",",
+                 "auto", "auto:nobody", "no.usda", "none", "rubber, metal"),
+    "law": ("corotated", "neoHookean", "hooke", ""),
+    "prims": (["/A"], ["/A/M"], ["/A/S"], ["/gone"], ["A"], [""], ["/A/M", "/A/M"]),
+    "meters_per_unit": (0.01, 1.0, *NUMBERS),
+    "up_axis": ("Y", "Z", "-Y", "X", ""),
+    "repair": (True, False),
+    "overwrite": (True, False),
+    "resume": (True, False),
+    "output": ("o/", "o.usda", "o.usdz", "o.usdc", "o.txt", "", ".", "o/o/o.usd", "a\0b.usda"),
+    "particles": (60, 300, 1, 0, -5, 10**12, 10**18),
+    "spacing": (0.3, 0.5, 1e-6, 1e9, *NUMBERS),
+    "frames": (1, 2, 24, 0, -3, 10**5),
+    "fps": (24.0, 1.0, 1e6, 1e-6, *NUMBERS),
+    "start": (1.0, 2.5, -1e9, 1e18, *NUMBERS),
+    "drop": ("3r", "0", "1.5", "-1", "r", "", "nan", "1e300", "infr", "3 r", "3rr"),
+    "gravity": ("9.81", "0", "0,0,0", "0,-9.81,0", "1,2", "-9.81", "nan", "1e300", "", "a"),
+    "seed": (0, 7, 2**31, 2**63, 2**200, -1),
+    "device": ("cpu", "gpu", "CPU", ""),
+    "threads": (1, 2, 0, -1),
+    "filter_rate": (10.0, *NUMBERS),
+    "drag": SOFT,
+    "damping_time": (0.01, *NUMBERS),
+    "friction": SOFT,
+    "restitution": SOFT,
+    "time_scale": ("1", "0.2", "auto", "0", "-1", "nan", "1e300", "1e-300", "", "x"),
+    "preset": ("paper", "papers", ""),
+    "deformation_gradients": (True, False),
+    "stress": (True, False),
+    "blend_width": SOFT,
+    "material_boxes": (("jelly:0,0,0,1,1,1",), ("jelly:1,1,1,0,0,0",), ("jelly",),
+                       ("x:0,0,0,1,1,1",), ("jelly:nan,0,0,1,1,1",), ("jelly:0,0,0,1,1",), ("",)),
+    "material_labels": (("a=b:jelly",), ("a=b",), ("=:",), ("a=b:x",), ("",)),
+    "skin": ("embed", "idw", "paper", "none"),
+    "solver": ("tl", "ul", "fem"),
+    "pins": (("/A",), ("/A/M",), ("/gone",), ("box:-1,-1,-1,0,0,0",), ("box:0,0,0,0,0,0",),
+             ("box:1,2",), ("box:nan,0,0,1,1,1",), ("box:-9,-9,-9,9,9,9",), ("",)),
+    "wls": (True, False),
+    "procrustes": (0.02, 1.0, 2.0, *NUMBERS),
+    "clamp": ("0.2:5", "none", "5:0.2", "1:1", "nan:1", ":", "x", "0:inf"),
+    "stress_cap": ("1e4", "none", "0", "-1", "nan", "x"),
+    "export_ply": ("frames", "a.usda"),
+    "export_spz": ("frames",),
+    "combine": (True, False),
+    "self_contact": (True, False),
+    "no_shortcuts": (True, False),
+    "floor": ("none", "0", "0.5", "0,1,0", "0.5:0.2,1,0", "0,-1,0", "0,0,0", "1,2", "nan", "1e300",
+              "", "1:2:3", "nan:0,1,0", "0,nan,0"),
+    "only": ("mesh", "gaussians", "gaussians,points", "all", "", "mesh,mesh"),
+    "flatten": (True, False),
+    "samples_per_frame": (1, 3, 0, -1),
+    "range": ("1:2", "2:1", "1", ":", "nan:2", "1:1e18", "-5:3"),
+    "handles": (0, 2, -1),
+    "clip_frames": (0, 1, 2, -1),
+    "half": (True, False),
+}  # fmt: skip
+assert set(Request.__dataclass_fields__) <= set(OPTIONS)
+
+
+def drawn(dice: random.Random) -> dict[str, Any]:
+    """One to eight options, of values that are right more often than not."""
+    names = dice.sample(sorted(OPTIONS), dice.randint(1, 8))
+    return {
+        name: OPTIONS[name][0] if dice.random() < 0.5 else dice.choice(OPTIONS[name])
+        for name in names
+    }
+
+
+def asset(folder: Path) -> Path:
+    """A box and a ball, with a body of physics, in a folder to work in."""
+    path = folder / "a.usda"
+    path.write_text(STAGE)
+    return path
+
+
+def planned(path: Path, options: dict[str, Any]) -> bool:
+    """Whether there is a plan; False where it is refused in words, with a hint.
+
+    Any other error is a finding, and passes through.
+    """
+    small = {} if {"particles", "spacing"} & set(options) else {"particles": 100}
+    try:
+        plan = prepare(path, **{**small, **options})
+        for material in plan.materials:
+            plan.substeps(material)  # builds the solver
+    except (UsageError, InputError) as refusal:
+        if not (refusal.message.strip() and refusal.hint.strip()):
+            raise AssertionError(f"no words: {refusal!r}") from refusal
+        return False
+    return True

@@ -1,0 +1,128 @@
+"""A motion made by hand, as a reader of a bake would hand it out: no USD, no solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
+
+SIDE = 0.2  # [m] of the box
+DROP = 0.5  # [m] that it starts above the floor
+BOX = np.array([(x, y, z) for x in (-1, 1) for y in (0, 2) for z in (-1, 1)]) * (SIDE / 2)
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+TRIANGLES = np.array([t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))])
+
+
+def squash(frame: int) -> tuple[float, float]:
+    """Height of the lowest point [m] and stretch along up: a fall, a squash, and a rebound."""
+    return [(DROP, 1.0), (0.3, 1.0), (0.0, 0.8), (0.0, 0.5), (0.0, 0.9), (0.1, 1.1), (0.0, 1.0)][
+        frame
+    ]
+
+
+FRAMES = 7
+
+
+class FallingBox:
+    """A box with Gaussians inside that falls on a floor at height 0."""
+
+    def __init__(
+        self,
+        name: str = "Box",
+        look: str = "rubber",
+        about: Mapping[str, Any] | None = None,
+        gaussians: int = 40,
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        self._inside = np.random.default_rng(3).uniform(-0.9, 0.9, (gaussians, 3)) * SIDE / 2
+        self._inside[:, 1] += SIDE / 2
+        self._recording = Recording(
+            path=Path("box.rubber.usda"),
+            name=name,
+            look=look,
+            up=(0.0, 1.0, 0.0),
+            ground=0.0,
+            unit=1.0,
+            time_codes=tuple(float(t) for t in range(1, FRAMES + 1)),
+            time_codes_per_second=24.0,
+            meshes=(
+                RenderMesh(
+                    name="/Box",
+                    points=self.points(0),
+                    triangles=TRIANGLES,
+                    colours=np.broadcast_to((0.8, 0.2, 0.1), (12, 3, 3)),
+                    roughness=np.array(0.5),
+                    metallic=np.array(0.0),
+                ),
+            ),
+            baked=(True,),
+            gaussians=GaussianSet(
+                name="/Box/Gaussians",
+                colours=np.full((gaussians, 3), 0.4),
+                opacities=np.ones(gaussians),
+                rest_scales=np.full((gaussians, 3), 0.01),
+                masses=np.full(gaussians, 1.0),
+            )
+            if gaussians
+            else None,
+            about=about or {},
+            notes=notes,
+        )
+
+    def points(self, frame: int) -> np.ndarray:
+        """(8, 3) [m] corners of the box."""
+        low, stretch = squash(frame)
+        return BOX * (1.0, stretch, 1.0) + (0.0, low, 0.0)
+
+    def recording(self) -> Recording:
+        return self._recording
+
+    def frames(self, time_codes: Sequence[float]) -> Iterator[MotionFrame]:
+        for code in time_codes:
+            low, stretch = squash(int(code) - 1)
+            cloud = len(self._inside) > 0
+            yield MotionFrame(
+                time_code=code,
+                meshes=(self.points(int(code) - 1),),
+                positions=self._inside * (1.0, stretch, 1.0) + (0.0, low, 0.0) if cloud else None,
+                axes=np.tile(np.diag([0.01, 0.01 * stretch, 0.01]), (len(self._inside), 1, 1))
+                if cloud
+                else None,
+            )
+
+
+def health(frame: int) -> dict[str, Any]:
+    """What a solver could have said of a frame of the box."""
+    low, stretch = squash(frame)
+    return {
+        "kinetic": 1.0 * frame, "elastic": 0.5, "potential": 2.0 * low, "contact": 0.0,
+        "centre": [0.0, low + stretch * SIDE / 2, 0.0], "min_J": stretch, "max_J": 1.0,
+        "min_stretch": stretch, "max_stretch": 1.1, "penetration": 0.001 if low == 0.0 else 0.0,
+    }  # fmt: skip
+
+
+def report_of(look: str = "rubber", **more: Any) -> dict[str, Any]:
+    """A report as ``gf-usd bake`` writes it, of the box."""
+    return {
+        "command": "gf-usd bake box.usda --material rubber",
+        "version": "1.2.3",
+        "input_sha256": "abc",
+        "source": "/somewhere/box.usda",
+        "particles": 40,
+        "settings": {"frames": FRAMES, "fps": 24.0, "gravity": [0.0, -9.81, 0.0]},
+        "notes": ["a note of the bake"],
+        "check": [],
+        "bakes": [
+            {
+                "look": look,
+                "material": {"name": look, "law": "corotated", "density": 1100.0},
+                "health": {"min_J": 0.5, "inverted_particle_frames": 0, "rollbacks": 0},
+                "per_frame": [health(i) for i in range(FRAMES)],
+            }
+        ],
+        **more,
+    }

@@ -1,0 +1,113 @@
+"""Small solids, made of values instead of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from gf_usd.core.asset import Asset, StageFacts, Surface
+from gf_usd.core.frames import (
+    Particles,
+    Settings,
+    SurfaceSamples,  # fmt: skip
+)
+from gf_usd.core.materials import LOOKS, Material
+from gf_usd.core.units import StageUnits
+from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.geometry.solid import Solid, build_solid
+
+# Corners are numbered x + 2 y + 4 z; faces look outward.
+CUBE_POINTS = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+CUBE_TRIANGLES = np.array(
+    [
+        [0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
+        [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5],
+    ]
+)  # fmt: skip
+
+
+def facts(**changes: Any) -> StageFacts:
+    """A stage in metres, Y up, that says nothing else."""
+    said: dict[str, Any] = {
+        "path": Path("asset.usda"),
+        "units": StageUnits(),
+        "up_axis": "Y",
+        "time_codes_per_second": None,
+        "start_time_code": None,
+        "end_time_code": None,
+        "root_prims": ("/Root",),
+        "default_prim": "/Root",
+    }
+    return StageFacts(**{**said, **changes})
+
+
+def surface(points: np.ndarray, triangles: np.ndarray, path: str = "/Body", **more: Any) -> Surface:
+    """A mesh of triangles only."""
+    triangles = np.asarray(triangles)
+    return Surface(
+        path=path,
+        type_name="Mesh",
+        points=np.asarray(points, float),
+        face_counts=np.full(len(triangles), 3),
+        face_indices=triangles.ravel(),
+        triangles=triangles,
+        triangle_corners=np.arange(triangles.size).reshape(-1, 3),
+        **more,
+    )
+
+
+def cube(low: Any = (0.0, 0.0, 0.0), edge: Any = 1.0, **more: Any) -> Surface:
+    """A box of twelve triangles; edge [m], one or three numbers."""
+    return surface(np.asarray(low) + np.asarray(edge) * CUBE_POINTS, CUBE_TRIANGLES, **more)
+
+
+def sphere(
+    radius: float = 1.0, centre: Any = (0.0, 0.0, 0.0), subdivisions: int = 3, **more: Any
+) -> Surface:
+    """A geodesic sphere whose vertices lie on the radius [m]."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return surface(np.asarray(centre) + mesh.vertices, np.asarray(mesh.faces), **more)
+
+
+def asset(*surfaces: Surface) -> Asset:
+    """Surfaces as a reader would hand them over."""
+    return Asset(facts=facts(), surfaces=surfaces)
+
+
+def solid(*surfaces: Surface) -> Solid:
+    """The solid that surfaces enclose."""
+    return build_solid(asset(*surfaces))
+
+
+def fill(body: Solid, particles: int, seed: int = 0) -> tuple[Particles, SurfaceSamples]:
+    """About so many particles, and the contact samples that go with them."""
+    made = sample_solid(body, particles=particles, spacing=None, seed=seed)
+    return made, sample_surface(body, made.spacing, seed)
+
+
+def ball(particles: int, radius: float = 1.0, seed: int = 0) -> tuple[Particles, SurfaceSamples]:
+    """A ball about the origin."""
+    return fill(solid(sphere(radius)), particles, seed)
+
+
+def look(name: str, particles: Particles, **changes: Any) -> Material:
+    """A preset on a body; changes replace fields of the material."""
+    made = LOOKS[name].material(particles.radius)
+    return Material(**{**made.__dict__, **changes})
+
+
+def settings(**changes: Any) -> Settings:
+    """Free flight without gravity at 24 fps, threads as the machine has them."""
+    said: dict[str, Any] = {
+        "frames": 10,
+        "fps": 24.0,
+        "time_codes_per_second": 24.0,
+        "start": 1.0,
+        "gravity": (0.0, 0.0, 0.0),
+        "up": (0.0, 1.0, 0.0),
+        "floor": None,
+    }
+    return Settings(**{**said, **changes})

@@ -1,0 +1,51 @@
+"""A ball that hardly moves, strained by hand: what the tests of the paper's options act on."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from solids import ball, look, settings
+
+from gf_usd.physics.total_lagrangian.shape_correction import clip_stretches
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+EXACT = 1e-12  # sums of a few hundred float64 of order one
+SQUASH = np.array([[1.1, 0.3, 0.0], [0.0, 0.4, -0.2], [0.1, 0.0, 1.6]])
+INVERTED = np.diag([1.2, 0.9, -0.5])
+
+
+@cache
+def body():
+    return ball(300)[0]
+
+
+def made(
+    real: type = np.float64, velocity=(0.0, 0.0, 0.0), riders=None, pins=(), law=None, **options
+):
+    """A rubber ball that floats, in two substeps a frame so short that it hardly moves."""
+    said = {"frames": 2, "fps": 1e5, "substeps": 2, **options}
+    material = look("rubber", body(), damping_time=0.0, **({"law": law} if law else {}))
+    return TotalLagrangian(
+        body(), [material], settings(**said), velocity=velocity, riders=riders, pins=pins, real=real
+    )
+
+
+def strain(solver, A):
+    """Put every node where x = A X would have it."""
+    u = solver.stencil.node_X @ (np.asarray(A) - np.eye(3)).T
+    solver.arrays["u"].from_numpy(u.astype(solver.real).ravel())
+
+
+def shear_modulus():
+    return look("rubber", body()).mu
+
+
+def force(solver):
+    """(free, 3) [N] of the stress alone: m dv/dt over a short frame from rest."""
+    solver.advance(1, 1)
+    return solver.stencil.mass[:, None] * solver.state()[1] / solver.frame_time
+
+
+def clipped(F, low, high):
+    return clip_stretches(np.asarray(F)[None], low, high)[0][0]

@@ -1,0 +1,136 @@
+"""The check on files that are not ours, odd, damaged or no USD at all."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from check_damage import MESH, MIDDLE, put, with_nan
+from check_stages import CUBE, RATE, box, good_stage, vec3
+from pxr import Sdf, Usd
+
+from gf_usd.core.errors import InputError
+from gf_usd.layers.check.base import RULES
+from gf_usd.layers.check.run import CheckResult, check_file, check_stage
+
+
+def rules_of(result: CheckResult) -> set[str]:
+    return {finding.rule for finding in result.findings}
+
+
+@pytest.mark.parametrize("value", ["0", "nan", "inf"])
+def test_time_codes_that_hang_usd_are_refused_in_time(tmp_path: Path, value: str) -> None:
+    """Zero over a sublayer: USD's own GetTimeSamples never returns, so nothing may ask for them."""
+    good_stage(tmp_path / "below.usda").Save()
+    path = tmp_path / "above.usda"
+    header = (
+        f"#usda 1.0\n(\n    timeCodesPerSecond = {value}\n    subLayers = [@./below.usda@]\n)\n"
+    )
+    path.write_text(header, "utf-8")
+    code = (
+        "import sys\n"
+        "from gf_usd.layers.check.run import check_file\n"
+        "result = check_file(sys.argv[1])\n"
+        "print(result.ok, *[f.rule for f in result.findings], *[s.rule for s in result.skipped])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+        env={"PYTHONPATH": str(Path(__file__).resolve().parents[3])},
+    )
+    ok, rule, *skipped = done.stdout.split()
+    assert (ok, rule) == ("False", "time-codes-per-second")
+    asleep = {name for name, rule in RULES.items() if rule.reads_samples}
+    assert set(skipped) == asleep - {"time-codes-per-second"} | {"usd"}
+
+
+def test_a_cache_of_overs_is_judged_by_itself(tmp_path: Path) -> None:
+    """Prims without a type, as in a payload opened alone, still have points that can be wrong."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cache.usda"))
+    over = stage.OverridePrim("/Body/Mesh")
+    points = over.CreateAttribute("points", Sdf.ValueTypeNames.Point3fArray)
+    extent = over.CreateAttribute("extent", Sdf.ValueTypeNames.Float3Array)
+    points.Set(vec3(CUBE))
+    extent.Set(box(CUBE * 0.5))
+    found = {f.rule: f for f in check_stage(stage).findings}
+    assert found["extent"].message == "extent leaves points up to 0.5 outside"
+    points.Set(vec3(with_nan(CUBE)))
+    assert "finite" in rules_of(check_stage(stage))
+
+
+def test_attributes_of_the_wrong_type_are_no_crash(tmp_path: Path) -> None:
+    """USD's own validator names the type; the rules of ours must get past it."""
+    path = tmp_path / "odd.usda"
+    path.write_text(
+        '#usda 1.0\n(\n    defaultPrim = "A"\n    upAxis = "Y"\n    metersPerUnit = 1\n)\n'
+        'def Mesh "A"\n{\n    string points = "many"\n    float3 extent = (1, 2, 3)\n'
+        '    token[] faceVertexCounts = ["x"]\n    float[] faceVertexIndices = [0.5]\n'
+        "    string[] velocities.timeSamples = {\n        1: ['a'],\n        2: ['b'],\n    }\n}\n"
+        'def ParticleField3DGaussianSplat "B"\n{\n    point3f[] positions = [(0, 0, 0)]\n'
+        '    string scales = "big"\n    int[] orientations = [1]\n}\n',
+        "utf-8",
+    )
+    result = check_file(path)
+    assert any("AttributeTypeMismatch" in rule for rule in rules_of(result))
+
+
+def test_the_validators_of_usd_are_heard(tmp_path: Path) -> None:
+    stage = good_stage(tmp_path / "no_default.usda")
+    stage.ClearDefaultPrim()
+    (finding,) = check_stage(stage).findings
+    assert finding.rule == "usd:usdValidation:StageMetadataChecker.MissingDefaultPrim"
+    assert (finding.severity, finding.prim_path) == ("error", "/")
+    assert "invalid or missing defaultPrim" in finding.message
+    assert finding.fix == "author defaultPrim in the root layer: the root prim to be referenced"
+
+
+def test_a_damaged_sublayer_is_a_finding(tmp_path: Path) -> None:
+    good_stage(tmp_path / "good.usda").Save()
+    (tmp_path / "bad.usda").write_text('#usda 1.0\ndef "A" {', "utf-8")
+    path = tmp_path / "over.usda"
+    path.write_text("#usda 1.0\n(\n    subLayers = [@./bad.usda@, @./gone.usda@]\n)\n", "utf-8")
+    result = check_file(path)
+    text = " ".join(f.message for f in result.findings)
+    assert "bad.usda" in text
+    assert "gone.usda" in text
+    assert not result.ok
+
+
+def test_instances_are_judged_once_under_a_path_of_the_stage(tmp_path: Path) -> None:
+    shared = good_stage(tmp_path / "shared.usda")
+    put(MESH, "points", vec3(with_nan(CUBE)), MIDDLE)(shared)
+    shared.Save()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    stage.SetTimeCodesPerSecond(RATE)
+    for name in ("A", "B"):
+        prim = stage.DefinePrim(f"/{name}", "Xform")
+        prim.GetReferences().AddReference("./shared.usda")
+        prim.SetInstanceable(True)
+    paths = [f.prim_path for f in check_stage(stage).findings if f.rule == "finite"]
+    assert paths == ["/A/Mesh"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("gone.usda", None, "gone.usda is no file."),
+        ("text.usda", "hello\n", "text.usda cannot be opened as USD"),
+        ("duck.obj", "v 0 0 0\n", "duck.obj is not USD, as far as its name says."),
+        ("cut.usdc", "PXR-USDC", "cut.usdc cannot be opened as USD"),
+    ],
+)
+def test_what_is_no_usd_file_is_refused(
+    tmp_path: Path, name: str, content: str | None, message: str
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content, "utf-8")
+    with pytest.raises(InputError) as error:
+        check_file(path)
+    assert message in error.value.message
+    assert error.value.hint

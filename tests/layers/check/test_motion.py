@@ -1,0 +1,147 @@
+"""What the rule about velocities leaves alone: contact, rest, motion too fast for the samples."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from check_damage import GAUSSIANS, MESH, OURS, POINTS
+from check_stages import CODES, CUBE, GRID, RATE, box, good_stage, motion, vec3
+from pxr import Usd, UsdGeom
+
+from gf_usd.layers.check import motion as motion_rule
+from gf_usd.layers.check.run import check_stage
+
+
+def test_contact_and_rest_do_not_count_against_right_velocities(tmp_path: Path) -> None:
+    """A ball that bounces and comes to rest: velocities jump, and finite differences with them."""
+    stage = good_stage(tmp_path / "bounce.usda")
+    codes = np.arange(1.0, 91.0)
+    height, speed, state = 3.0, 0.0, []
+    for _ in codes:
+        state.append((height, speed))
+        for _ in range(200):
+            step = 1.0 / (RATE * 200)
+            speed -= 9.81 * step
+            height += speed * step
+            if height < 0.0 and speed < 0.0:
+                speed *= -0.5
+    for path, name, rest in ((MESH, "velocities", CUBE), (GAUSSIANS, OURS + "velocities", GRID)):
+        prim = stage.GetPrimAtPath(path)
+        position = prim.GetAttribute("points" if path == MESH else "positions")
+        for code, (y, v) in zip(codes, state):
+            x = rest + np.array([0.0, y, 0.0])
+            position.Set(vec3(x), code)
+            prim.GetAttribute(name).Set(vec3(np.tile([0.0, v, 0.0], (len(rest), 1))), code)
+            prim.GetAttribute("extent").Set(box(x, 0.3), code)
+    stage.SetEndTimeCode(codes[-1])
+    stage.RemovePrim(POINTS)
+    stage.GetPrimAtPath(GAUSSIANS).RemoveProperty(OURS + "vonMisesStress")
+    result = check_stage(stage)
+    assert result.findings == ()
+    assert result.skipped == ()
+
+
+def test_motion_faster_than_the_samples_is_left_undecided(tmp_path: Path) -> None:
+    """Random positions have no derivative: the check says so rather than guess."""
+    stage = good_stage(tmp_path / "noise.usda")
+    random = np.random.default_rng(1)
+    prim = stage.GetPrimAtPath(MESH)
+    for code in CODES:
+        x = random.uniform(-1.0, 1.0, CUBE.shape)
+        prim.GetAttribute("points").Set(vec3(x), code)
+        prim.GetAttribute("extent").Set(box(x), code)
+    result = check_stage(stage)
+    assert result.findings == ()
+    (skip,) = result.skipped
+    assert (skip.rule, skip.prim_path) == ("velocities", MESH)
+    assert "too few to judge" in skip.reason
+
+
+def test_few_samples_are_left_undecided(tmp_path: Path) -> None:
+    stage = good_stage(tmp_path / "short.usda")
+    for name in ("points", "velocities"):
+        attribute = stage.GetPrimAtPath(MESH).GetAttribute(name)
+        for code in CODES[4:]:
+            attribute.ClearAtTime(code)
+    (skip,) = check_stage(stage).skipped
+    assert skip.reason == "velocities: 4 samples of motion, 5 are wanted to judge"
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.25])
+def test_a_long_motion_is_judged_by_some_of_it_all_along(factor: float) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetTimeCodesPerSecond(RATE)
+    prim = UsdGeom.Points.Define(stage, "/Points").GetPrim()
+    position, velocity = (prim.GetAttribute(name) for name in ("points", "velocities"))
+    for code in np.arange(float(10 * motion_rule.MOST)):
+        at = 2.0 * code / RATE
+        position.Set(vec3(CUBE + [np.sin(at), 0.0, np.cos(at)]), code)
+        v = 2.0 * np.tile([np.cos(at), 0.0, -np.sin(at)], (len(CUBE), 1))
+        velocity.Set(vec3(factor * v), code)
+    tally = motion_rule.tally_of(position, velocity, RATE)
+    assert len(tally.factors) == motion_rule.MOST
+    assert tally.moving == tally.smooth == motion_rule.MOST * len(CUBE)
+    assert tally.factor == pytest.approx(factor, rel=1e-4)
+    # Where it is wrong only at the end, windows at the end are among them.
+    for code in np.arange(0.9 * 10 * motion_rule.MOST):
+        velocity.Set(vec3(np.zeros_like(CUBE)), code)
+    late = motion_rule.tally_of(position, velocity, RATE)
+    assert sum(np.array(late.factors) > 0.5) == pytest.approx(0.1 * motion_rule.MOST, abs=2)
+
+
+def shaken(stage: Usd.Stage, scale: float) -> None:
+    """Give the Gaussians a vibration of 13 periods in 10 samples, as fast as they fall.
+
+    Its velocity is as large as the fall's, its amplitude is too small to show in the positions.
+    """
+    random = np.random.default_rng(2)
+    omega = 2.0 * np.pi * 1.3 * RATE
+    phase = random.uniform(0.0, 2.0 * np.pi, (len(GRID), 1))
+    way = random.normal(size=(len(GRID), 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    prim = stage.GetPrimAtPath(GAUSSIANS)
+    for code in CODES:
+        angle = omega * (code - CODES[0]) / RATE + phase
+        x, v = motion(GRID, code)
+        x, v = x + 2.0 / omega * np.sin(angle) * way * 0.1, v + 2.0 * np.cos(angle) * way
+        prim.GetAttribute("positions").Set(vec3(x), code)
+        prim.GetAttribute(OURS + "velocities").Set(vec3(scale * v), code)
+
+
+def test_a_vibration_in_the_velocities_drops_out(tmp_path: Path) -> None:
+    """Both the right velocities and those per time code are told apart in spite of it."""
+    stage = good_stage(tmp_path / "shaken.usda")
+    shaken(stage, 1.0)
+    assert check_stage(stage).findings == ()
+    shaken(stage, 1.0 / RATE)
+    (finding,) = check_stage(stage).findings
+    assert (finding.rule, finding.prim_path) == ("velocities", GAUSSIANS)
+
+
+def test_velocities_of_points_that_stand_still(tmp_path: Path) -> None:
+    stage = good_stage(tmp_path / "still.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    for code in CODES:
+        prim.GetAttribute("points").Set(vec3(CUBE), code)
+        prim.GetAttribute("extent").Set(box(CUBE), code)
+    (finding,) = check_stage(stage).findings
+    assert finding.message == (
+        # 8 points in 8 windows of 5 among 12 samples
+        "velocities is not zero where points stands still, in 64 of 64 places"
+    )
+
+
+def test_windows_that_disagree_are_left_undecided(tmp_path: Path) -> None:
+    """Bounces too fast for the samples stretch each moment in its own way, a wrong unit not."""
+    stage = good_stage(tmp_path / "bounces.usda")
+    prim = stage.GetPrimAtPath(MESH)
+    bounces, unit = (0.8, 1.4, 0.3, 1.3, 0.6, 0.8), (0.8, 0.7, 0.3, 0.9, 0.6, 0.8)
+    for factors, found, left in ((bounces, 0, 1), (unit, 1, 0)):
+        for at, code in enumerate(CODES):
+            v = motion(CUBE, code)[1]
+            prim.GetAttribute("velocities").Set(vec3(factors[at % len(factors)] * v), code)
+        result = check_stage(stage)
+        assert [f.rule for f in result.findings] == ["velocities"] * found
+        assert ["0.3 to 1.4 times the motion" in s.reason for s in result.skipped] == [True] * left

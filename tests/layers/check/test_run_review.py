@@ -1,0 +1,89 @@
+"""The check that a bake ends with: what is wrong with the result and not with its source."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pxr import Gf, Sdf, Usd
+from small_sources import PLAIN, SEVERAL_ROOTS, Source
+from small_stages import bake
+
+from gf_usd.layers.check.run import check_file, review
+
+MESH = "/duck/geo/body"
+STARS = """
+def Points "stars"
+{
+    float3[] extent = [(0, 0, 0), (1, 1, 1)]
+    float[] widths = [1, 1]
+    point3f[] points = [(0, 0, 0), (1, 1, inf)]
+}
+"""
+
+
+def prims(found: list[dict[str, str]]) -> set[tuple[str, str]]:
+    """Rule and prim of each finding."""
+    return {(f["rule"], f["prim"]) for f in found}
+
+
+def spoil(cache: Path) -> None:
+    """A point at infinity in one frame of a cache."""
+    layer = Sdf.Layer.FindOrOpen(str(cache))
+    path = f"{MESH}.points"
+    time = layer.ListTimeSamplesForPath(path)[2]
+    points = list(layer.QueryTimeSample(path, time))
+    points[3] = Gf.Vec3f(float("inf"), 0.0, 0.0)
+    layer.SetTimeSample(path, time, points)
+    layer.Save()
+
+
+@pytest.mark.parametrize("source", [PLAIN, SEVERAL_ROOTS], ids=["one root", "several roots"])
+def test_a_sound_bake_has_no_findings(source: Source, tmp_path: Path) -> None:
+    asset = source.asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    assert review(root.path, asset.facts.path) == []
+
+
+def test_a_fault_of_the_bake_is_found_with_its_prim_and_fix(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    spoil(tmp_path / "duck.rubber.cache.usdc")
+    found = review(root.path, asset.facts.path)
+    assert ("finite", MESH) in prims(found)
+    assert all(set(f) == {"rule", "prim", "message", "fix"} for f in found)
+    assert all(f["message"] and f["fix"] for f in found)
+    assert len(prims(found)) == len(found), "each fault is told once"
+
+
+def test_every_variant_is_looked_at(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path, looks=("rubber", "jelly"))
+    stage = Usd.Stage.Open(str(root.path))
+    selected = stage.GetPrimAtPath("/duck").GetVariantSet("gaussianFlesh")
+    assert selected.GetVariantSelection() == "rubber"
+    spoil(tmp_path / "duck.jelly.cache.usdc")
+    assert ("finite", MESH) in prims(review(root.path, asset.facts.path))
+
+
+def test_looking_changes_no_file(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path, looks=("rubber", "jelly"))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    review(root.path, asset.facts.path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert not Sdf.Layer.FindOrOpen(str(root.path)).dirty
+
+
+def test_a_fault_of_the_source_is_not_the_bake_s(tmp_path: Path) -> None:
+    asset = replace(PLAIN, body=PLAIN.body + STARS).asset(tmp_path)
+    root, _, _ = bake(asset, tmp_path)
+    for path in (asset.facts.path, root.path):
+        assert ("finite", "/stars") in {(f.rule, f.prim_path) for f in check_file(path).findings}
+    assert review(root.path, asset.facts.path) == []
+    # and does not hide another one of the same kind elsewhere
+    spoil(tmp_path / "duck.rubber.cache.usdc")
+    found = prims(review(root.path, asset.facts.path))
+    assert ("finite", MESH) in found
+    assert ("finite", "/stars") not in found

@@ -1,0 +1,113 @@
+"""What rides on the body: exact for affine maps, inside and out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import special_ortho_group
+from solids import ball
+
+from gf_usd.core.matrices import cofactors, entries
+from gf_usd.physics.grid.embedding import deform_normals, pose
+from gf_usd.physics.grid.reference import build_stencil
+
+# Rows are sums of some hundred f64 terms whose affine fits carry 1e-11 at most (test_stencil.py).
+ROUNDING = 1e-10
+
+MAPS = {
+    "rest": np.eye(3),
+    "quarter turn": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "half turn": np.diag([-1.0, -1.0, 1.0]),
+    "squash": np.diag([1.3, 0.5, 1.3]),
+    "shear": np.array([[1.0, 0.8, 0.0], [0.0, 1.0, 0.0], [0.0, -0.3, 1.0]]),
+    "mirror": np.diag([1.0, -0.7, 1.0]),
+    "collapse": np.diag([1.0, 0.0, 1.0]),
+}
+every_map = pytest.mark.parametrize("A", MAPS.values(), ids=MAPS.keys())
+
+
+@pytest.fixture(scope="module")
+def body():
+    """A stencil of a unit ball, and points inside it, on its skin and off it."""
+    particles, _ = ball(500)
+    m = np.full(len(particles), 0.1)
+    made = build_stencil(particles.X, m, 2.0 * particles.lattice, particles.corner)
+    d = np.random.default_rng(0).normal(size=(60, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return made, np.concatenate([0.5 * d, d, 1.05 * d, 1.6 * d])
+
+
+@every_map
+def test_points_follow_an_affine_map_exactly(body, A):
+    made, X = body
+    shift, spin, offset = np.array([0.2, 3.0, -1.0]), 0.7 * A + 0.1, np.array([0.0, 5.0, 0.0])
+    u = made.free_X @ (A - np.eye(3)).T + shift
+    v = made.free_X @ spin.T + shift
+    out = pose(made.rows(X), u, v, offset)
+    np.testing.assert_allclose(out.x, X @ A.T + shift + offset, atol=ROUNDING)
+    np.testing.assert_allclose(out.v, X @ spin.T + shift, atol=ROUNDING)
+    np.testing.assert_allclose(out.F, A + 0.0 * out.F, atol=ROUNDING / made.h)
+
+
+def test_curvature_is_reproduced_to_second_order(body):
+    # u = X_x^2 e_y: quadratic splines over samples at nodes smooth x^2 by exactly h^2 / 4.
+    made, X = body
+    X = X[:60]  # inside, where no node is extrapolated
+    near = build_stencil(X, np.ones(len(X)), made.h, made.origin + 0.5 * made.h, free_mass=0.0)
+    u = np.zeros((near.free_count, 3))
+    u[:, 1] = near.free_X[:, 0] ** 2
+    out = pose(near.rows(X), u, 0.0 * u, np.zeros(3))
+    np.testing.assert_allclose(out.x[:, 1], X[:, 1] + X[:, 0] ** 2 + made.h**2 / 4.0, atol=1e-13)
+    np.testing.assert_allclose(out.F[:, 1, 0], 2.0 * X[:, 0], atol=1e-12)
+
+
+def cofactor(F):
+    return cofactors(entries(F)).T.reshape(-1, 3, 3)
+
+
+@every_map
+def test_the_cofactor_is_j_times_the_inverse_transpose(A):
+    near = A + 1e-3 * np.array([[0.0, 1.0, 2.0], [-1.0, 3.0, 1.0], [2.0, 0.0, 1.0]])
+    wanted = np.linalg.det(near) * np.linalg.inv(near).T
+    # Inverting loses the digits of the condition number, below 1e4 here.
+    np.testing.assert_allclose(cofactor(near)[0], wanted, atol=1e-12)
+
+
+def test_the_cofactor_is_defined_where_the_inverse_is_not():
+    np.testing.assert_array_equal(cofactor(MAPS["collapse"])[0], np.diag([0.0, 1.0, 0.0]))
+    np.testing.assert_array_equal(cofactor(np.zeros((2, 3, 3))), np.zeros((2, 3, 3)))
+
+
+@pytest.mark.parametrize("name", ["rest", "quarter turn", "squash", "shear"])
+def test_normals_stay_across_the_surface_and_outside(name):
+    F = MAPS[name][None]
+    rng = np.random.default_rng(3)
+    n = rng.normal(size=(50, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    t = np.cross(n, rng.normal(size=(50, 3)))
+    out = deform_normals(n, np.zeros(50, int), F)
+    np.testing.assert_allclose(np.linalg.norm(out, axis=1), 1.0, atol=1e-15)
+    np.testing.assert_allclose(((t @ F[0].T) * out).sum(1), 0.0, atol=1e-14)
+    assert ((n @ F[0].T * out).sum(1) > 0.0).all()
+
+
+def test_each_normal_turns_with_its_own_point():
+    F = np.stack([MAPS["rest"], MAPS["quarter turn"]])
+    n = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    out = deform_normals(n, np.array([0, 1, 1]), F)
+    np.testing.assert_allclose(out, [[1, 0, 0], [0, 1, 0], [0, 0, 1]], atol=1e-15)
+
+
+def test_a_normal_with_nothing_left_of_its_surface_stays_as_it_was():
+    n = np.array([[0.6, 0.0, 0.8]])
+    np.testing.assert_array_equal(deform_normals(n, np.zeros(1, int), np.zeros((1, 3, 3))), n)
+
+
+def test_a_rigid_turn_of_the_body_turns_every_normal(body):
+    made, X = body
+    R = special_ortho_group.rvs(3, random_state=4)
+    u = made.free_X @ (R - np.eye(3)).T
+    out = pose(made.rows(X), u, 0.0 * u, np.zeros(3))
+    n = X / np.linalg.norm(X, axis=1, keepdims=True)
+    turned = deform_normals(n, np.arange(len(X)), out.F)
+    np.testing.assert_allclose(turned, n @ R.T, atol=2.0 * ROUNDING / made.h)

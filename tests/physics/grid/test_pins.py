@@ -1,0 +1,194 @@
+"""Pins: what they hold, where the body ends for them, and how they move it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import cube, fill, look, settings, solid
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials import Material
+from gf_usd.core.stage import Pin, Region
+from gf_usd.geometry.regions import box_region, make_pin
+from gf_usd.physics.grid.pins import Holder, Motion, held_by, interpolation, mirror_points
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+BAR = solid(cube((0.0, 0.0, 0.0), (1.0, 0.25, 0.25)))
+STILL = np.zeros((1, 0, 3))
+
+
+def box(text: str, path: Floats = STILL, points: Floats | None = None) -> Pin:
+    region = box_region(text, 1.0, np.zeros((0, 3)) if points is None else points, path)
+    return make_pin(region, BAR)
+
+
+def bar(particles: int = 500) -> Particles:
+    return fill(BAR, particles)[0]
+
+
+def soft(**changes: float) -> Material:
+    return Material(
+        name="soft", law="corotated", density=1000.0, youngs_modulus=1e5, poissons_ratio=0.0,
+        **changes,
+    )  # fmt: skip
+
+
+def turn(angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_a_box_holds_what_lies_in_it() -> None:
+    pin = box("box:-1,-1,-1,0.5,2,2")
+    X = np.array([[0.1, 0.1, 0.1], [0.6, 0.1, 0.1], [0.49, 1.9, 1.9], [-1.1, 0.0, 0.0]])
+    assert held_by([pin], X).pin.tolist() == [0, -1, 0, -1]
+    np.testing.assert_allclose(pin.nearest(X[:1]), [[0.5, 0.1, 0.1]], atol=1e-12)
+
+
+def test_the_first_pin_that_holds_a_point_has_it() -> None:
+    first, second = box("box:-1,-1,-1,0.3,2,2"), box("box:-1,-1,-1,0.6,2,2")
+    X = np.array([[0.2, 0.1, 0.1], [0.5, 0.1, 0.1], [0.9, 0.1, 0.1]])
+    assert held_by([first, second], X).pin.tolist() == [0, 1, -1]
+
+
+def test_a_patch_holds_the_surface_and_what_is_outside_of_it() -> None:
+    # faces of the cube at x = 0: triangles 8 and 9
+    surface = BAR.surfaces[0]
+    region = Region(
+        name="/Body/end", kind="patch", points=surface.points, triangles=surface.triangles[8:10],
+        path=surface.points[None], body="/Body",
+    )  # fmt: skip
+    pin = make_pin(region, BAR)
+    X = np.array([[0.0, 0.1, 0.1], [-0.2, 0.1, 0.1], [0.01, 0.1, 0.1], [0.5, 0.3, 0.1]])
+    assert held_by([pin], X).pin.tolist() == [0, 0, -1, -1]
+
+
+def test_mirror_points_lie_across_the_boundary_and_deep_nodes_have_none() -> None:
+    pin = box("box:-1,-1,-1,0,2,2")
+    X = np.array([[-0.05, 0.1, 0.1], [-0.5, 0.1, 0.1], [0.2, 0.1, 0.1]])
+    mirror = mirror_points([pin], held_by([pin], X), X, 0.1)
+    np.testing.assert_allclose(mirror[0], [0.05, 0.1, 0.1], atol=1e-12)
+    assert np.isnan(mirror[1:]).all()
+
+
+def test_interpolation_is_exact_for_linear_fields_and_empty_far_away() -> None:
+    nodes = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    field = nodes @ np.array([1.0, -2.0, 0.5]) + 3.0
+    at = np.array([[0.3, 1.7, 2.2], [2.0, 2.0, 2.0], [9.0, 9.0, 9.0]])
+    w = interpolation(at, nodes)
+    np.testing.assert_allclose((w @ field)[:2], at[:2] @ [1.0, -2.0, 0.5] + 3.0, atol=1e-12)
+    assert np.diff(w.indptr).tolist() == [8, 1, 0]
+
+
+def test_anchors_that_fill_space_move_affinely_and_flat_ones_rigidly() -> None:
+    rng = np.random.default_rng(0)
+    A = turn(0.7) @ np.diag([1.2, 0.9, 1.1])
+    shift = np.array([0.3, -2.0, 0.1])
+    filled = rng.uniform(size=(40, 3))
+    X = rng.uniform(size=(5, 3))
+    x, F = Motion(filled, np.stack([filled, filled @ A.T + shift])).at(X, 1.0)
+    np.testing.assert_allclose(x, X @ A.T + shift, atol=1e-10)
+    np.testing.assert_allclose(F, np.broadcast_to(A, F.shape), atol=1e-10)
+    flat = filled * [1.0, 0.0, 1.0]
+    R = turn(-1.1)
+    x, F = Motion(flat, np.stack([flat, flat @ R.T + shift])).at(X, 1.0)
+    np.testing.assert_allclose(x, X @ R.T + shift, atol=1e-10)
+    np.testing.assert_allclose(F, np.broadcast_to(R, F.shape), atol=1e-10)
+
+
+def test_a_point_that_is_an_anchor_goes_where_the_anchor_goes() -> None:
+    rng = np.random.default_rng(1)
+    anchors = rng.uniform(size=(40, 3))
+    goes = rng.uniform(size=(40, 3))
+    motion = Motion(anchors, np.stack([anchors, goes]))
+    np.testing.assert_allclose(motion.at(anchors, 1.0)[0], goes, atol=1e-15)
+    halfway = motion.at(anchors[:1], 0.5)[0]
+    np.testing.assert_allclose(halfway, 0.5 * (anchors[:1] + goes[:1]), atol=1e-15)
+    assert motion.moving
+    assert not Motion(anchors, anchors[None]).moving
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("box:-9,-9,-9,9,9,9", "hold all"), ("box:0.4,0.1,0.1,0.401,0.101,0.101", "no node")],
+)
+def test_a_pin_that_holds_all_or_nothing_is_refused(text: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        TotalLagrangian(bar(), [soft()], settings(), pins=[box(text)])
+    assert words in caught.value.message
+    assert caught.value.hint
+
+
+def test_a_pinned_bar_stretches_as_its_weight_says() -> None:
+    """u(L) = rho g L^2 / 2E of a bar that hangs on its end, nu = 0.
+
+    The bar is held at x = 0 and pulled along x; damped until it rests.  The strata are 1/16 of the
+    bar: the error of the quadratic stencil is far below the 1 % that jitter leaves.
+    """
+    g = 2.0
+    s = settings(frames=60, gravity=(g, 0.0, 0.0), fps=24.0, drag=8.0)
+    solver = TotalLagrangian(
+        bar(2000), [soft()], s, pins=[box("box:-1,-1,-1,0,2,2")],
+        riders={"tip": np.array([[1.0, 0.125, 0.125]])},
+    )  # fmt: skip
+    *_, last = solver.frames()
+    u = last.riders["tip"].x[0, 0] - 1.0
+    assert u == pytest.approx(1000.0 * g / (2.0 * 1e5), rel=0.015)
+
+
+def test_the_body_follows_a_moving_region_and_its_work_is_counted() -> None:
+    """A slow turn of the held end leaves the rest of a light, damped bar turned by as much."""
+    points = np.array(
+        [[x, y, z] for x in (0.0, 0.1, 0.2) for y in (0.0, 0.25) for z in (0.0, 0.25)]
+    )
+    frames = 120
+    path = np.stack([points @ turn(0.5 * min(i / 40, 1.0)).T for i in range(frames)])
+    body = bar()
+    solver = TotalLagrangian(
+        body, [soft(damping_time=0.02)], settings(frames=frames, drag=5.0),
+        pins=[box("box:-1,-1,-1,0.25,2,2", path, points)],
+    )  # fmt: skip
+    seen = list(solver.frames())
+    R = turn(0.5)
+    np.testing.assert_allclose(seen[-1].particles.x, body.X @ R.T, atol=0.01)
+    held = body.X[:, 0] < 0.25
+    np.testing.assert_allclose(seen[-1].particles.x[held], body.X[held] @ R.T, atol=1e-6)
+    assert sum(f.health.rollbacks for f in seen) == 0
+    assert sum(f.health.work for f in seen) > 0.0
+
+
+def test_work_of_the_pins_is_what_the_energy_gains() -> None:
+    """Pulled out without damping, the energy of the body is the work of the region, to 2 %.
+
+    Work is summed over substeps by the rectangle rule, of which there are hundreds.
+    """
+    points = np.array([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.25) for z in (0.0, 0.25)])
+    frames = 25
+    path = np.stack([points - [0.1 * np.sin(0.5 * np.pi * i / 24) ** 2, 0, 0] for i in range(25)])
+    solver = TotalLagrangian(
+        bar(), [soft()], settings(frames=frames),
+        pins=[box("box:-1,-1,-1,0.125,2,2", path, points)],
+    )  # fmt: skip
+    seen = [f.health for f in solver.frames()]
+    # in full motion, where the bar has some energy
+    gained = seen[12].kinetic + seen[12].elastic
+    assert gained > 0.3
+    assert sum(h.work for h in seen[:13]) == pytest.approx(gained, rel=0.02)
+
+
+def test_a_falling_body_without_pins_is_as_it_was() -> None:
+    body = bar()
+    s = settings(gravity=(0.0, -9.81, 0.0))
+    free = TotalLagrangian(body, [look("rubber", body)], s)
+    assert free.holder is None
+    assert not free.stencil.held.any
+    assert free.stencil.rows(body.X).W.shape[1] == free.stencil.free_count
+
+
+def test_a_holder_tells_moving_regions_from_still_ones() -> None:
+    points = np.zeros((4, 3)) + np.eye(4, 3)
+    assert not Holder([box("box:-1,-1,-1,0,2,2")], bar().X).moving
+    moved = np.stack([points, points + 1.0])
+    assert Holder([box("box:-1,-1,-1,0,2,2", moved, points)], bar().X).moving

@@ -1,0 +1,104 @@
+"""The stiffness that sets the step: a bound of what any wave can feel, and a tight one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from lane_kernels import evaluate
+from solids import ball, look, settings
+
+from gf_usd.physics.laws.registry import LAWS
+from gf_usd.physics.per_particle import singular_values
+from gf_usd.physics.time_step import stable_step, stiffness, strained_step, wave_speed
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+MU, LAM = 2.0, 3.0
+STEP = 1e-4  # of a central second difference of P: its error is STEP^2 times the third derivative
+
+
+def felt(token: str, F: np.ndarray, n: np.ndarray, N: np.ndarray) -> np.ndarray:
+    """n (x) N : d^2 psi / dF^2 : n (x) N, by differences of P, per particle."""
+    H = n[:, :, None] * N[:, None, :]
+    mu, lam = np.full(len(F), MU), np.full(len(F), LAM)
+    ahead = evaluate(token, F + STEP * H, mu, lam, np.float64)[1]
+    behind = evaluate(token, F - STEP * H, mu, lam, np.float64)[1]
+    return ((ahead - behind) * H).sum((1, 2)) / (2.0 * STEP)
+
+
+def unit(rng: np.random.Generator, n: int) -> np.ndarray:
+    v = rng.normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("token", LAWS)
+def test_no_wave_feels_more_and_one_feels_as_much(token: str) -> None:
+    rng = np.random.default_rng(0)
+    n = 400
+    U, _, Vt = np.linalg.svd(rng.normal(size=(n, 3, 3)))
+    s = np.sort(rng.uniform(0.25, 2.0, (n, 3)), 1)
+    F = (U * s[:, None, :]) @ Vt
+    F[np.linalg.det(F) < 0.0] *= -1.0
+    k = stiffness(
+        LAWS[token], singular_values(F), np.linalg.det(F), np.full(n, MU), np.full(n, LAM)
+    )
+    for _ in range(20):
+        assert (felt(token, F, unit(rng, n), unit(rng, n)) <= k * (1.0 + 1e-6)).all()
+    # along the smallest stretch, where the other two make cof F largest
+    U, _, Vt = np.linalg.svd(F)
+    most = felt(token, F, U[:, :, 2], Vt[:, 2, :])
+    tight = LAWS[token].bulk(np.linalg.det(F), MU, LAM) > 0.0  # else the bound leaves U'' out
+    assert tight.sum() > 350
+    np.testing.assert_allclose(most[tight], k[tight], rtol=1e-5)
+
+
+@pytest.mark.parametrize("token", LAWS)
+def test_at_rest_it_is_that_of_the_pressure_wave(token: str) -> None:
+    one = np.ones(1)
+    k = stiffness(LAWS[token], np.ones((1, 3)), one, MU * one, LAM * one)
+    assert k == pytest.approx(LAM + 2.0 * MU)
+
+
+@pytest.mark.parametrize("token", LAWS)
+def test_flat_and_inverted_particles_give_a_number(token: str) -> None:
+    s = np.array([[0.0, 1.0, 1.0], [1e-9, 0.5, 2.0], [0.3, 1.0, 1.0]])
+    J = np.array([0.0, -1e-9, -0.3])
+    k = stiffness(LAWS[token], s, J, np.full(3, MU), np.full(3, LAM))
+    assert np.isfinite(k).all()
+    assert (k > 0.0).all()
+
+
+def test_a_cell_is_as_fast_as_its_particles_are_on_average() -> None:
+    k, density = np.array([1.0, 9.0, 4.0, 4.0]), np.array([1.0, 1.0, 2.0, 2.0])
+    order, start = np.array([2, 0, 3, 1]), np.array([0, 2, 4])
+    # cells {2, 0} and {3, 1}: sqrt(5/3) and sqrt(13/3)
+    assert wave_speed(k, density, order, start) == pytest.approx(np.sqrt(13.0 / 3.0))
+
+
+def test_the_step_follows_waves_but_never_grows_beyond_that_at_rest() -> None:
+    rest = stable_step(
+        wave_speed=2.0, h=0.1, per_cell=8.0, viscous_time=0.0, contact_omega2=0.0,
+        contact_damping=0.0, safety=0.5,
+    )  # fmt: skip
+    assert strained_step(rest, 1.0, 0.1, 8.0) == pytest.approx(2.0 * rest.dt)
+    assert strained_step(rest, 8.0, 0.1, 8.0) == pytest.approx(0.5 * rest.dt)
+
+
+def test_a_squashed_body_gets_more_substeps_unless_they_are_given() -> None:
+    body, _ = ball(500)
+    m = look("jelly", body, damping_time=0.0)
+    solver = TotalLagrangian(body, [m], settings(fps=1.0))
+    solver.read(0)
+    assert solver.substeps == solver.coarse
+    u = np.zeros((solver.stencil.node_count, 3), np.float32)
+    u[:, 1] = -0.8 * solver.stencil.node_X[:, 1]  # to a fifth of its height
+    solver.arrays["u"].from_numpy(u.ravel())
+    assert solver.read(0).health.min_J == pytest.approx(0.2, rel=1e-3)
+    # U'' = (lam (1 - ln J) + mu) / J^2 and the other two stretches are 1
+    k = m.mu + (m.lam * (1.0 - np.log(0.2)) + m.mu) / 0.04
+    expected = 0.5 * solver.frame_time / solver.step.dt * np.sqrt(k / (m.lam + 2.0 * m.mu))
+    assert solver.substeps == pytest.approx(expected, rel=0.05)
+    assert solver.substeps > 2 * solver.coarse
+    fixed = TotalLagrangian(body, [m], settings(substeps=40))
+    fixed.arrays["u"].from_numpy(u.ravel())
+    fixed.read(0)
+    assert fixed.substeps == 40

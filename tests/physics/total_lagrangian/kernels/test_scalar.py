@@ -1,0 +1,134 @@
+"""The plain kernels, the fast ones and sums in NumPy: three ways to the same numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from launching import WAYS, launched
+from solids import ball, look, settings
+
+from gf_usd.core.materials import LOOKS
+from gf_usd.physics.grid.reference import OFFSETS, weights
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+# f64: the two sum some hundred terms in different orders, over a few dozen substeps of an impact.
+EXACT = {"rtol": 1e-9, "atol": 1e-10}
+
+
+def drop(plain, real=np.float64, threads=2, launching=lambda solver: solver, **said):
+    """A ball that meets the floor, turned and thrown, with a filter: everything a substep has."""
+    body, samples = ball(400, radius=0.1)
+    options = {
+        "frames": 4, "gravity": (0.0, -9.81, 0.0), "floor": -0.1, "filter_rate": 50.0, "fps": 60.0,
+        "threads": threads, "substeps": 40, **said,
+    }  # fmt: skip
+    law = options.pop("law", "corotated")
+    solver = TotalLagrangian(
+        body, [look("rubber", body, law=law)], settings(**options), samples=samples,
+        velocity=(0.3, -2.0, 0.1), real=real, plain=plain,
+    )  # fmt: skip
+    frames = list(launching(solver).frames())
+    return solver, frames
+
+
+def state(run):
+    solver, _ = run
+    return np.concatenate([*solver.state(), [solver.offset]])
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {},
+        {"law": "neoHookean"},
+        pytest.param(
+            {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
+            marks=pytest.mark.slow,  # kernels that no other test compiles
+        ),
+    ],
+    ids=["corotated", "neo-Hookean", "the paper's options"],
+)
+def test_a_drop_is_the_same_either_way(said):
+    fast, plain = drop(False, **said), drop(True, **said)
+    np.testing.assert_allclose(state(plain), state(fast), **EXACT)
+    for a, b in zip(fast[1], plain[1], strict=True):
+        assert b.health.elastic == pytest.approx(a.health.elastic, rel=1e-9, abs=1e-12)
+        assert b.health.clamped == a.health.clamped
+        assert b.health.stress_capped == a.health.stress_capped
+    assert max(f.health.penetration for f in plain[1]) > 0.0
+
+
+def test_stress_of_every_particle_is_the_same_either_way():
+    fast, plain = (drop(p, stress=True)[1][-1].stress for p in (False, True))
+    assert fast.max() > 1.0
+    np.testing.assert_allclose(plain, fast, rtol=1e-8, atol=1e-8 * fast.max())
+
+
+def test_single_precision_stays_near_double():
+    exact, single = state(drop(True)), state(drop(True, real=np.float32))
+    # 6e-8 of a rounding, times some hundred sums and 160 substeps of an impact at 2 m/s
+    np.testing.assert_allclose(single, exact, atol=2e-4)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_threads_launches_and_reruns_change_no_bit(way, monkeypatch):
+    def run(way, **said):
+        launching = lambda solver: launched(solver, way, monkeypatch)  # noqa: E731
+        return state(drop(True, real=np.float32, launching=launching, **said))
+
+    first = run("alone")
+    assert np.array_equal(first, run(way))
+    assert np.array_equal(first, run(way, threads=1))
+
+
+def corotated(F, mu, lam):
+    """P = 2 mu (F - R) + lam (J - 1) J F^-T by singular values; (N, 3, 3)."""
+    U, _, Vt = np.linalg.svd(F)
+    J = np.linalg.det(F)[:, None, None]
+    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)
+
+
+def filtered(stencil, v, m):
+    """sum_p w m (v_p + C_p dX) of nodal velocities v, from the particles' 27 weights each."""
+    w, _ = weights(stencil.fx, stencil.h)
+    nodes = np.repeat(stencil.cell_nodes, np.diff(stencil.cell_start), axis=0)
+    d = stencil.h * (OFFSETS - stencil.fx[:, None])
+    vp = np.einsum("pn,pna->pa", w, v[nodes])
+    C = 4.0 / stencil.h**2 * np.einsum("pn,pna,pnb->pab", w, v[nodes], d)
+    moved = vp[:, None] + np.einsum("pab,pnb->pna", C, d)
+    out = np.zeros_like(v)
+    np.add.at(out, nodes, (w * m[stencil.order, None])[..., None] * moved)
+    return out
+
+
+@pytest.mark.parametrize("plain", [False, True], ids=["fast", "plain"])
+def test_one_substep_is_the_sum_that_numpy_makes(plain):
+    """v + alpha (B v - m v)/m, then + dt f/m: eq. 1 to 3 in float64, every node free."""
+    body, _ = ball(400)
+    rubber = LOOKS["rubber"].material(body.radius)
+    rubber = replace(rubber, damping_time=0.01)
+    s = settings(fps=1e4, frames=2, substeps=1, filter_rate=np.inf, followers=False)
+    solver = TotalLagrangian(body, [rubber], s, real=np.float64, plain=plain)
+    stencil = solver.stencil
+    X = stencil.node_X
+    u = 0.05 * np.stack([np.sin(2.0 * X[:, 1]), X[:, 0] * X[:, 2], np.cos(X[:, 0])], -1)
+    v = 0.5 * np.stack([np.cos(X[:, 2]), np.sin(X[:, 0]), X[:, 1] ** 2], -1)
+    solver.arrays["u"].from_numpy(u.ravel())
+    solver.arrays["v"].from_numpy(v.ravel())
+    dt = 1e-4
+    u = u + 0.5 * dt * v
+    mass = stencil.mass[:, None]
+    v = filtered(stencil, v, solver.m) / mass
+    G = solver.rows.G
+    F, D = (np.stack([g @ q for g in G], -1) for q in (u, v))
+    F = F + np.eye(3)
+    E = np.einsum("pba,pbc->pac", F, D)
+    mu, lam = solver.per["mu"][0], solver.per["lam"][0]
+    P = corotated(F, mu, lam) + 2.0 * mu * 0.01 * F @ (0.5 * (E + E.swapaxes(1, 2)))
+    T = body.V0[:, None, None] * P
+    v = v - dt * sum(G[a].T @ T[:, :, a] for a in range(3)) / mass
+    solver.advance(1, 1)
+    # the polar decomposition is taken until it changes by 3e-8 of itself, squared by the last step
+    np.testing.assert_allclose(solver.state()[1], v, rtol=1e-9, atol=1e-9 * np.abs(v).max())

@@ -1,0 +1,46 @@
+"""The kernels that do eight cells at once, beside the plain sums they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+from strained_ball import force, made, shear_modulus
+
+from gf_usd.physics.total_lagrangian.layout import batch_particles
+
+
+def corotated(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
+    """P = 2 mu (F - R) + lam (J - 1) J F^-T by singular values; (N, 3, 3)."""
+    U, _, Vt = np.linalg.svd(F)
+    J = np.linalg.det(F)[:, None, None]
+    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)
+
+
+def test_forces_are_the_plain_sum_over_particles():
+    solver = made(np.float64)
+    X = solver.stencil.node_X
+    u = 0.05 * np.stack([np.sin(2.0 * X[:, 1]), X[:, 0] * X[:, 2], np.cos(X[:, 0])], -1)
+    free = solver.stencil.free_count
+    u[free:] = solver.stencil.follow @ u[:free]
+    solver.arrays["u"].from_numpy(u.ravel())
+    G = solver.rows.G
+    F = np.eye(3) + np.stack([g @ u[:free] for g in G], -1)
+    mu, lam = solver.per["mu"][0], solver.per["lam"][0]
+    assert mu == shear_modulus()
+    T = solver.particles.V0[:, None, None] * corotated(F, mu, lam)
+    expected = -sum(G[a].T @ T[:, :, a] for a in range(3))
+    # the frame is so short that u moves by 1e-9 of itself; force reads m v / dt off it
+    np.testing.assert_allclose(force(solver), expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_every_particle_has_one_lane_of_its_own():
+    solver = made()
+    batches = batch_particles(solver.stencil)
+    filled = batches.filled > 0.0
+    assert sorted(batches.source[filled]) == list(range(len(solver.particles)))
+    cell = np.repeat(np.arange(len(batches.cells)), np.diff(batches.batch))
+    owner = np.empty(len(solver.particles), int)
+    owner[solver.stencil.order] = np.repeat(
+        np.arange(len(solver.stencil.cell_nodes)), np.diff(solver.stencil.cell_start)
+    )
+    # a lane belongs to one cell, whose nodes its batches use
+    assert np.array_equal(owner[batches.source][filled], batches.cells[cell][filled])

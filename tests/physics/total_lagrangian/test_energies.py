@@ -1,0 +1,114 @@
+"""What a frame says of itself, against a body whose motion is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.physics.per_particle import singular_values
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+# State is kept in float32: 6e-8 of each value, and sums over the nodes average it.
+SINGLE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def body():
+    return ball(300)
+
+
+def first(body, *, velocity=(0.0, 0.0, 0.0), samples=None, **changes):
+    """The solver and the health of its first frame."""
+    particles, _ = body
+    material = look("rubber", particles, damping_time=0.0)
+    solver = TotalLagrangian(
+        particles, [material], settings(**changes), samples=samples, velocity=velocity
+    )
+    return solver, next(solver.frames()).health
+
+
+def test_singular_values_are_those_of_the_svd():
+    F = np.random.default_rng(0).normal(size=(300, 3, 3))
+    F[0], F[1], F[2] = np.eye(3), np.zeros((3, 3)), np.diag([1.0, 1e-3, -1.0])
+    F[3] = np.ones((3, 3))
+    wanted = np.linalg.svd(F, compute_uv=False)[:, ::-1]
+    size = np.maximum(wanted[:, 2:], 1e-30)
+    # Roots of eigenvalues that carry 1e-16 of the largest: 1e-8, times a few operations.
+    np.testing.assert_allclose((singular_values(F) - wanted) / size, 0.0, atol=1e-7)
+
+
+def test_a_body_at_rest_has_its_weight_and_nothing_else(body):
+    particles, _ = body
+    m = 1100.0 * particles.V0.sum()
+    _, health = first(body, gravity=(0.0, -9.81, 0.0), lift=(0.0, 7.0, 0.0))
+    centre = particles.X.mean(0) + [0.0, 7.0, 0.0]
+    assert health.mass == pytest.approx(m, rel=1e-12)
+    np.testing.assert_allclose(health.centre, centre, atol=1e-12)
+    assert health.potential == pytest.approx(m * 9.81 * centre[1], rel=1e-12)
+    assert health.kinetic == health.elastic == health.contact == 0.0
+    assert health.min_J == health.max_J == 1.0
+    assert health.inverted == 0
+
+
+def test_the_potential_is_measured_from_the_floor(body):
+    _, low = first(body, gravity=(0.0, -9.81, 0.0), floor=0.0)
+    _, high = first(body, gravity=(0.0, -9.81, 0.0), floor=-2.0)
+    assert high.potential - low.potential == pytest.approx(2.0 * 9.81 * low.mass, rel=1e-12)
+
+
+def test_translation_and_spin_carry_the_momenta_of_a_rigid_body(body):
+    V, w = np.array([1.0, -2.0, 0.5]), np.array([0.3, 2.0, -1.0])
+    lift = np.array([3.0, 1.0, -2.0])
+    solver, health = first(body, velocity=lambda X: V + np.cross(w, X), lift=tuple(lift))
+    X, m = solver.stencil.free_X, solver.stencil.mass
+    # Nodes stand for the mass: their sums are exact, to the float32 of the velocities.
+    np.testing.assert_allclose(
+        health.momentum, m.sum() * (V + np.cross(w, m @ X / m.sum())), rtol=SINGLE
+    )
+    L = (m[:, None] * np.cross(X + lift, V + np.cross(w, X))).sum(0)
+    np.testing.assert_allclose(health.angular_momentum, L, rtol=SINGLE)
+    # A ball of samples: sum m |w x X|^2 / 2 + M V^2 / 2; nodes spread it by h^2 / 4 per axis.
+    spread = 2.0 / 3.0 * (solver.h**2 / 4.0) * 3.0 / (0.4 * 1.0)
+    rigid = 0.5 * health.mass * (V @ V + 0.4 * (w @ w))
+    assert rigid < health.kinetic < rigid * (1.0 + spread)
+
+
+def test_a_stretched_body_holds_the_energy_of_its_strain(body):
+    particles, _ = body
+    solver, _ = first(body)
+    u = np.zeros((solver.stencil.node_count, 3), np.float32)
+    u[:, 1] = 0.1 * solver.stencil.node_X[:, 1]
+    solver.arrays["u"].from_numpy(u.ravel())
+    solver.settings = settings(frames=1)
+    health = next(solver.frames()).health
+    material = look("rubber", particles)
+    # Corotated law at diag(1, 1.1, 1): mu .01 + lam/2 .01.
+    density = 0.01 * material.mu + 0.005 * material.lam
+    # psi is a difference of float32 numbers near 1 squared: 6e-8 / .1, twice, times a few.
+    assert health.elastic == pytest.approx(density * particles.volume, rel=1e-5)
+    assert health.max_stretch == pytest.approx(1.1, abs=SINGLE)
+    assert health.min_stretch == pytest.approx(1.0, abs=SINGLE)
+    assert health.max_J == pytest.approx(1.1, abs=SINGLE)
+
+
+def test_inverted_particles_are_counted(body):
+    particles, _ = body
+    solver, _ = first(body)
+    u = np.zeros((solver.stencil.node_count, 3), np.float32)
+    u[:, 1] = -1.5 * solver.stencil.node_X[:, 1]
+    solver.arrays["u"].from_numpy(u.ravel())
+    health = next(solver.frames()).health
+    assert health.inverted == len(particles)
+    assert health.min_J == pytest.approx(-0.5, abs=SINGLE)
+    assert health.min_stretch == pytest.approx(0.5, abs=SINGLE)  # stretches carry no sign
+
+
+def test_a_body_in_the_floor_holds_the_energy_of_its_springs(body):
+    _, samples = body
+    solver, health = first(
+        body, samples=samples, floor=0.0, lift=(0.0, 0.9, 0.0), gravity=(0.0, -9.81, 0.0)
+    )
+    depth = np.maximum(0.0, -(samples.X[:, 1] + 0.9))
+    assert (depth > 0.0).sum() >= 3
+    assert health.contact == pytest.approx(0.5 * solver.contact.stiffness @ depth**2, rel=1e-9)

@@ -1,0 +1,101 @@
+"""What is kept of a state is kept only as long as the state stands."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.physics import per_particle, taichi_arrays
+from gf_usd.physics.total_lagrangian import state
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+
+
+@pytest.fixture
+def solver():
+    particles, _ = ball(120)
+    return TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+
+
+def test_the_same_state_is_one_moment(solver):
+    assert solver.moment() is solver.moment()
+
+
+@pytest.mark.parametrize("name", ["u", "v"])
+def test_another_state_is_another_moment(solver, name):
+    before = solver.moment()
+    _ = before.particles, before.potential
+    changed = taichi_arrays.values(solver.arrays[name])
+    changed[1::3] += 0.5
+    taichi_arrays.put(solver.arrays[name], changed)
+    after = solver.moment()
+    moved, faster = (0.5, 0.0) if name == "u" else (0.0, 0.5)
+    # Single precision of the state, and weights that add up to 1.
+    for was, now, by in (
+        (before.particles.x, after.particles.x, moved),
+        (before.particles.v, after.particles.v, faster),
+    ):
+        np.testing.assert_allclose(now - was, np.tile([0.0, by, 0.0], (len(was), 1)), atol=1e-6)
+
+
+def test_the_offset_is_part_of_it(solver):
+    before = solver.moment()
+    solver.offset = solver.offset + [0.0, 2.0, 0.0]
+    np.testing.assert_allclose(solver.moment().x - before.x, [[0.0, 2.0, 0.0]] * len(before.x))
+
+
+def test_a_state_that_is_no_number_is_never_the_same(solver):
+    bad = taichi_arrays.values(solver.arrays["u"])
+    bad[0] = np.nan
+    taichi_arrays.put(solver.arrays["u"], bad)
+    assert solver.moment() is not solver.moment()
+    assert "no longer finite" in solver.not_finite()[1]
+
+
+def test_what_is_handed_out_cannot_be_changed(solver):
+    with pytest.raises(ValueError, match="read-only"):
+        solver.state()[0][0] = 1.0
+
+
+def test_a_solver_that_nobody_holds_is_gone_at_once() -> None:
+    particles, _ = ball(120)
+    solver = TotalLagrangian(particles, [look("rubber", particles)], settings(frames=3))
+    assert len(list(solver.frames())) == 3
+    assert solver.moment().particles.x.size
+    seen = weakref.ref(solver)
+    gc.disable()
+    try:
+        del solver
+        assert seen() is None
+    finally:
+        gc.enable()
+
+
+def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monkeypatch):
+    particles, _ = ball(120)
+    asked = settings(frames=3, wls=True)
+    solver = TotalLagrangian(
+        particles,
+        [look("rubber", particles)],
+        asked,
+        velocity=lambda X: 3.0 * np.sin(2.0 * X[:, [1, 2, 0]]),
+    )
+    worked_out: list[int] = []
+    monkeypatch.setattr(
+        state, "strains", lambda F: worked_out.append(len(F)) or per_particle.strains_by_numpy(F)
+    )
+    solver.advance(1, 2)
+    after = len(worked_out)
+    assert worked_out == [2 * len(particles)], "before F was put anew and after it, at once"
+    frame = solver.read(1)
+    assert len(worked_out) == after
+    s = np.linalg.svd(frame.particles.F, compute_uv=False)
+    assert frame.health.max_stretch == pytest.approx(s.max(), rel=1e-7)
+    solver.reanchor.put(solver, 1.1 * solver.reanchor.F0)
+    assert solver.read(1).health.max_stretch != frame.health.max_stretch
+    assert len(worked_out) == after + 1
+    solver.read(2)
+    assert len(worked_out) == after + 2

@@ -1,0 +1,211 @@
+"""The Updated Lagrangian solver: contact's transpose, limits, state, faults, threads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.core.errors import SolverError, UsageError
+from gf_usd.core.stage import Pin
+from gf_usd.physics.frame_loop import Marcher
+from gf_usd.physics.updated_lagrangian import solver as module
+from gf_usd.physics.updated_lagrangian.solver import STATE, UpdatedLagrangian
+
+
+def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32, **changes):
+    """A rubber ball of 10 cm that meets the floor at once."""
+    body, samples = ball(700, radius=0.1)
+    s = settings(
+        frames=frames, gravity=(0.0, -9.81, 0.0), floor=-0.1, threads=threads, fps=60.0, **changes
+    )
+    made = look("rubber", body)
+    return UpdatedLagrangian(body, [made], s, samples=samples, velocity=(0.3, -2.0, 0.1), real=real)
+
+
+def state(solver: UpdatedLagrangian) -> np.ndarray:
+    return np.concatenate([solver.array(name) for name in STATE] + [solver.offset])
+
+
+@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
+def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below):
+    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
+    seen = []
+    for threads in (2, 2, 1):
+        solver = dropped(threads=threads)
+        assert max(f.health.penetration for f in solver.frames()) > 0.0
+        seen.append(state(solver))
+    assert np.array_equal(seen[0], seen[1])
+    assert np.array_equal(seen[0], seen[2])
+
+
+def test_the_two_paths_agree(monkeypatch):
+    # The same sums in the same order, but compiled apart: see test_determinism.
+    seen = []
+    for below in (10**9, 0):
+        monkeypatch.setattr(module, "SERIAL_BELOW", below)
+        solver = dropped()
+        list(solver.frames())
+        x = solver.state()[0] + solver.offset
+        seen.append(x)
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
+
+
+def test_a_saved_state_goes_on_to_the_bit():
+    whole, first, second = (dropped(frames=n) for n in (7, 4, 7))
+    list(whole.frames())
+    list(first.frames())
+    second.restore(first.save())
+    second.guard.recall(first.guard.state())
+    last = second.read(3).health
+    for index in range(4, 7):
+        last = second.next(index, last).health
+    assert np.array_equal(state(whole), state(second))
+    assert (whole.time, whole.done) == (second.time, second.done)
+
+
+def test_the_floor_gives_what_its_samples_feel():
+    # Forces go back by the transpose of how samples read their motion: over one substep the body
+    # gains dt sum f and dt sum x_s x f_s, to rounding, its particles' own spin included.
+    body, samples = ball(300)
+    made = look("jelly", body, damping_time=0.0, friction=0.3)
+    s = settings(frames=2, substeps=1, fps=1000.0, floor=-0.9)
+
+    def velocity(X):
+        return np.array([1.0, -1.0, 0.5]) + 0.5 * np.cross([0.2, 1.0, 0.3], X)
+
+    solver = UpdatedLagrangian(body, [made], s, samples=samples, velocity=velocity, real=np.float64)
+    assert solver.ride is not None
+    x, v, F, L = solver.state()
+    half = 0.5 * solver.frame_time
+    where = solver.ride.pose(x + half * v, v, F + half * L @ F, L).x + solver.offset
+    before, after = (f.health for f in solver.frames())
+    f = solver.array("sample_force").reshape(-1, 3)
+    assert (np.abs(f).sum(1) > 0.0).sum() > 5
+    impulse = solver.frame_time * f
+    gained = np.subtract(after.momentum, before.momentum)
+    np.testing.assert_allclose(gained, impulse.sum(0), atol=1e-11 * np.abs(impulse).sum())
+    turned = np.subtract(after.angular_momentum, before.angular_momentum)
+    moment = np.cross(where, impulse)
+    np.testing.assert_allclose(turned, moment.sum(0), atol=1e-11 * np.abs(moment).sum())
+
+
+def test_singular_values_are_clipped_and_counted():
+    solver = dropped(frames=4, clamp=(0.97, 1.02))
+    health = [f.health for f in solver.frames()]
+    # F is clipped after it has moved: f32 rounding of an SVD is left.
+    assert min(h.min_stretch for h in health) > 0.97 - 1e-5
+    assert max(h.max_stretch for h in health) < 1.02 + 1e-5
+    assert 0 < max(h.clamped for h in health) <= len(solver.particles)
+    assert health[0].clamped == 0
+
+
+def test_an_inverted_particle_is_turned_back_by_the_clamp():
+    solver = dropped(frames=2, clamp=(0.2, 5.0))
+    F = np.tile(np.eye(3), (len(solver.particles), 1, 1))
+    F[7] = np.diag([1.0, -0.5, 1.2])
+    solver.arrays["F"].from_numpy(F.astype(np.float32).ravel())
+    solver.advance(1, 10_000)
+    assert solver.read(1).health.inverted == 0
+
+
+def test_stress_is_cut_and_counted():
+    free, capped = dropped(frames=5), dropped(frames=5, stress_cap=100.0)
+    frames = [list(s.frames()) for s in (free, capped)]
+    assert max(f.health.stress_capped for f in frames[0]) == 0
+    assert max(f.health.stress_capped for f in frames[1]) > 100
+    # |P| <= 100 Pa hardly resists: the ball is squashed further.
+    assert frames[1][-1].health.min_J < frames[0][-1].health.min_J
+
+
+def test_a_cap_that_is_never_met_changes_nothing():
+    # The same numbers times one; compiled apart, so to rounding.
+    free, capped = dropped(frames=4), dropped(frames=4, stress_cap=1e12)
+    list(free.frames())
+    assert not any(f.health.stress_capped for f in capped.frames())
+    np.testing.assert_allclose(state(free), state(capped), rtol=1e-3, atol=1e-4)
+
+
+def test_riders_come_with_every_frame():
+    body, _ = ball(300)
+    made = look("rubber", body, damping_time=0.0)
+    points = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, 0.2]])
+    s = settings(frames=3, gravity=(0.0, -9.81, 0.0))
+    solver = UpdatedLagrangian(body, [made], s, riders={"a": points}, velocity=(1.0, 0.0, 0.0))
+    for frame in solver.frames():
+        at = points + np.array([1.0, 0.0, 0.0]) * frame.time
+        at[:, 1] -= 0.5 * 9.81 * frame.time**2
+        np.testing.assert_allclose(frame.riders["a"].x, at, atol=1e-5)
+        assert frame.riders["a"].F.shape == (2, 3, 3)
+
+
+def test_stress_is_read_where_asked_for():
+    body, _ = ball(300)
+    made = look("rubber", body, damping_time=0.0)
+    s = settings(frames=3, stress=True)
+    *_, last = UpdatedLagrangian(body, [made], s, velocity=lambda X: X * [0.0, -0.5, 0.0]).frames()
+    assert last.stress is not None
+    assert last.stress.shape == (len(body),)
+    assert last.stress.min() > 0.0
+
+
+def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
+    monkeypatch.setattr(module, "LARGEST_BOX", 1)  # eight boxes of the body at rest
+    body, _ = ball(300)
+    s = settings(frames=3, substeps=4)
+    solver = UpdatedLagrangian(
+        body, [look("jelly", body)], s, velocity=lambda X: 1e3 * np.sign(X) * [1.0, 1.0, 0.0]
+    )
+    with pytest.raises(SolverError, match="no longer fits a grid") as caught:
+        list(solver.frames())
+    assert caught.value.frame == 1
+    assert 0 <= caught.value.particle < len(body)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_a_position_that_is_no_place_is_noticed_and_nothing_is_written_for_it(value):
+    solver = dropped()
+    x = solver.array("x")
+    x[3 * 17] = value
+    solver.arrays["x"].from_numpy(x.astype(np.float32))
+    before = solver.array("F")
+    solver.advance(1, 3)
+    particle, fault = solver.not_finite()
+    assert particle == 17
+    assert fault
+    # Only the drift that opens the frame was done, for the others.
+    assert np.abs(solver.array("F") - before).max() < 1e-5
+
+
+def test_positions_move_to_the_offset_by_whole_cells():
+    body, _ = ball(300, radius=0.1)
+    s = settings(frames=20, gravity=(0.0, -9.81, 0.0))
+    solver = UpdatedLagrangian(body, [look("rubber", body, damping_time=0.0)], s)
+    start = solver.offset.copy()
+    *_, last = solver.frames()
+    cells = (solver.offset - start) / solver.h
+    np.testing.assert_allclose(cells, np.round(cells), atol=1e-9)
+    assert cells[1] < -10
+    assert np.abs(solver.array("x")).max() < 0.1 + solver.h
+    fall = -0.5 * 9.81 * last.time**2
+    assert last.health.centre[1] == pytest.approx(fall + np.mean(body.X[:, 1]), abs=1e-4)
+
+
+def test_what_it_does_not_know_is_refused():
+    body, _ = ball(100)
+    made = [look("rubber", body)]
+    pin = Pin(
+        name="box", inside=lambda X: X[:, 0] > 0.0, nearest=lambda X: X,
+        anchors=np.zeros((1, 3)), path=np.zeros((1, 1, 3)),
+    )  # fmt: skip
+    with pytest.raises(UsageError, match="does not know --pin"):
+        UpdatedLagrangian(body, made, settings(), pins=[pin])
+    with pytest.raises(UsageError, match="Procrustes"):
+        UpdatedLagrangian(body, made, settings(procrustes=0.02))
+    with pytest.raises(UsageError, match="WLS"):
+        UpdatedLagrangian(body, made, settings(wls=True))
+
+
+def test_it_is_a_marcher():
+    assert issubclass(UpdatedLagrangian, Marcher)

@@ -1,0 +1,141 @@
+"""What a bake is said to cost, and where that is too much."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from solids import asset, facts, fill, look, settings, solid, sphere
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.materials import Material
+from gf_usd.geometry.skinning import KEPT_BYTES
+from gf_usd.pipeline.budget import PAIR_SECONDS, duration, estimate, require_affordable
+from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.plan import Plan
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """A rubber ball of half a metre that falls a metre."""
+    shape = sphere(0.5, path="/Ball")
+    particles, samples = fill(solid(shape), 300)
+    return Plan(
+        asset=replace(asset(shape), facts=facts(path=Path("ball.usda"))),
+        particles=particles,
+        samples=samples,
+        materials=(look("rubber", particles),),
+        settings=settings(frames=31, gravity=(0.0, -9.81, 0.0), floor=-1.5),
+        outputs=outputs(Path("ball.usda"), ["rubber"], None),
+        riders=(),
+        drop=1.0,
+        notes=(),
+    )
+
+
+def stiff(plan: Plan, factor: float) -> Material:
+    rubber = plan.materials[0]
+    return replace(
+        rubber, name="stiff", youngs_modulus=factor * rubber.youngs_modulus, damping_time=0.0
+    )
+
+
+def test_substeps_grow_with_the_root_of_stiffness(plan: Plan) -> None:
+    made = [replace(plan, materials=(stiff(plan, f),)) for f in (1e4, 1e6, 1e8)]
+    steps = [estimate(p)["per_material"][0]["substeps_per_frame"] for p in made]
+    # whole numbers of hundreds and more
+    assert [b / a for a, b in pairwise(steps)] == pytest.approx([10.0, 10.0], rel=0.01)
+
+
+def test_what_more_work_costs(plan: Plan) -> None:
+    def seconds(p: Plan) -> float:
+        return estimate(p)["estimated_seconds"]
+
+    rubber, jelly = plan.materials[0], replace(plan.materials[0], name="jelly")
+    both = replace(plan, materials=(rubber, jelly))
+    one, two = seconds(plan), seconds(both)
+    assert one < two < 2.0 * one, "imports and kernels are paid for once"
+    assert seconds(replace(plan, settings=replace(plan.settings, frames=310))) > one
+    assert seconds(replace(plan, settings=replace(plan.settings, solver="ul"))) > 0.0
+
+
+def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> None:
+    def more(count: int) -> float:
+        """[s] a frame that the skin adds on a sphere of so many vertices."""
+        shape = plan.asset.surfaces[0]
+        wide = replace(shape, points=np.resize(shape.points, (count, 3)))
+        bare = replace(plan, asset=replace(plan.asset, surfaces=(wide,)))
+        skinned = replace(bare, settings=replace(bare.settings, skin="paper"))
+        cost = (estimate(p)["estimated_seconds"] for p in (skinned, bare))
+        return (next(cost) - next(cost)) / plan.settings.frames
+
+    n = len(plan.particles)
+    kept, anew = KEPT_BYTES // (8 * n), 10 * KEPT_BYTES // (8 * n)
+    assert more(anew) == pytest.approx(
+        10.0 * more(kept) * PAIR_SECONDS[0] / PAIR_SECONDS[1], rel=0.01
+    )
+    assert more(2 * anew) == pytest.approx(2.0 * more(anew), rel=0.01)
+
+
+def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
+    fresh = replace(plan)
+    material = fresh.materials[0]
+    substeps = fresh.substeps(material)
+    first = fresh.solver(material)
+    assert first.substeps == substeps
+    next(first.frames())
+    again = fresh.solver(material)
+    assert again is not first, "a solver that has moved starts no other bake"
+    assert fresh.substeps(material) == substeps
+    changed = replace(fresh, settings=replace(fresh.settings, substeps=7))
+    assert changed.substeps(material) == 7, "a plan with other settings asks its own solver"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.4, "0 s"),
+        (119.0, "119 s"),
+        (120.0, "2 minutes"),
+        (7199.0, "120 minutes"),
+        (9000.0, "2.5 hours"),
+        (86400.0, "24 hours"),
+        (1.2e6, "13.9 days"),
+    ],
+)
+def test_times_for_reading(seconds: float, words: str) -> None:
+    assert duration(seconds) == words
+
+
+def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:
+    hard = replace(plan, materials=(*plan.materials, stiff(plan, 1e12)))
+    hours = estimate(hard)["estimated_seconds"] / 3600.0
+    require_affordable(hard, hours * 1.01)
+    with pytest.raises(InputError) as caught:
+        require_affordable(hard, hours * 0.99)
+    substeps = estimate(hard)["substeps_per_frame"]["stiff"]
+    message = caught.value.message
+    assert message.startswith(f"ball.usda: the bake would take about {duration(hours * 3600)}: ")
+    assert (
+        f"particles of stiff (Young's modulus {hard.materials[1].youngs_modulus:.3g} Pa" in message
+    )
+    assert f"need {substeps} substeps of {1 / 24 / substeps:.2g} s in each of 31 frames" in message
+    allowed = float(caught.value.hint.split("--max-hours ")[1].split()[0])
+    require_affordable(hard, allowed)
+
+
+def test_first_contact_is_a_fall(plan: Plan) -> None:
+    # sqrt(2 * 1 m / g) = 0.4515 s, 10.8 frames
+    assert estimate(plan)["first_contact_frame"] == 11
+    assert estimate(replace(plan, drop=20.0))["first_contact_frame"] is None, "after the bake"
+    none = replace(plan, settings=replace(plan.settings, floor=None))
+    assert estimate(none)["first_contact_frame"] is None
+    # On a slope of 60 degrees, 1 m of height is half a metre along the normal, and so is g: the
+    # time is the same.
+    n = (math.sin(math.pi / 3.0), math.cos(math.pi / 3.0), 0.0)
+    tilted = replace(plan, settings=replace(plan.settings, floor_normal=n))
+    assert estimate(tilted)["first_contact_frame"] == 11

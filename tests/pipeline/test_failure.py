@@ -1,0 +1,24 @@
+"""Where a failed simulation is said to have failed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from physics_stages import mesh
+from planned import at, plan_fixture  # noqa: F401
+
+from gf_usd.core.errors import SolverError
+from gf_usd.pipeline.failure import place
+
+
+def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(plan) -> None:
+    # Particles count the surfaces that are filled: the rider stands before both in the asset.
+    seen = plan(mesh("One"), mesh("Two", at(3.0)), particles=200)
+    rider = replace(seen.asset.surfaces[0], path="/Cloth")
+    asset = replace(seen.asset, surfaces=(rider, *seen.asset.surfaces))
+    seen = replace(seen, asset=asset, riders=(("/Cloth", "is open"),))
+    for particle in (0, len(seen.particles) - 1):
+        surface = int(seen.particles.surface[particle])
+        prim = ("/One", "/Two")[surface]
+        error = SolverError("frame 3: it is torn", "", frame=3, particle=particle)
+        assert place(seen, "rubber", error)["prim"] == prim

@@ -1,0 +1,176 @@
+"""Which numbers of a bake deserve a warning: each rule on both sides of its limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from solids import ball, look, settings
+
+from gf_usd.core.errors import UnhealthyError
+from gf_usd.core.frames import Health
+from gf_usd.pipeline import health as judgement
+from gf_usd.pipeline.health import RULES, HealthLog, judge
+from gf_usd.pipeline.result import BakeResult, LookResult, require_healthy
+
+
+def summary(*frames: Health, **changes: Any) -> dict[str, Any]:
+    """Of a body of 1 kg and half a metre, 100 particles a tenth apart; 10 J are its scale."""
+    log = HealthLog(
+        settings(gravity=(0.0, -9.81, 0.0)), spacing=0.1, drop=1.0, radius=0.5, particles=100
+    )
+    for frame in (Health(mass=1.0, elastic=10.0), *frames):
+        log.add(frame)
+    return {**log.summary(), **changes}
+
+
+FLYING = {"momentum_drift": 0.0, "angular_momentum_drift": 0.0}  # of frames that do not move
+
+
+def many(count: int, **changes: Any) -> list[Health]:
+    return [Health(mass=1.0, **changes)] * count
+
+
+# rule -> (just sound, just not, a piece of the words with the number)
+CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "energy": (
+        summary(Health(elastic=10.009)),
+        summary(Health(elastic=10.2)),
+        "0.2 J in one frame, 2 % of what",
+    ),
+    "inside-out": (
+        summary(Health(min_J=0.01)),
+        summary(Health(inverted=3, min_J=-0.5), Health(inverted=1, min_J=-0.1)),
+        "up to 3 at once, from frame 1 on, down to J = -0.5; 1 still are at the end",
+    ),
+    "redone": (
+        summary(*many(18), *many(2, rollbacks=1), **FLYING),
+        summary(*many(17), *many(3, rollbacks=1), **FLYING),
+        "3 times in 21 frames",
+    ),
+    "clamp": (
+        summary(Health(clamped=2)),
+        summary(Health(clamped=3)),
+        "clamped in 1.5 % of all particles and frames",
+    ),
+    "stress-cap": (
+        summary(Health(stress_capped=2)),
+        summary(Health(stress_capped=3)),
+        "cut in 1.5 % of all particles and frames",
+    ),
+    "injected": (
+        summary(Health(elastic=10.0, injected=0.09)),
+        summary(Health(elastic=10.0, injected=0.11)),
+        "put 0.11 J into the body, 1.1 %",
+    ),
+    "penetration": (
+        summary(Health(penetration=0.099, kinetic=5.0)),
+        summary(Health(penetration=0.101, kinetic=5.0)),
+        "sank 1 spacings (0.101 m) into the floor",
+    ),
+    "overlap": (
+        summary(Health(overlap=0.099)),
+        summary(Health(overlap=0.101)),
+        "overlapped by 1 spacings (0.101 m)",
+    ),
+    "let-go": (
+        summary(Health(let_go=0)),
+        summary(Health(let_go=3)),
+        "3 contact points at once seemed deeper",
+    ),
+    "resting-depth": (
+        summary(Health(penetration=0.024)),
+        summary(Health(penetration=0.026)),
+        "lies 0.26 spacings deep in the floor",
+    ),
+    "free-flight": (
+        summary(momentum_drift=0.009, angular_momentum_drift=0.009),
+        summary(momentum_drift=0.001, angular_momentum_drift=0.011),
+        "by 0.1 % of the momentum and 1.1 % of the angular momentum",
+    ),
+}
+
+
+def test_every_rule_has_its_case() -> None:
+    assert set(CASES) == set(RULES)
+
+
+@pytest.mark.parametrize("about", CASES)
+def test_both_sides_of_a_limit(about: str) -> None:
+    sound, unsound, words = CASES[about]
+    assert judge(sound) == ()
+    (caution,) = judge(unsound)
+    assert caution.about == about
+    assert words in caution.message
+    assert caution.hint
+    assert caution.as_json() == {
+        "about": about, "message": caution.message, "hint": caution.hint,
+    }  # fmt: skip
+
+
+def test_friction_at_its_limit_is_how_a_sample_sticks() -> None:
+    assert judge(summary(Health(friction_capped=10**9))) == ()
+
+
+def test_what_is_not_known_is_not_warned_of() -> None:
+    assert summary(Health(mass=1.0))["momentum_drift"] is not None
+    unknown = summary(momentum_drift=None, angular_momentum_drift=None)
+    assert judge(unknown) == ()
+
+
+def test_a_hard_landing_may_be_redone() -> None:
+    # one of two frames: a share says little of a short bake
+    assert judge(summary(Health(rollbacks=1))) == ()
+    assert judge(summary(Health(rollbacks=2))) != ()
+
+
+def result(*healths: dict[str, Any]) -> BakeResult:
+    material = look("rubber", ball(100)[0])
+    bakes = [
+        LookResult(
+            look=f"look{i}", cache=Path("c.usdc"), material=material, frames=2, health=health,
+            warnings=judge(health),
+        )
+        for i, health in enumerate(healths)
+    ]  # fmt: skip
+    return BakeResult(
+        root=Path("out/duck.usda"), report=Path("r.json"), bakes=tuple(bakes), particles=100,
+        seconds=1.0, settings=settings(),
+    )  # fmt: skip
+
+
+def test_strict_passes_what_is_sound() -> None:
+    require_healthy(result(summary()))
+
+
+def test_strict_names_every_warning_and_says_that_the_files_are_there() -> None:
+    twice = Health(inverted=3, min_J=-0.5, penetration=0.2, kinetic=5.0)
+    unsound = result(summary(), summary(twice), summary(replace(twice, inverted=0, min_J=1.0)))
+    with pytest.raises(UnhealthyError) as caught:
+        require_healthy(unsound)
+    error = caught.value
+    assert error.exit_status == 4
+    assert error.result is unsound
+    assert [c.about for c in error.warnings] == ["inside-out", "penetration", "penetration"]
+    first, *lines = error.message.splitlines()
+    assert first == (
+        "out/duck.usda: the bake is complete and its files are written, but it has 3 warnings:"
+    )
+    assert [line.split(":")[0] for line in lines] == ["  look1", "  look1", "  look2"]
+    assert error.hint.count("--drop") == 2, "a hint that two warnings share is given once"
+    assert error.hint.endswith("without --strict this is no error")
+
+
+def test_one_warning_is_one() -> None:
+    with pytest.raises(UnhealthyError, match="but it has a warning:"):
+        require_healthy(result(summary(Health(penetration=0.2, kinetic=5.0))))
+
+
+def test_limits_leave_room_for_what_sound_bakes_do() -> None:
+    # The solver redoes a frame that gains more than `physics.guard.GAIN`: a limit above it would
+    # never be met.
+    from gf_usd.physics.frame_loop import GAIN
+
+    assert judgement.ENERGY_GAIN < GAIN

@@ -1,0 +1,98 @@
+"""Which meshes of a stage are a body, what bodies meet, and how they move at the start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from physics_stages import head, mesh, prim
+from planned import at, cubes, noted, plan_fixture  # noqa: F401
+
+from gf_usd.core.errors import UsageError
+
+COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
+
+
+def test_what_lies_apart_is_a_body_each(plan) -> None:
+    seen = plan(cubes())
+    assert seen.bodies.surfaces == (("/One",), ("/Two",))
+    assert seen.bodies.riders == {"/One": 0, "/Two": 1}
+    # Of a cube of 1 m^3; 2 %: the strata of 200 particles.
+    np.testing.assert_allclose(seen.bodies.radius, np.cbrt(0.75 / np.pi), rtol=0.02)
+    np.testing.assert_array_equal(seen.particles.body, (seen.particles.X[:, 0] > 2).astype(int))
+    assert noted(seen, "2 bodies, which meet by contact: </One>, </Two>; --combine")
+    one = plan(cubes(), combine=True)
+    assert (one.bodies.count, one.particles.body) == (1, None)
+    assert not one.encounters.any
+
+
+def test_what_one_rigid_body_holds_is_one(plan) -> None:
+    seen = plan(prim("Xform", "Car", cubes(), apis=[RIGID]), mesh("Three", at(6.0)))
+    assert seen.bodies.surfaces == (("/Car/One", "/Car/Two"), ("/Three",))
+
+
+def test_a_crumb_is_one_body_with_what_is_nearest(plan) -> None:
+    small = "double3 xformOp:scale = (0.2, 0.2, 0.2)\ndouble3 xformOp:translate = (3.0, 2.0, 0)"
+    order = 'uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]'
+    seen = plan(cubes(), mesh("Crumb", small, order))
+    assert seen.bodies.surfaces == (("/One",), ("/Two", "/Crumb"))
+    assert noted(seen, "</Crumb> holds")
+
+
+def test_skins_are_seen_from_outside(plan) -> None:
+    from gf_usd.core.mesh import signed_volume
+
+    inside_out = 'uniform token orientation = "leftHanded"'
+    seen = plan(cubes(inside_out))
+    volumes = [signed_volume(s.points, s.triangles) for s in seen.encounters.skins]
+    np.testing.assert_allclose(volumes, 1.0)
+
+
+def test_filters_and_switched_off_collisions_let_bodies_pass(plan) -> None:
+    floor = mesh("Floor", at(0.0, -3.0), apis=[COLLISION])
+    assert plan(cubes(), floor).encounters.through == frozenset()
+    filtered = "rel physics:filteredPairs = [</Two>, </Floor>]"
+    seen = plan(cubes(filtered, apis=("PhysicsFilteredPairsAPI",)), floor).encounters
+    assert {frozenset(pair) for pair in seen.through} == {frozenset({0, 1})}
+    assert seen.through_colliders == {(0, 0)}
+    off = "bool physics:collisionEnabled = false"
+    seen = plan(cubes(off, apis=(COLLISION,)), floor).encounters
+    assert {(0, 1)} <= seen.through
+    assert seen.through_colliders == {(0, 0)}
+
+
+def test_self_contact_is_asked_for(plan) -> None:
+    assert not plan(cubes()).encounters.self_contact
+    assert plan(cubes(), self_contact=True).encounters.self_contact
+
+
+def test_rigid_velocities_of_one_body_only(plan) -> None:
+    said = "vector3f physics:velocity = (2, 0, 0)", "vector3f physics:angularVelocity = (0, 90, 0)"
+    one, two = plan(cubes(*said, apis=(RIGID,))).velocity
+    X = np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 1.5]])  # the middle, and a meter along z
+    np.testing.assert_allclose(one(X), [[2, 0, 0], [2 + np.pi / 2, 0, 0]], atol=1e-6)
+    assert two == (0.0, 0.0, 0.0)
+
+
+def test_the_animation_before_the_start_moves_the_body_on(plan) -> None:
+    fall = """
+        double3 xformOp:translate.timeSamples = { 0: (0, 8, 0), 10: (0, 3, 0) }
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    """
+    layer = head(extra="timeCodesPerSecond = 24\nstartTimeCode = 10")
+    one, two = plan(mesh("One", fall), mesh("Two", at(3.0)), layer=layer).velocity
+    X = np.random.default_rng(0).random((5, 3))
+    # Half a meter a frame, 24 frames a second.
+    np.testing.assert_allclose(one(X), np.tile([0.0, -12.0, 0.0], (5, 1)), atol=1e-6)
+    assert two == (0.0, 0.0, 0.0)
+    # Played at half the speed, the same motion takes twice as long on the clock of the simulation.
+    slow, _ = plan(
+        mesh("One", fall), mesh("Two", at(3.0)), layer=layer, time_scale="2"
+    ).velocity  # fmt: skip
+    np.testing.assert_allclose(slow(X)[:, 1], -6.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [{"skin": "idw"}, {"wls": True}, {"procrustes": 0.5}])
+def test_options_that_know_one_body_refuse_two(plan, options) -> None:
+    with pytest.raises(UsageError, match="knows one body, and there are 2"):
+        plan(cubes(), **options)
+    assert plan(cubes(), combine=True, **options).bodies.count == 1

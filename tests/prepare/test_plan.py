@@ -1,0 +1,171 @@
+"""What a bake says before and after: the plan, the result, and their JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shlex
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+from solids import asset, facts, fill, look, settings, solid, sphere
+
+import gf_usd
+from gf_usd.core.frames import Settings
+from gf_usd.pipeline.result import BakeResult, LookResult
+from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
+
+PATH = "/World/Ball"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plan") / "my ball.usda"
+    path.write_text("#usda 1.0\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def plan(source: Path) -> Plan:
+    """A ball of two materials with a mesh that rides along."""
+    shape = sphere(0.5, path=PATH)
+    particles, samples = fill(solid(shape), 200)
+    return Plan(
+        asset=replace(asset(shape), facts=facts(path=source)),
+        particles=particles,
+        samples=samples,
+        materials=(look("rubber", particles), look("jelly", particles)),
+        settings=settings(frames=5, fps=30.0, seed=3, gravity=(0.0, -9.81, 0.0)),
+        outputs=outputs(source, ["rubber", "jelly"], "out/"),
+        riders=(("/World/Hat", "open"),),
+        drop=1.5,
+        notes=("a note",),
+    )
+
+
+def result(plan: Plan, **changes) -> BakeResult:
+    looks = tuple(
+        LookResult(
+            look=m.name,
+            cache=cache,
+            material=m,
+            frames=5,
+            health={"restitution": None},
+            per_frame=[{"kinetic": 0.0}],
+        )
+        for m, cache in zip(plan.materials, plan.outputs.caches)
+    )
+    said = {
+        "root": plan.outputs.root,
+        "report": plan.outputs.report,
+        "bakes": looks,
+        "particles": len(plan.particles),
+        "seconds": 1.25,
+        "settings": plan.settings,
+        "notes": ("a note",),
+        "findings": ({"rule": "finite", "prim": "/A", "message": "m", "fix": "f"},),
+    }
+    return BakeResult(**{**said, **changes})
+
+
+def strict(values: object) -> object:
+    """Through JSON as its standard has it, without Infinity and NaN."""
+    return json.loads(json.dumps(values, allow_nan=False))
+
+
+def test_a_description_answers_what_a_dry_run_is_asked(plan: Plan, source: Path) -> None:
+    d = describe(plan)
+    assert strict(d)["bodies"] == [PATH]
+    assert d["source"] == str(source)
+    assert d["input_sha256"] == hashlib.sha256(source.read_bytes()).hexdigest() == input_hash(plan)
+    assert d["version"] == gf_usd.__version__
+    assert d["riders"] == [["/World/Hat", "open"]]
+    assert d["particles"] == len(plan.particles)
+    assert d["spacing_m"] == plan.particles.spacing
+    # The ball's volume: an icosphere of 642 points lacks 1 % of 4/3 pi r^3.
+    assert d["volume_m3"] == pytest.approx(4.0 / 3.0 * math.pi * 0.125, rel=0.02)
+    assert d["radius_m"] == pytest.approx(0.5, rel=0.01)
+    assert [m["name"] for m in d["materials"]] == ["rubber", "jelly"]
+    assert d["materials"][0] == asdict(plan.materials[0])
+    assert (d["frames"], d["fps"], d["start"], d["drop_m"]) == (5, 30.0, 1.0, 1.5)
+    assert d["outputs"] == [
+        "out/my ball.rubber-jelly.usda",
+        "out/my ball.rubber-jelly.rubber.cache.usdc",
+        "out/my ball.rubber-jelly.jelly.cache.usdc",
+        "out/my ball.rubber-jelly.report.json",
+    ]
+    assert d["notes"] == ["a note"]
+
+
+def test_the_command_is_one_for_a_shell() -> None:
+    command = command_line(
+        Path("a folder/my ball.usda"), material="rubber,jelly", frames=5, fps=30.0, drop=None,
+        stress=True, repair=False, time_scale="auto", gravity="0,-1.5,0",
+    )  # fmt: skip
+    assert shlex.split(command) == [
+        *("gf-usd", "bake", "my ball.usda", "--material", "rubber,jelly", "--frames", "5"),
+        *("--fps", "30", "--stress", "--time-scale", "auto", "--gravity", "0,-1.5,0"),
+    ]
+
+
+def test_the_command_has_every_digit() -> None:
+    # Six digits of a spacing are another number of particles.
+    asked = {"spacing": 0.123456789, "fps": 24000 / 1001, "drag": 0.0, "filter_rate": math.inf}
+    words = shlex.split(command_line(Path("a.usda"), **asked))
+    assert words[3::2] == ["--spacing", "--fps", "--drag", "--filter-rate"]
+    assert [float(word) for word in words[4::2]] == list(asked.values())
+
+
+def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
+    solver = plan.solver(plan.materials[1])
+    assert solver.riders.keys() == plan.points.keys() == {PATH}
+    assert solver.settings is plan.settings
+    alone = replace(plan, settings=replace(plan.settings, skin="idw"))
+    assert alone.solver(plan.materials[0]).riders == {}
+
+
+def test_a_result_has_the_documented_keys(plan: Plan) -> None:
+    out = strict(result(plan).as_json())
+    assert list(out) == [
+        "root", "report", "particles", "frames", "seconds", "settings", "bakes",
+        "warnings", "outputs", "notes", "check",
+    ]  # fmt: skip
+    assert out["root"] == "out/my ball.rubber-jelly.usda"
+    assert out["report"] == "out/my ball.rubber-jelly.report.json"
+    assert out["settings"].keys() == Settings.__dataclass_fields__.keys()
+    assert [list(b) for b in out["bakes"]] == [
+        ["look", "cache", "material", "frames", "health"]
+    ] * 2
+    assert out["bakes"][1]["material"] == asdict(plan.materials[1])
+    assert out["check"] == [{"rule": "finite", "prim": "/A", "message": "m", "fix": "f"}]
+
+
+def test_frames_are_listed_on_request(plan: Plan) -> None:
+    bake = result(plan).bakes[0]
+    assert bake.as_json(frames=True) == {**bake.as_json(), "per_frame": [{"kinetic": 0.0}]}
+
+
+def test_an_infinite_rate_is_a_word_in_json() -> None:
+    # --preset paper has one; Infinity is no JSON, and most readers refuse the whole file.
+    s = settings(filter_rate=math.inf, drag=0.25)
+    out = strict(settings_json(s))
+    assert out["filter_rate"] == "inf"
+    assert float(out["filter_rate"]) == math.inf
+    assert (out["drag"], out["floor"], out["up"]) == (0.25, None, [0.0, 1.0, 0.0])
+
+
+def test_a_result_with_an_infinite_rate_is_json(plan: Plan) -> None:
+    done = result(plan, settings=replace(plan.settings, filter_rate=math.inf))
+    assert strict(done.as_json())["settings"]["filter_rate"] == "inf"
+
+
+def test_the_first_material_stands_for_the_bake(plan: Plan) -> None:
+    done = result(plan)
+    assert (done.cache, done.health, done.frames) == (
+        plan.outputs.caches[0],
+        {"restitution": None},
+        5,
+    )

@@ -1,0 +1,287 @@
+"""glTF files: nodes, joined primitives, textures and colours; and the broken ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from mesh_makers import CORNERS, TRIANGLES, GltfMaker, png, written
+from PIL import Image
+from pxr import Sdf
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import boundary_edges, signed_volume, weld
+from gf_usd.readers import convert, read_asset
+
+EXACT = 1e-6  # float32 after a transform of size a few
+
+
+def textured_box() -> trimesh.Trimesh:
+    """A box with texture coordinates and a picture of 8 x 4."""
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    pixels = np.zeros((4, 8, 3), np.uint8)
+    pixels[:2] = (250, 0, 0)  # the upper half is red, the lower blue
+    pixels[2:] = (0, 0, 250)
+    material = trimesh.visual.material.PBRMaterial(
+        name="skin", baseColorTexture=Image.fromarray(pixels), metallicFactor=0.0,
+        roughnessFactor=0.25,
+    )  # fmt: skip
+    uv = box.vertices[:, :2] * [1.0, 0.5] + 0.5
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return box
+
+
+def test_what_trimesh_writes_with_a_picture_and_a_node(tmp_path):
+    box = textured_box()
+    scene = trimesh.Scene()
+    matrix = trimesh.transformations.rotation_matrix(np.pi / 2, (0, 0, 1), (1.0, 0, 0))
+    scene.add_geometry(box, node_name="turned box", geom_name="box", transform=matrix)
+    path = tmp_path / "thing.glb"
+    path.write_bytes(scene.export(file_type="glb"))
+    asset = written(path, tmp_path / "out")
+    (read,) = asset.surfaces
+    assert asset.facts.units.length == 1.0
+    assert asset.facts.up_axis == "Y"
+    assert not any("assumed" in note for note in convert(path).notes)
+    assert read.path.endswith("/turned_box")
+    np.testing.assert_allclose(
+        read.points, trimesh.transform_points(box.vertices, matrix), atol=EXACT
+    )
+    assert read.face_indices.reshape(-1, 3).tolist() == box.faces.tolist()
+    np.testing.assert_allclose(read.triangle_uvs, box.visual.uv[box.faces], atol=EXACT)
+    (material,) = read.materials
+    assert material.texture.pixels.shape == (4, 8, 3)
+    assert material.texture.pixels[0, 0].tolist() == [250, 0, 0]
+    (picture,) = (tmp_path / "out" / "thing.textures").iterdir()
+    with Image.open(picture) as opened:
+        assert opened.size == (8, 4)
+
+
+def test_text_files_name_their_pictures_where_they_are(tmp_path):
+    maker = GltfMaker()
+    uvs = CORNERS[:, :2].astype(np.float32)
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES, TEXCOORD_0=uvs) | {"material": 0})
+    maker.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+    maker.tree["textures"] = [{"source": 0, "sampler": 0}]
+    maker.tree["samplers"] = [{"wrapS": 33071, "wrapT": 33648}]
+    maker.tree["images"] = [{"uri": "my%20skin.png"}]
+    (tmp_path / "my skin.png").write_bytes(png())
+    asset = written(maker.gltf(tmp_path / "thing.gltf"), tmp_path / "out")
+    (cube,) = asset.surfaces
+    texture = cube.materials[0].texture
+    assert (texture.wrap_s, texture.wrap_t) == ("clamp", "mirror")
+    # v is counted from the top in glTF, from the bottom in USD
+    np.testing.assert_allclose(cube.triangle_uvs[..., 1], 1.0 - CORNERS[TRIANGLES][..., 1])
+    assert not (tmp_path / "out" / "thing.textures").exists()
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "out" / "thing.source.usdc"))
+    file = "/thing/Materials/material/diffuseColor_texture.inputs:file"
+    assert layer.GetAttributeAtPath(file).default.path == "../my skin.png"
+    (tmp_path / "my skin.png").unlink()
+    source = convert(tmp_path / "thing.gltf")
+    assert any("my%20skin.png, which cannot be read" in note for note in source.notes)
+    assert source.asset().surfaces[0].materials[0].texture is None
+
+
+def test_primitives_of_one_mesh_stay_one_body(tmp_path):
+    maker = GltfMaker()
+    lower = maker.primitive(CORNERS, TRIANGLES[:6]) | {"material": 0}
+    upper = maker.primitive(CORNERS, TRIANGLES[6:]) | {"material": 1}
+    maker.mesh(lower, upper, name="box")
+    maker.tree["materials"] = [
+        {"name": n, "pbrMetallicRoughness": {"baseColorFactor": [*rgb, 1.0]}}
+        for n, rgb in (("box", (1.0, 0.0, 0.0)), ("box", (0.0, 0.5, 0.0)))
+    ]
+    (cube,) = written(maker.glb(tmp_path / "thing.glb"), tmp_path / "out").surfaces
+    welded = weld(cube.points)[0][cube.triangles]
+    assert len(boundary_edges(welded)) == 0
+    assert cube.triangle_materials.tolist() == [0] * 6 + [1] * 6
+    assert [m.colour for m in cube.materials] == [(1.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
+    assert [m.path for m in cube.materials] == ["/thing/Materials/box", "/thing/Materials/box_2"]
+
+
+def test_nodes_within_nodes_and_a_mesh_used_twice(tmp_path):
+    maker = GltfMaker()
+    inner = maker.mesh(maker.primitive(CORNERS, TRIANGLES), name="arm", translation=[0, 0, 5])
+    half = np.sqrt(0.5)
+    maker.tree["nodes"] += [
+        {"name": "body", "mesh": 0, "children": [inner], "scale": [2, 2, 2],
+         "rotation": [0, half, 0, half]},
+        {"name": "camera", "translation": [9, 9, 9]},
+    ]  # fmt: skip
+    maker.tree["scenes"] = [{"nodes": [1, 2]}]
+    asset = written(maker.glb(tmp_path / "thing.glb"), tmp_path / "out")
+    assert [s.path for s in asset.surfaces] == ["/thing/body/body", "/thing/body/arm"]
+    body, arm = (s.points for s in asset.surfaces)
+    # a quarter turn about y takes z to x and x to -z
+    turned = CORNERS[:, [2, 1, 0]] * [2.0, 2.0, -2.0]
+    np.testing.assert_allclose(body, turned, atol=EXACT)
+    np.testing.assert_allclose(arm, turned + [10.0, 0.0, 0.0], atol=EXACT)
+
+
+def test_colours_of_points_times_the_base_colour(tmp_path):
+    maker = GltfMaker()
+    colours = np.zeros((8, 4), np.uint8)
+    colours[:, 0], colours[:, 3] = 51, 255
+    primitive = maker.primitive(CORNERS, TRIANGLES)
+    primitive["attributes"]["COLOR_0"] = maker.accessor(colours, normalized=True)
+    maker.mesh(primitive | {"material": 0})
+    maker.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1]}}]
+    (cube,) = written(maker.glb(tmp_path / "thing.glb"), tmp_path / "out").surfaces
+    np.testing.assert_allclose(
+        cube.triangle_colours.reshape(-1, 3), [[0.1, 0.0, 0.0]] * 36, atol=EXACT
+    )
+    assert cube.triangle_materials is None  # the colours are the mesh's own
+
+
+def test_a_texture_transform_moves_the_coordinates(tmp_path):
+    maker = GltfMaker()
+    uvs = CORNERS[:, :2].astype(np.float32)
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES, TEXCOORD_1=uvs) | {"material": 0})
+    placed = {"offset": [0.25, 0.5], "scale": [2.0, 3.0], "rotation": np.pi / 2, "texCoord": 1}
+    info = {"index": 0, "extensions": {"KHR_texture_transform": placed}}
+    maker.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": info}}]
+    maker.tree["textures"] = [{"source": 0}]
+    maker.tree["images"] = [{"bufferView": maker.view(png()), "mimeType": "image/png"}]
+    (cube,) = written(maker.glb(tmp_path / "thing.glb"), tmp_path / "out").surfaces
+    u, v = np.moveaxis(CORNERS[TRIANGLES][..., :2], -1, 0)
+    # a quarter turn counter-clockwise with v downward: (u, v) -> (v, -u)
+    expected = np.stack([3.0 * v + 0.25, 1.0 - (-2.0 * u + 0.5)], axis=-1)
+    np.testing.assert_allclose(cube.triangle_uvs, expected, atol=EXACT)
+
+
+def test_a_skinned_mesh_stands_as_its_joints_do(tmp_path):
+    maker = GltfMaker()
+    joints = np.zeros((8, 4), np.uint8)
+    joints[:, 0] = (CORNERS[:, 1] > 0.5).astype(np.uint8)
+    weights = np.zeros((8, 4), np.float32)
+    weights[:, 0] = 1.0
+    primitive = maker.primitive(CORNERS, TRIANGLES, JOINTS_0=joints, WEIGHTS_0=weights)
+    # the node that holds the mesh does not move it, as the standard says
+    maker.mesh(primitive, skin=0, name="doll", translation=[100, 0, 0])
+    bind = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
+    bind[1, 3, 1] = -1.0  # joint 1 was bound at height 1
+    maker.tree["skins"] = [{"joints": [1, 2], "inverseBindMatrices": maker.accessor(bind)}]
+    maker.tree["nodes"] += [{"children": [2], "translation": [3, 0, 0]}, {"translation": [0, 4, 0]}]
+    maker.tree["scenes"] = [{"nodes": [0, 1]}]
+    path = maker.glb(tmp_path / "thing.glb")
+    (doll,) = written(path, tmp_path / "out").surfaces
+    expected = CORNERS + [3.0, 0.0, 0.0] + np.outer(CORNERS[:, 1] > 0.5, [0.0, 3.0, 0.0])
+    np.testing.assert_allclose(doll.points, expected, atol=EXACT)
+    assert signed_volume(doll.points, doll.triangles) == pytest.approx(4.0, rel=1e-6)
+    assert any("is skinned" in note for note in convert(path).notes)
+
+
+def draco(maker: GltfMaker) -> None:
+    """A primitive as a compressor leaves it: accessors without data, an opaque blob beside them."""
+    maker.tree["accessors"] = [
+        {"componentType": 5126, "count": 8, "type": "VEC3"},
+        {"componentType": 5125, "count": 36, "type": "SCALAR"},
+    ]
+    maker.tree["extensionsUsed"] = maker.tree["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    blob = {"bufferView": maker.view(b"DRACO" * 20), "attributes": {"POSITION": 0}}
+    maker.mesh(
+        {"attributes": {"POSITION": 0}, "indices": 1,
+         "extensions": {"KHR_draco_mesh_compression": blob}}
+    )  # fmt: skip
+
+
+def sparse(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    maker.tree["accessors"][0]["sparse"] = {}
+
+
+def far_index(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, [*TRIANGLES[:-1], [0, 1, 99]]))
+
+
+def not_finite(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive([*CORNERS[:-1], [np.nan, 0, 0]], TRIANGLES))
+
+
+def strange_extension(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    maker.tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+
+
+def below_itself(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES), children=[1])
+    maker.tree["nodes"].append({"children": [0]})
+    maker.tree["scenes"] = [{"nodes": [0]}]
+
+
+def no_mesh(maker: GltfMaker) -> None:
+    maker.tree["nodes"].append({"name": "empty"})
+
+
+def gaussians(maker: GltfMaker) -> None:
+    points = maker.primitive(CORNERS, TRIANGLES)
+    maker.mesh({"attributes": points["attributes"], "mode": 0})
+    maker.tree["extensionsUsed"] = ["KHR_gaussian_splatting"]
+
+
+def wrong_type(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES), translation=[0, None, 0])
+
+
+def few_normals(maker: GltfMaker) -> None:
+    normals = np.zeros((5, 3), np.float32)
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES, NORMAL=normals))
+
+
+def long_view(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    maker.tree["bufferViews"][0]["byteLength"] = 10**6
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (draco, "has no size: its 8 points are all in one place; it is compressed with KHR_draco"),
+        (sparse, "accessor 0 is sparse"),
+        (far_index, "1 of 36 indices are outside its 8 points, the first is 99"),
+        (not_finite, "1 of 8 points are not finite"),
+        (strange_extension, "only be read with the extension EXT_meshopt_compression"),
+        (below_itself, "node 0 stands below itself"),
+        (no_mesh, "there is no mesh in it"),
+        (gaussians, "it holds Gaussians (KHR_gaussian_splatting), which are not read out of glTF"),
+        (wrong_type, "nodes[0].translation is not a list of 3 numbers"),
+        (few_normals, "NORMAL holds 5 rows of 3 for 8 points"),
+        (long_view, "buffer view 0 wants bytes 0 to 1000000"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(tmp_path, caplog, make, words):
+    maker = GltfMaker()
+    make(maker)
+    path = maker.glb(tmp_path / "thing.glb")
+    with pytest.raises(InputError) as error:
+        read_asset(path)
+    assert str(path) in error.value.message
+    assert words in error.value.message
+    assert error.value.hint
+    assert caplog.records == []  # trimesh keeps its remarks to itself
+
+
+def test_damaged_containers_are_refused(tmp_path):
+    maker = GltfMaker()
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    whole = maker.glb(tmp_path / "whole.glb").read_bytes()
+    for data, words in (
+        (whole[:-20], f"is cut off: {len(whole) - 20} bytes of {len(whole)}"),
+        (whole[:15], "is cut off: 15 bytes"),
+        (b"glTF\1" + whole[5:], "is binary glTF 1"),
+        (b"\x89PNG and so on", "is not a glTF file: its JSON"),
+        (b"[1, 2]", "is not a glTF file: it has no 'asset'"),
+        (json.dumps({"asset": {"version": "1.0"}}).encode(), "is glTF 1.0"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
+    ):
+        path = tmp_path / "thing.glb"
+        path.write_bytes(data)
+        with pytest.raises(InputError) as error:
+            read_asset(path)
+        assert words in error.value.message
+    path = maker.gltf(tmp_path / "thing.gltf")
+    path.with_suffix(".bin").unlink()
+    with pytest.raises(InputError, match=r"needs thing\.bin, which cannot be read"):
+        read_asset(path)

@@ -1,0 +1,300 @@
+"""What a picture takes from a stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.radiance import srgb_to_linear
+from gf_usd.readers.pictures.scene import PictureStage, read_scene
+from gf_usd.view.render.surfaces import covariances
+
+Y_0 = 0.28209479177387814
+
+
+def write(folder: Path, body: str, head: str = 'metersPerUnit = 0.01\n upAxis = "Y"') -> Path:
+    path = folder / "stage.usda"
+    path.write_text(f"#usda 1.0\n(\n {head}\n)\n{body}\n", encoding="utf-8")
+    return path
+
+
+BOX = """
+def Xform "root" {
+    double3 xformOp:translate = (0, 100, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "strip" {
+        uniform token subdivisionScheme = "none"
+        int[] faceVertexCounts = [4, 4]
+        int[] faceVertexIndices = [0, 1, 4, 3, 1, 2, 5, 4]
+        point3f[] points = [(0,0,0), (100,0,0), (200,0,0), (0,100,0), (100,100,0), (200,100,0)]
+        color3f[] primvars:displayColor = [(0.1, 0.2, 0.3)]
+        def GeomSubset "right" (prepend apiSchemas = ["MaterialBindingAPI"]) {
+            uniform token elementType = "face"
+            uniform token familyName = "materialBind"
+            int[] indices = [1]
+            rel material:binding = </root/metal>
+        }
+    }
+    def Material "metal" {
+        token outputs:surface.connect = </root/metal/shader.outputs:surface>
+        def Shader "shader" {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor = (0.7, 0.6, 0.5)
+            float inputs:roughness = 0.2
+            float inputs:metallic = 1
+            token outputs:surface
+        }
+    }
+}
+"""
+
+
+def test_a_mesh_in_metres_with_the_look_of_each_subset(tmp_path):
+    scene = read_scene(write(tmp_path, BOX))
+    (mesh,) = scene.meshes
+    assert mesh.points.min(axis=0) == pytest.approx((0.0, 1.0, 0.0))
+    assert mesh.points.max(axis=0) == pytest.approx((2.0, 2.0, 0.0))
+    right = mesh.points[mesh.triangles][:, :, 0].mean(axis=1) > 1.0
+    assert np.allclose(mesh.colours[right], (0.7, 0.6, 0.5))
+    assert np.allclose(mesh.colours[~right], (0.1, 0.2, 0.3))
+    assert np.allclose(mesh.roughness[right], 0.2)
+    assert np.allclose(mesh.metallic, right)
+    assert scene.up == (0.0, 1.0, 0.0)
+    # nothing stands near height 0: the floor is under the body
+    assert scene.ground == pytest.approx(1.0)
+
+
+MOVING = """
+def Mesh "fall" {
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points.timeSamples = {
+        1: [(0,0,3), (1,0,3), (0,1,4)],
+        5: [(0,0,-0.05), (1,0,0), (0,1,1)],
+        9: [(0,0,2), (1,0,2), (0,1,3)],
+    }
+}
+"""
+Z_UP = 'metersPerUnit = 1\n upAxis = "Z"\n startTimeCode = 1\n endTimeCode = 9'
+
+
+def test_the_motion_is_known_whole_and_its_floor_is_the_ground(tmp_path):
+    stage = PictureStage(write(tmp_path, MOVING, Z_UP))
+    motion = stage.motion
+    assert motion.time_codes == (1.0, 5.0, 9.0)
+    assert motion.bounds is not None
+    assert motion.bounds.low == pytest.approx((0.0, 0.0, -0.05))
+    assert motion.bounds.high == pytest.approx((1.0, 1.0, 4.0))
+    # it dips into the floor by 1 % of its size: the floor is height 0, not the dip
+    assert motion.ground == 0.0
+    assert motion.up == (0.0, 0.0, 1.0)
+    assert stage.scene(9.0).meshes[0].points[:, 2].min() == pytest.approx(2.0)
+    assert stage.scene().meshes[0].points[:, 2].min() == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("heights", "ground"),
+    [
+        ((3.0, -0.9), 0.0),  # comes down on the floor and is pressed through it
+        ((3.0, 2.0), 2.0),  # never comes near height 0
+        ((-3.0, 1.0), -3.0),  # begins below it: height 0 is no floor
+    ],
+)
+def test_the_floor_of_a_motion(tmp_path, heights, ground):
+    samples = ", ".join(
+        f"{code}: [(0,0,{z}), (1,0,{z}), (0,1,{z + 1})]" for code, z in zip((1, 2), heights)
+    )
+    body = MOVING[: MOVING.index("point3f")] + f"point3f[] points.timeSamples = {{ {samples} }}\n}}"
+    stage = PictureStage(write(tmp_path, body, Z_UP))
+    assert stage.motion.ground == pytest.approx(ground)
+    assert not any("simulation" in note for note in stage.scene().notes)
+
+
+def splats(extra: str = "", radiance: str = "", place: str = "") -> str:
+    return f"""
+def ParticleField3DGaussianSplat "cloud" {{
+    {place}
+    point3f[] positions = [(1, 0, 0), (0, 2, 0)]
+    quatf[] orientations = [(1, 0, 0, 0), (0.7071067811865476, 0, 0, 0.7071067811865476)]
+    float3[] scales = [(3, 2, 1), (3, 2, 1)]
+    float[] opacities = [0.25, 1]
+    {radiance or DC}
+    {extra}
+}}
+"""
+
+
+DC = """
+    uniform int radiance:sphericalHarmonicsDegree = 0
+    float3[] radiance:sphericalHarmonicsCoefficients = [(0, 1, -1), (1, 0, 0)]
+"""
+PLACE = """
+    matrix4d xformOp:transform = ((0, 2, 0, 0), (-2, 0, 0, 0), (0, 0, 2, 0), (0, 0, 5, 1))
+    uniform token[] xformOpOrder = ["xformOp:transform"]
+"""
+
+
+def test_gaussians_are_placed_scaled_and_turned(tmp_path):
+    scene = read_scene(write(tmp_path, splats(place=PLACE)))
+    (cloud,) = scene.splats
+    # twice as large, a quarter turn about z, 5 up z; a unit is a centimetre
+    assert np.allclose(cloud.positions, [(0, 0.02, 0.05), (-0.04, 0, 0.05)])
+    sigma = covariances(cloud.axes) / 0.02**2
+    assert np.allclose(sigma[0], np.diag([4, 9, 1]), atol=1e-6)
+    assert np.allclose(sigma[1], np.diag([9, 4, 1]), atol=1e-6)
+    assert np.allclose(cloud.opacities, [0.25, 1.0])
+    assert not cloud.lit
+    expected = srgb_to_linear(0.5 + Y_0 * np.array([(0, 1, -1), (1, 0, 0)]))
+    assert np.allclose(cloud.colours, expected, atol=1e-6)
+    assert any("sRGB is assumed" in note for note in scene.notes)
+
+
+def test_a_colour_space_that_is_authored_is_believed(tmp_path):
+    body = splats().replace('"cloud" {', '"cloud" (prepend apiSchemas = ["ColorSpaceAPI"]) {')
+    body = body.replace(
+        "point3f[]", 'uniform token colorSpace:name = "lin_rec709_scene"\npoint3f[]'
+    )
+    scene = read_scene(write(tmp_path, body))
+    assert np.allclose(scene.splats[0].colours[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
+    assert not any("colour space" in note for note in scene.notes)
+
+
+def test_gaussians_of_a_bake_are_lit_and_linear(tmp_path):
+    ours = "uniform point3f[] gaussianFlesh:restPositions = [(1, 0, 0), (0, 2, 0)]"
+    (cloud,) = read_scene(write(tmp_path, splats(extra=ours))).splats
+    assert cloud.lit
+    assert np.allclose(cloud.colours[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
+
+
+def test_higher_harmonics_are_kept_in_their_own_space(tmp_path):
+    four = ", ".join(["(0, 0, 0), (1, 1, 1), (0, 0, 0), (0, 0, 0)"] * 2)
+    radiance = f"""
+    uniform int radiance:sphericalHarmonicsDegree = 1
+    float3[] radiance:sphericalHarmonicsCoefficients = [{four}]
+    """
+    (cloud,) = read_scene(write(tmp_path, splats(radiance=radiance, place=PLACE))).splats
+    assert cloud.harmonics is not None
+    assert cloud.harmonics.coefficients.shape == (2, 4, 3)
+    # the placement turns local x to world y
+    assert np.allclose(cloud.harmonics.frame @ (0, 1, 0), (1, 0, 0), atol=1e-6)
+
+
+def test_too_few_coefficients_are_grey_and_said(tmp_path):
+    radiance = """
+    uniform int radiance:sphericalHarmonicsDegree = 3
+    float3[] radiance:sphericalHarmonicsCoefficients = [(1, 1, 1), (1, 1, 1)]
+    """
+    scene = read_scene(write(tmp_path, splats(radiance=radiance)))
+    assert np.allclose(scene.splats[0].colours, 0.5)
+    assert any("fewer than 16 for each of 2 Gaussians" in note for note in scene.notes)
+
+
+def test_gaussians_as_ellipsoids_have_their_axes(tmp_path):
+    scene = read_scene(write(tmp_path, splats()), show="ellipsoids")
+    assert not scene.splats
+    assert np.allclose(np.linalg.norm(scene.ellipsoids[0].axes, axis=1), (0.03, 0.02, 0.01))
+
+
+POINTS = """
+def Points "dots" {
+    point3f[] points = [(0,0,0), (10,0,0)]
+    float[] widths = [2] (interpolation = "constant")
+    color3f[] primvars:displayColor = [(1,0,0), (0,0,1)] (interpolation = "vertex")
+}
+"""
+
+
+def test_points_are_balls_of_their_widths(tmp_path):
+    (dots,) = read_scene(write(tmp_path, POINTS)).ellipsoids
+    assert np.allclose(dots.axes, 0.01 * np.eye(3))
+    assert np.allclose(dots.colours, [(1, 0, 0), (0, 0, 1)])
+
+
+def test_points_without_widths_still_show(tmp_path):
+    bare = POINTS.replace('float[] widths = [2] (interpolation = "constant")', "")
+    scene = read_scene(write(tmp_path, bare))
+    assert np.allclose(scene.ellipsoids[0].axes, 0.0005 * np.eye(3))
+    assert any("no usable widths" in note for note in scene.notes)
+
+
+SWITCH = """
+def Xform "root" (
+    variants = { string display = "mesh" }
+    prepend variantSets = "display"
+)
+{
+    def Mesh "skin" {
+        int[] faceVertexCounts = [3]
+        int[] faceVertexIndices = [0, 1, 2]
+        point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]
+    }
+    def Points "dots" {
+        point3f[] points = [(0,0,0)]
+        float[] widths = [1]
+    }
+    variantSet "display" = {
+        "gaussians" {
+            over "skin" {
+                token visibility = "invisible"
+            }
+        }
+        "mesh" {
+            over "dots" {
+                token visibility = "invisible"
+            }
+        }
+        "points" {
+            over "skin" {
+                token visibility = "invisible"
+            }
+        }
+    }
+}
+"""
+
+
+def test_show_switches_the_display_of_a_bake_and_leaves_the_file_alone(tmp_path):
+    path = write(tmp_path, SWITCH)
+    before = path.read_bytes()
+    assert len(read_scene(path).meshes) == 1
+    dots = read_scene(path, show="points")
+    assert len(dots.ellipsoids) == 1
+    assert not dots.meshes
+    assert path.read_bytes() == before
+
+
+def test_what_is_not_there_is_said(tmp_path):
+    path = write(tmp_path, BOX)
+    with pytest.raises(InputError, match="no visible gaussians") as caught:
+        PictureStage(path, "gaussians")
+    assert "it holds mesh" in caught.value.hint
+    with pytest.raises(UsageError, match="Unknown --show fog"):
+        PictureStage(path, "fog")
+    with pytest.raises(InputError, match="does not exist"):
+        PictureStage(tmp_path / "nothing.usda")
+    with pytest.raises(InputError, match="no visible mesh") as caught:
+        PictureStage(write(tmp_path, ""))
+    assert "nothing to draw" in caught.value.hint
+
+
+def test_hidden_and_guide_prims_are_not_drawn(tmp_path):
+    hidden = BOX.replace('"strip" {', '"strip" {\n token visibility = "invisible"')
+    guide = BOX.replace('"strip" {', '"strip" {\n uniform token purpose = "guide"')
+    for body in (hidden, guide):
+        with pytest.raises(InputError, match="no visible mesh"):
+            PictureStage(write(tmp_path, body))
+
+
+def test_prototypes_of_an_instancer_are_not_drawn_by_themselves(tmp_path):
+    instancer = """
+def PointInstancer "many" {
+    def Cube "one" {
+    }
+}
+"""
+    scene = read_scene(write(tmp_path, BOX + instancer))
+    assert [mesh.name for mesh in scene.meshes] == ["/root/strip"]
+    assert any("PointInstancer" in note for note in scene.notes)

@@ -1,0 +1,51 @@
+"""What cannot be read is refused in words; readers are found by suffix, and late."""
+
+import subprocess
+import sys
+
+import pytest
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers import READERS, read_asset
+
+
+def test_missing_file_names_its_neighbours(tmp_path):
+    (tmp_path / "duck.usda").write_text("#usda 1.0\n")
+    with pytest.raises(InputError) as error:
+        read_asset(tmp_path / "dukc.usda")
+    assert error.value.message == f"{tmp_path / 'dukc.usda'} does not exist"
+    assert "did you mean duck.usda?" in error.value.hint
+    assert ".usdz" in error.value.hint
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(InputError, match="does not exist") as error:
+        read_asset(tmp_path / "no" / "duck.usda")
+    assert f"the folder {tmp_path / 'no'} does not exist either" in error.value.hint
+
+
+def test_folder_empty_file_and_unknown_suffix(tmp_path):
+    empty, word, bare = tmp_path / "a.usda", tmp_path / "a.docx", tmp_path / "README"
+    empty.touch()
+    word.write_text("x")
+    bare.write_text("x")
+    for path, words in (
+        (tmp_path, f"{tmp_path} is a folder, not an asset file"),
+        (empty, f"{empty} is empty (0 bytes)"),
+        (word, f"{word} has the suffix '.docx': there is no reader for it"),
+        (bare, f"{bare} has no suffix: there is no reader for it"),
+    ):
+        with pytest.raises(InputError) as error:
+            read_asset(path)
+        assert error.value.message == words
+        assert all(suffix in error.value.hint for suffix in READERS)
+
+
+def test_suffix_in_capitals(write):
+    path = write('def Cube "C" {}', name="ASSET.USDA")
+    assert [s.path for s in read_asset(path).surfaces] == ["/C"]
+
+
+def test_registry_does_not_import_usd():
+    code = "import gf_usd.readers, sys; sys.exit('pxr' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

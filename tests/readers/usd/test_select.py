@@ -1,0 +1,256 @@
+"""Which prims are read, which are left alone and why, and what an empty stage is told."""
+
+import pytest
+
+from gf_usd.core.errors import InputError
+from gf_usd.readers import read_asset
+
+TWO_ROOTS = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Y"
+    %s
+)
+def Xform "A"
+{
+    def Cube "Box" {}
+    def Sphere "Ball" {}
+}
+def Xform "B"
+{
+    def Cube "Box" {}
+}
+"""
+
+
+def paths(asset):
+    return [surface.path for surface in asset.surfaces]
+
+
+def test_every_root_prim_without_a_default_prim(read):
+    assert paths(read(TWO_ROOTS % "")) == ["/A/Box", "/A/Ball", "/B/Box"]
+
+
+def test_the_default_prim(read):
+    assert paths(read(TWO_ROOTS % 'defaultPrim = "B"')) == ["/B/Box"]
+
+
+def test_a_default_prim_that_is_missing_is_said(read):
+    asset = read(TWO_ROOTS % 'defaultPrim = "C"')
+    assert len(asset.surfaces) == 3
+    assert "defaultPrim names 'C'" in asset.facts.notes[0]
+
+
+def test_prims_by_name_each_once(read):
+    asset = read(TWO_ROOTS % 'defaultPrim = "B"', prims=["/A/Ball", "/A", "/A/Box"])
+    assert paths(asset) == ["/A/Ball", "/A/Box"]
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("/A/Bax", "did you mean /A/Box"),
+        ("Ball", "did you mean /A/Ball"),
+        ("/B/Ball", "did you mean /A/Ball"),
+        ("/A/Wxyz/Qrst", "/A exists and holds /A/Box, /A/Ball"),
+        ("not a path!", "/ exists and holds /A, /B"),
+    ],
+)
+def test_a_missing_prim_gets_the_nearest_names(read, name, hint):
+    with pytest.raises(InputError) as error:
+        read(TWO_ROOTS % "", prims=[name])
+    assert error.value.message.endswith(f"there is no prim {name}")
+    assert hint in error.value.hint
+
+
+def test_what_is_left_alone_has_a_reason(read):
+    asset = read("""
+    def Xform "R"
+    {
+        def Cube "Seen" {}
+        def Cube "Drawn"
+        {
+            uniform token purpose = "render"
+        }
+        def Cube "Proxy"
+        {
+            uniform token purpose = "proxy"
+        }
+        def Xform "Guides"
+        {
+            uniform token purpose = "guide"
+            def Cube "G" {}
+        }
+        def Xform "Off"
+        {
+            token visibility = "invisible"
+            def Cube "A" {}
+            def Cube "B" {}
+        }
+        def Cube "Inactive" (active = false) {}
+        def BasisCurves "Hair" {}
+        def Points "Dust" {}
+        def Plane "Floor" {}
+        def PointInstancer "Grass"
+        {
+            def Cube "Blade" {}
+        }
+        def Mesh "Empty" {}
+        def Sphere "Dot"
+        {
+            double radius = 0
+        }
+        def Cube "Flat"
+        {
+            double3 xformOp:scale = (1, 0, 1)
+            uniform token[] xformOpOrder = ["xformOp:scale"]
+        }
+    }
+    """)
+    assert paths(asset) == ["/R/Seen", "/R/Drawn"]
+    assert dict(asset.skipped) == {
+        "/R/Proxy": "purpose proxy",
+        "/R/Guides/G": "purpose guide",
+        "/R/Off": "invisible",
+        "/R/Hair": "BasisCurves: only meshes, solid shapes and splats are made soft",
+        "/R/Dust": "Points: only meshes, solid shapes and splats are made soft",
+        "/R/Floor": "Plane: only meshes, solid shapes and splats are made soft",
+        "/R/Grass": "PointInstancer: its instances are not made soft",
+        "/R/Empty": "has 0 points and 0 faces",
+        "/R/Dot": "its radius is 0",
+        "/R/Flat": "its transform flattens it (determinant 0)",
+    }
+
+
+def test_visibility_is_that_of_the_pose_time(read):
+    body = """
+    def Cube "Late"
+    {
+        token visibility.timeSamples = { 1: "invisible", 10: "inherited" }
+    }
+    def Cube "Always" {}
+    """
+    assert paths(read(body, time_code=1)) == ["/Always"]
+    assert paths(read(body, time_code=10)) == ["/Late", "/Always"]
+
+
+def test_instances_are_read_in_place(read):
+    asset = read("""
+    class Xform "Proto"
+    {
+        def Cube "Box" {}
+    }
+    def Xform "One" (
+        instanceable = true
+        inherits = </Proto>
+    )
+    {
+        double3 xformOp:translate = (5, 0, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }
+    def Xform "Two" (
+        instanceable = true
+        inherits = </Proto>
+    )
+    {
+    }
+    """)
+    assert paths(asset) == ["/One/Box", "/Two/Box"]
+    assert asset.surfaces[0].points[:, 0].mean() == pytest.approx(5.0)
+    assert asset.facts.notes == (
+        "/One and /Two: is an instance: in the bake it is an ordinary prim, "
+        "since what is in it moves",
+    )
+
+
+def test_what_an_instancer_repeats_is_left_alone_wherever_it_stands(read):
+    asset = read("""
+    def Xform "Grass"
+    {
+        def PointInstancer "Many"
+        {
+            rel prototypes = [</Grass/Many/Blade>, </Library/Stone>, </Library/Nothing>]
+            def Cube "Blade" {}
+        }
+    }
+    def Scope "Library"
+    {
+        def Xform "Stone"
+        {
+            def Cube "Box" {}
+        }
+        def Cube "Other" {}
+    }
+    """)
+    assert paths(asset) == ["/Library/Other"]
+    assert dict(asset.skipped) == {
+        "/Grass/Many": "PointInstancer: its instances are not made soft",
+        "/Library/Stone": "prototype of </Grass/Many>: its instances are not made soft",
+    }
+
+
+def test_what_inherits_from_a_baked_prim_follows_it(read):
+    asset = read("""
+    class Xform "Proto"
+    {
+        def Cube "Box" {}
+    }
+    def Xform "One" (inherits = </Proto>)
+    {
+    }
+    def Xform "Two" (inherits = </One>)
+    {
+    }
+    """)
+    assert paths(asset) == ["/One/Box"]
+    assert dict(asset.skipped) == {
+        "/Two/Box": "inherits from </One/Box>, which is baked, and follows it"
+    }
+
+
+@pytest.mark.parametrize(
+    ("body", "message", "hint"),
+    [
+        (
+            'def Xform "A" {\ndef Camera "C" {}\n}',
+            "there is no mesh under /A: found 1 Xform, 1 Camera",
+            "give an asset with a mesh in it",
+        ),
+        ("", "there is no mesh under its root: found nothing", "give an asset with a mesh"),
+        (
+            '#usda 1.0\n(defaultPrim = "A")\ndef Xform "A" {}\ndef Xform "B" {\ndef Mesh "M" {}\n}',
+            "there is no mesh under /A: found 1 Xform",
+            "there are meshes outside the default prim: --prim /B/M",
+        ),
+        (
+            'def Points "A" {}\ndef Mesh "M" {}',
+            "nothing under /A, /M can be made soft: "
+            "/A (Points: only meshes, solid shapes and splats are made soft) and 1 more",
+            "name other prims with --prim",
+        ),
+        (
+            'def Xform "A" (references = @gone.usda@) {}',
+            "there is no mesh under /A; does not compose: Could not open asset",
+            "bring the missing files along",
+        ),
+    ],
+)
+def test_nothing_to_make_soft_says_what_was_found(read, body, message, hint, capfd):
+    with pytest.raises(InputError) as error:
+        read(body)
+    assert message in error.value.message
+    assert hint in error.value.hint
+    assert capfd.readouterr().err == ""
+
+
+def test_a_missing_reference_beside_a_mesh_is_a_note(write, capfd):
+    asset = read_asset(write('def Cube "A" {}\ndef Xform "B" (payload = @gone.usda@) {}'))
+    assert len(asset.surfaces) == 1
+    assert "does not compose" in asset.facts.notes[0]
+    assert "gone.usda" in asset.facts.notes[0]
+    assert capfd.readouterr().err == ""
+
+
+def test_an_inactive_prim_by_name(read):
+    with pytest.raises(InputError, match="the prim /A is inactive"):
+        read('def Cube "A" (active = false) {}\ndef Cube "B" {}', prims=["/A"])

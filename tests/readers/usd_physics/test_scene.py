@@ -1,0 +1,84 @@
+"""Gravity of a stage, and refusals that concern all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from physics_stages import head, mesh, physics_of, prim
+
+from gf_usd.core.errors import InputError
+
+Write = Callable[..., Path]
+
+ASSET = mesh("Asset")
+
+
+def scene(*lines: str, name: str = "Scene") -> str:
+    return prim("PhysicsScene", name, *lines)
+
+
+def test_a_stage_without_a_scene_says_nothing(write: Write) -> None:
+    said = physics_of(write(ASSET))
+    assert (said.gravity, said.scene) == (None, "")
+    assert said.colliders == said.bodies == said.ignored == said.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("layer", "lines", "expected"),
+    [
+        (head(), [], (0, -9.81, 0)),
+        (head(up="Z"), [], (0, 0, -9.81)),
+        # earth's gravity is what it is in any unit
+        (head(0.01), ["float physics:gravityMagnitude = -inf"], (0, -9.81, 0)),
+        (head(0.01), ["float physics:gravityMagnitude = -1"], (0, -9.81, 0)),
+        (head(0.01), ["float physics:gravityMagnitude = 981"], (0, -9.81, 0)),
+        (head(0.01), ["float physics:gravityMagnitude = 0"], (0, 0, 0)),
+        (head(), ["vector3f physics:gravityDirection = (0, 0, 0)"], (0, -9.81, 0)),
+        (
+            head(0.5),
+            [
+                "vector3f physics:gravityDirection = (3, 0, -4)",
+                "float physics:gravityMagnitude = 10",
+            ],
+            (3, 0, -4),
+        ),
+    ],
+)
+def test_gravity_is_that_of_usd_physics_in_si(
+    write: Write, layer: str, lines: list[str], expected: tuple[float, ...]
+) -> None:
+    said = physics_of(write(layer + ASSET + scene(*lines)))
+    assert said.gravity is not None
+    np.testing.assert_allclose(said.gravity, expected, rtol=1e-6)  # float32 in the file
+    assert said.scene == "/Scene"
+
+
+def test_of_several_scenes_the_first_counts_and_this_is_said(write: Write) -> None:
+    moon = scene("float physics:gravityMagnitude = 1.62", name="Moon")
+    said = physics_of(write(ASSET + moon + scene()))
+    assert said.gravity == pytest.approx((0, -1.62, 0), rel=1e-6)
+    assert said.notes == ("/Scene: is another PhysicsScene: /Moon counts",)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("float physics:gravityMagnitude = nan", "physics:gravityMagnitude is nan"),
+        ("float physics:gravityMagnitude = inf", "physics:gravityMagnitude is inf"),
+        ("vector3f physics:gravityDirection = (nan, 0, 0)", "physics:gravityDirection is"),
+    ],
+)
+def test_gravity_that_is_no_number_is_refused(write: Write, line: str, words: str) -> None:
+    path = write(ASSET + scene(line))
+    with pytest.raises(InputError) as caught:
+        physics_of(path)
+    assert caught.value.message.startswith(f"{path}: </Scene>: {words}")
+    assert "author" in caught.value.hint
+
+
+def test_a_body_that_is_no_prim_is_refused(write: Write) -> None:
+    with pytest.raises(InputError, match="there is no prim /Aset"):
+        physics_of(write(ASSET), "/Aset")

@@ -1,0 +1,53 @@
+"""Files appear whole under their final name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gf_usd.core.errors import BakeError
+from gf_usd.system.atomic_files import drop_working, partial_path, publish, publish_text
+
+
+def test_the_partial_name_keeps_folder_and_suffix() -> None:
+    path = Path("out") / "duck.rubber.cache.usdc"
+    assert partial_path(path) == Path("out") / "duck.rubber.cache.partial.usdc"
+
+
+def test_publishing_replaces_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    path.write_text("old")
+    partial_path(path).write_text("new")
+    assert publish(path) == path
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_to_publish_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    path.write_text("old")
+    with pytest.raises(BakeError) as caught:
+        publish(path)
+    assert caught.value.message == (
+        f"{partial_path(path)} could not be published as report.json: No such file or directory."
+    )
+    assert path.read_text() == "old"
+
+
+def test_text_is_written_in_one_step(tmp_path: Path) -> None:
+    path = publish_text(tmp_path / "report.json", "{}\nμ")
+    assert path.read_text(encoding="utf-8") == "{}\nμ"
+    with pytest.raises(BakeError, match="could not be written"):
+        publish_text(tmp_path / "no" / "report.json", "{}")
+
+
+def test_what_a_kill_within_usd_leaves_is_dropped_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "duck.rubber.cache.usdc"
+    left = ["duck.rubber.cache.partial.LRS4IR", "duck.rubber.cache.partial.nm_fTH"]
+    mine = ["duck.rubber.cache.partial.notes.txt", "duck.rubber.cache.partial.usdc",
+            "duck.jelly.cache.partial.LRS4IR", "LRS4IR"]  # fmt: skip
+    for name in (*left, *mine):
+        (tmp_path / name).write_text("x")
+    drop_working(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(mine)

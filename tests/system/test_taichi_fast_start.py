@@ -1,0 +1,277 @@
+"""What Taichi is made to do at a start: as quickly, and with the same keys and words."""
+
+import ast
+import gc
+import inspect
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from gf_usd.system import taichi_fast_start
+from gf_usd.system.taichi_runtime import import_taichi, init_taichi
+
+KERNEL = """
+from gf_usd.system.taichi_runtime import import_taichi, init_taichi
+
+ti = import_taichi()
+init_taichi(threads={threads})
+x = ti.ndarray(ti.f32, 4000)
+
+@ti.kernel
+def double(x: ti.types.ndarray(dtype=ti.f32, ndim=1)):
+    for i in range(x.shape[0]):
+        x[i] = 2.0 * x[i] + 1.0
+
+double(x)
+assert x.to_numpy().min() == x.to_numpy().max() == 1.0
+"""
+
+
+def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
+    script = tmp_path / "kernel.py"
+    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "cache")}
+
+    def compiled_after(threads: int) -> set[str]:
+        script.write_text(KERNEL.format(threads=threads))
+        subprocess.run([sys.executable, str(script)], env=environment, check=True)
+        return {file.name for file in (tmp_path / "cache").rglob("*.tic")}
+
+    first = compiled_after(1)
+    assert first
+    assert compiled_after(3) == first
+
+
+MANY_WAYS = """
+import sys
+from gf_usd import runtime
+
+if sys.argv[1] == "plain":
+    runtime.quicken = lambda: None
+ti = runtime.import_taichi()
+runtime.init_taichi()
+x = ti.ndarray(ti.f32, 4)
+numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
+
+@ti.func
+def twice(a):
+    return 2.0 * a - a / 3.0 + a // 1.0 + a % 7.0
+
+@ti.func
+def power(a, n: ti.template()):
+    out = a
+    if ti.static(n > 1):
+        out = a * power(a, n - 1)
+    return out
+
+@ti.func
+def second(v: ti.template()):
+    return v.y + v.normalized().x
+
+@ti.kernel
+def fill(x: numbers, n: ti.i32):
+    for i in range(n):
+        v = ti.Vector([float(i), 3.0])
+        for k in ti.static(range(3)):
+            x[i] += twice(twice(v.x)) - power(v.y, 3) + second(v) * k
+    for i in range(n):
+        x[i] = -x[i] if x[i] > 1.0 else twice(x[i])
+
+fill(x, 4)
+print(x.to_numpy().tolist(), type(sys.modules["taichi.lang.kernel_impl"].ast).__name__)
+"""
+
+
+def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path) -> None:
+    script = tmp_path / "kernel.py"
+    script.write_text(MANY_WAYS)
+
+    def run(way: str) -> tuple[str, str, set[str]]:
+        cache = tmp_path / way
+        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache)}
+        done = subprocess.run(
+            [sys.executable, str(script), way],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        values, _, kind = done.stdout.strip().rpartition(" ")
+        return values, kind, {file.name for file in cache.rglob("*.tic")}
+
+    plain, quick = run("plain"), run("quick")
+    assert (plain[1], quick[1]) == ("module", "SimpleNamespace"), "else nothing is compared"
+    assert quick[0] == plain[0]
+    assert plain[2]
+    assert quick[2] == plain[2]
+
+
+def test_a_tree_serves_one_call_at_a_time_and_none_outlives_its_kernel() -> None:
+    seen: list[Any] = []
+    source = "def f(x):\n    return x"
+    context = SimpleNamespace(is_kernel=False, is_real_function=False)
+
+    def transform(tree: Any, ctx: Any) -> None:
+        if ctx.is_kernel:
+            for _ in range(2):
+                outer = trees.parse(source)
+                seen.append(outer)
+                trees.transform(outer, context)
+        elif len(seen) % 2:
+            seen.append(inner := trees.parse(source))
+            trees.transform(inner, context)
+
+    trees = taichi_fast_start.Trees(transform)
+    assert gc.isenabled()
+    kernel = SimpleNamespace(is_kernel=True, is_real_function=False)
+    trees.transform(trees.parse("def k(): pass"), kernel)
+    assert gc.isenabled()
+    assert seen[0] is not seen[1], "called while it is in use"
+    assert {id(tree) for tree in seen[2:]} <= {id(tree) for tree in seen[:2]}
+    assert trees.parse(source) not in seen
+
+
+def test_lines_of_source_are_filled_as_textwrap_does() -> None:
+    for line in (
+        "",
+        "  \n",
+        "    x = 1  \n",
+        "\ty = 2\n",
+        "a\x0cb",
+        "z" * 99,
+        "p q " * 9,
+        "ä = 'é'",
+    ):
+        filled = textwrap.fill(line, tabsize=4, width=30)
+        assert taichi_fast_start._filled(line, tabsize=4, width=30) == filled, repr(line)
+
+
+def test_a_fault_in_a_kernel_is_still_placed() -> None:
+    ti: Any = import_taichi()
+    init_taichi()
+    numbers: Any = ti.types.ndarray(dtype=ti.f32, ndim=1)
+
+    @ti.kernel
+    def faulty(x: numbers):  # pyright: ignore[reportInvalidTypeForm]
+        for i in range(4):
+            x[i] = nowhere  # noqa: F821  # pyright: ignore[reportUndefinedVariable]
+
+    with pytest.raises(ti.TaichiNameError, match="nowhere") as error:
+        faulty(ti.ndarray(ti.f32, 4))
+    said = str(error.value)
+    assert f'File "{__file__}"' in said
+    assert "x[i] = nowhere" in said
+    assert "^^^^^^^" in said
+    line = next(k for k, text in enumerate(Path(__file__).read_text().splitlines(), 1)
+                if "= nowhere  #" in text)  # fmt: skip
+    assert f"line {line}" in said
+
+
+def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
+    kernels = sys.modules["taichi.lang.kernel_impl"]
+    asked: list[int] = []
+    words = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    inside = taichi_fast_start._asked_of_files(lambda level: bool(asked.append(level)), words)
+
+    class Here:
+        found = inside(2)  # from the body of a class to what is at its first line
+
+    assert Here.found
+    assert not inside(0)
+    assert asked == []
+    unknown = taichi_fast_start._asked_of_files(lambda level: bool(asked.append(level)), ())
+    assert not unknown(0)
+    assert asked == [1], "this frame is of a file, one level further up for the one who looks"
+    code = compile("found = inside(1)", "<nowhere>", "exec")
+    exec(code, space := {"inside": inside})
+    assert space["found"] is False
+    assert asked == [1]
+    assert kernels._inside_class.__name__ == "inside_class"
+
+
+def test_the_version_check_that_is_off_loads_nothing_that_talks_to_a_network() -> None:
+    code = "import sys; from gf_usd.system.taichi_runtime import import_taichi; import_taichi(); "
+    code += "print([m for m in ('ssl', 'taichi._version_check') if m in sys.modules])"
+
+    def loaded(switch: str) -> str:
+        environment = {**os.environ, "TI_SKIP_VERSION_CHECK": switch}
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.strip()
+
+    assert loaded("ON") == "[]"
+    # One who wants the check has it, as Taichi made it.
+    assert loaded("OFF") == "['ssl', 'taichi._version_check']"
+
+
+def long_signature(
+    a: int,
+    b: int,
+) -> list[int]:
+    """Ends with a bracket of its own."""
+
+    def inner() -> int:
+        return a
+
+    if a > b:
+        return [inner()]
+    return [
+        b,
+        a,
+    ]  # said behind it
+
+
+def text_at_the_end() -> str:
+    return """
+one
+"""
+
+
+def branch_at_the_end(a: int) -> None:
+    for _ in range(a):
+        a += 1
+        if a > 3:
+            pass  # nothing more
+
+
+@pytest.mark.parametrize("function", [long_signature, text_at_the_end, branch_at_the_end])
+def test_a_function_is_read_up_to_its_end(function: Any) -> None:
+    lines, first = taichi_fast_start._up_to_its_end(inspect.getsourcelines)(function)
+    complete, known = inspect.getsourcelines(function)
+    assert first == known
+    assert ast.dump(ast.parse("".join(lines))) == ast.dump(ast.parse("".join(complete)))
+
+
+def test_a_function_without_a_file_is_left_to_inspect() -> None:
+    space: dict[str, Any] = {}
+    exec("def nowhere(): return 1", space)
+    with pytest.raises(OSError, match="source"):
+        taichi_fast_start._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
+
+
+def test_what_only_a_prompt_needs_is_loaded_when_it_is_used() -> None:
+    script = """
+import sys
+from gf_usd.system.taichi_runtime import import_taichi
+
+import_taichi()
+print("dill._dill" in sys.modules)
+from taichi.lang import _wrap_inspect
+
+print(_wrap_inspect.dill.loads(_wrap_inspect.dill.dumps(lambda: 7))())
+print("dill._dill" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split()[-3:] == ["False", "7", "True"], done.stderr

@@ -1,0 +1,99 @@
+"""Starting Taichi, and the words where it cannot be started."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from gf_usd.core.errors import GfUsdError, UsageError
+from gf_usd.system import taichi_runtime
+
+
+def test_an_unknown_device_is_refused():
+    with pytest.raises(UsageError, match="Unknown device 'tpu'") as caught:
+        taichi_runtime.init_taichi("tpu")
+    assert "cpu, cuda" in caught.value.hint
+
+
+def test_no_threads_are_refused():
+    with pytest.raises(UsageError, match="0 CPU threads"):
+        taichi_runtime.init_taichi(threads=0)
+
+
+def test_cuda_where_there_is_none_is_refused(monkeypatch):
+    monkeypatch.setattr(taichi_runtime, "_has_cuda", lambda ti: False)
+    with pytest.raises(UsageError, match="No CUDA device") as caught:
+        taichi_runtime.init_taichi("cuda")
+    assert "--device cpu" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("cause", "hint"),
+    [
+        ("libX11.so.6: cannot open shared object file", "apt-get install libx11-6"),
+        ("No module named 'taichi'", "pip install"),
+    ],
+)
+def test_a_missing_library_is_named(monkeypatch, cause, hint):
+    def fail(name):
+        raise ImportError(cause)
+
+    monkeypatch.setattr(importlib, "import_module", fail)
+    taichi_runtime.import_taichi.cache_clear()
+    try:
+        with pytest.raises(GfUsdError, match="Taichi cannot be loaded") as caught:
+            taichi_runtime.import_taichi()
+    finally:
+        taichi_runtime.import_taichi.cache_clear()
+    assert cause in caught.value.message
+    assert hint in caught.value.hint
+
+
+def test_the_same_arguments_start_it_once_and_others_anew(monkeypatch):
+    ti = taichi_runtime.import_taichi()
+    taichi_runtime.init_taichi(threads=1)
+    starts = []
+    monkeypatch.setattr(ti, "init", lambda **arguments: starts.append(arguments))
+    monkeypatch.setattr(taichi_runtime, "_started", dict(taichi_runtime._started))
+    taichi_runtime.init_taichi(threads=1)
+    taichi_runtime.ensure_taichi()
+    assert starts == []
+    taichi_runtime.init_taichi(threads=2)
+    assert [start["cpu_max_num_threads"] for start in starts] == [2]
+    taichi_runtime.init_taichi(threads=2, f64=True)
+    assert starts[-1]["default_fp"] == ti.f64
+    # kernels of pictures do not compile with 64-bit literals
+    taichi_runtime.ensure_taichi()
+    assert starts[-1]["default_fp"] == ti.f32
+    assert starts[-1]["cpu_max_num_threads"] == 2
+
+
+@pytest.mark.parametrize("stdout", ["sys.__stdout__", "io.StringIO()"], ids=["own", "notebook"])
+def test_starting_says_nothing_on_the_way(stdout):
+    code = "from gf_usd.system.taichi_runtime import init_taichi; init_taichi()"
+    code = f"import io, sys; sys.stdout = {stdout}; {code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    assert done.stderr == ""
+
+
+def test_what_outlives_a_restart_is_not_freed_by_its_address(monkeypatch) -> None:
+    import taichi as ti
+    from taichi.lang import _ndarray
+
+    freed: list[object] = []
+    taichi_runtime.init_taichi("cpu", 1)
+    old = ti.ndarray(ti.f32, 7)
+    taichi_runtime.init_taichi("cpu", 2)
+    new = ti.ndarray(ti.f32, 7)
+    program = SimpleNamespace(delete_ndarray=freed.append)
+    stand_in = SimpleNamespace(get_runtime=lambda: SimpleNamespace(prog=program))
+    with monkeypatch.context() as patch:
+        patch.setattr(_ndarray, "impl", stand_in)
+        for array in (old, new):
+            array.__del__()
+    assert freed == [new.arr]

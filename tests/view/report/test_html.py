@@ -1,0 +1,148 @@
+"""The page as a whole: its parts, its size, its words."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from recordings import FRAMES, FallingBox, report_of
+
+from gf_usd.view.report.curves import plots, unit_for
+from gf_usd.view.report.html import Html, data_script, join, policy, tag
+from gf_usd.view.report.moments import moments
+from gf_usd.view.report.motion import collect
+from gf_usd.view.report.record import make_record
+from gf_usd.view.report.report import Limits, build_report
+
+
+def data_of(page: str, name: str = "page") -> str:
+    found = re.search(f'<script type="text/plain" id="{name}">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return build_report([FallingBox()], report_of(), "", Limits())
+
+
+def test_everything_is_inside_and_nothing_is_fetched(page):
+    assert len(page.encode()) < 6_000_000  # plotly.js is 4.8 MB of it
+    assert page.count("<script>") == 2
+    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r'(src|href)="(?!data:)', outside)
+    assert "default-src &#x27;none&#x27;" in page
+    assert "<h1>Box</h1>" in page
+    assert "gf-usd bake box.usda --material rubber" in page
+    assert "a note of the bake" in page
+    assert page.count("data:image/jpeg;base64,") == 6
+    assert f"all {FRAMES} frames" in page
+    assert "Nothing was left out." in page
+
+
+def test_the_numbers_of_the_page_are_those_of_the_motion(page):
+    (look,) = json.loads(data_of(page))["looks"]
+    assert look["codes"] == [1, 2, 3, 4, 5, 6, 7]
+    assert look["seconds"][1] == pytest.approx(1 / 24, rel=1e-5)
+    assert (look["up"], look["ground"], look["cell"], look["grow"]) == ("Y", 0.0, 0.1, 1.0)
+    assert [plot["title"] for plot in look["plots"]] == [
+        "Height", "Stretch", "Volume ratio J", "Energy", "Depth in the floor",
+    ]  # fmt: skip
+    depth = look["plots"][4]
+    assert (depth["unit"], depth["curves"][0]["y"]) == ("mm", [0, 0, 1, 1, 1, 0, 1])
+    energy = {curve["name"]: curve["y"] for curve in look["plots"][3]["curves"]}
+    assert energy["total"] == pytest.approx([1.5, 2.1, 2.5, 3.5, 4.5, 5.7, 6.5])
+
+
+def test_texts_cannot_become_html():
+    nasty = "<script>alert(1)</script>"
+    report = report_of(command=nasty, notes=[nasty, '"><img src=x>'])
+    report["bakes"][0]["health"][nasty] = nasty
+    page = build_report([FallingBox(name=nasty, notes=(nasty,))], report, "", Limits())
+    assert nasty not in page
+    assert "<img src=x>" not in page
+    assert "<h1>&lt;script&gt;alert(1)&lt;/script&gt;</h1>" in page
+    assert "<" not in data_of(page)
+    assert tag("p", nasty, Html("<b>"), title='"') == (
+        '<p title="&quot;">&lt;script&gt;alert(1)&lt;/script&gt;<b></p>'
+    )
+    assert join([tag("input", type="range"), "&"]) == '<input type="range">&amp;'
+    assert data_script("x", '{"a":"</script><!--"}').count("</script>") == 1
+
+
+def test_the_policy_names_the_scripts_by_their_hash():
+    # printf 'alert(1)' | openssl dgst -sha256 -binary | base64
+    assert "'sha256-bhHHL3z2vDgxUt0W3dWQOrprscmda2Y5pLsLg4GF+pI='" in policy(["alert(1)"])
+
+
+def test_a_page_is_thinned_to_its_size_and_says_so():
+    source = FallingBox(gaussians=20_000)
+    whole = len(build_report([source], report_of(), "", Limits()).encode())
+    size = whole - 20_000
+    page = build_report([source], report_of(), "", Limits(size=size))
+    assert len(page.encode()) <= size
+    kept, of = re.search(r"<li>(\d+) of (\d+) Gaussians</li>", page).groups()
+    assert int(of) == 20_000
+    # a fifth is for 20 kB of 900 kB, and for the room that is kept for larger pictures
+    assert 10_000 < int(kept) < 20_000
+    assert "Left out to keep the page small" in page
+    assert "all 8 mesh vertices" in page
+    assert "times as large to fill the gaps" in page
+
+
+def test_frames_are_left_out_when_asked_for():
+    page = build_report([FallingBox()], report_of(), "", Limits(frames=3))
+    (look,) = json.loads(data_of(page))["looks"]
+    assert look["codes"] == [1, 4, 7]
+    assert f"3 of {FRAMES} frames" in page
+    # health is of every frame all the same
+    assert len(look["plots"][3]["curves"][0]["x"]) == FRAMES
+
+
+def test_without_a_report_curves_are_of_the_geometry():
+    page = build_report([FallingBox()], {}, "box.report.json is gone", Limits())
+    (look,) = json.loads(data_of(page))["looks"]
+    assert [plot["title"] for plot in look["plots"]] == ["Height", "Stretch", "Volume ratio J"]
+    assert [c["name"] for c in look["plots"][0]["curves"]] == ["highest", "centre", "lowest"]
+    assert "Missing:" in page
+
+
+def test_several_looks_have_a_switch():
+    report = report_of()
+    report["bakes"] += report_of(look="jelly")["bakes"]
+    page = build_report([FallingBox(), FallingBox(look="jelly")], report, "", Limits())
+    assert len(json.loads(data_of(page))["looks"]) == 2
+    assert data_of(page, "motion-1")
+    assert page.count('role="tab"') == 2
+
+
+def test_drift_is_drawn_where_the_bake_measured_it():
+    source = FallingBox()
+    recording = source.recording()
+    motion = collect(recording, source.frames(recording.time_codes), 100, 100)
+    report = report_of()
+    for i, frame in enumerate(report["bakes"][0]["per_frame"]):
+        frame["drift_mean"] = 1e-5 * i
+    drift = plots(motion, make_record(recording, report, ""))[-1]
+    assert (drift["title"], drift["unit"]) == ("Drift", "µm")
+    assert drift["curves"][0]["y"][-1] == pytest.approx(60.0)
+
+
+def test_units_suit_the_largest_value():
+    lengths = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"))
+    assert unit_for([0.5, None], lengths) == 1e-2
+    assert unit_for([-3.0], lengths) == 1.0
+    assert unit_for([], lengths) == 1e-3
+
+
+def test_pictures_are_taken_where_something_happens():
+    source = FallingBox()
+    recording = source.recording()
+    motion = collect(recording, source.frames(recording.time_codes), 100, 100)
+    assert [words for _, words in moments(motion, 5)] == [
+        "start", "contact", "squashed", "rebound", "end",
+    ]  # fmt: skip
+    assert [frame for frame, _ in moments(motion, 5)] == [0, 2, 3, 5, 6]
+    # more pictures than frames are not to be had
+    assert [frame for frame, _ in moments(motion, 50)] == list(range(FRAMES))

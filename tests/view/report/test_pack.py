@@ -1,0 +1,104 @@
+"""What the page's data.js would unpack is what was packed."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+from recordings import FRAMES, FallingBox
+from scipy.spatial.transform import Rotation
+
+from gf_usd.view.report.motion import Motion, collect
+from gf_usd.view.report.pack import Packer, octaves, pack
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    source = FallingBox()
+    recording = source.recording()
+    return collect(recording, source.frames(recording.time_codes), 100, 30)
+
+
+def unpack(table: dict[str, Any], blob: str, name: str) -> np.ndarray:
+    """As data.js does it: byte planes, then sums over time that wrap."""
+    entry = table[name]
+    dtype = np.dtype(entry["type"])
+    count = int(np.prod(entry["shape"]))
+    raw = zlib.decompress(base64.b64decode(blob))
+    planes = np.frombuffer(raw, np.uint8, count * dtype.itemsize, entry["offset"])
+    values = planes.reshape(dtype.itemsize, count).T.copy().view(dtype).reshape(entry["shape"])
+    return np.cumsum(values, axis=0, dtype=dtype) if entry["moving"] else values
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "uint32"])
+@pytest.mark.parametrize("moving", [False, True])
+def test_every_type_comes_back(dtype, moving):
+    info = np.iinfo(dtype)
+    values = np.random.default_rng(0).integers(info.min, info.max, (5, 7, 3), dtype, True)
+    packer = Packer()
+    packer.add("before", np.arange(3, dtype=np.uint8))
+    packer.add("values", values, moving=moving)
+    assert np.array_equal(unpack(packer.table, packer.blob(), "values"), values)
+
+
+def test_positions_are_kept_to_a_step(motion):
+    table, blob = pack(motion)
+    for name, truth in (("points", motion.points), ("positions", motion.positions)):
+        code = unpack(table, blob, name)
+        assert code.shape == truth.shape
+        back = table[name]["low"] + code * np.array(table[name]["step"])
+        # half a step of rounding, and single precision
+        step = np.array(table[name]["step"])
+        assert (np.abs(back - truth) <= 0.5 * step + 1e-7).all()
+        assert step.max() <= 1.0 / 65535.0
+
+
+def test_gaussians_keep_their_shape(motion):
+    table, blob = pack(motion)
+    turns = Rotation.from_quat(unpack(table, blob, "turns").reshape(-1, 4).astype(float))
+    scale = table["scales"]
+    sizes = np.exp(scale["low"] + scale["step"] * unpack(table, blob, "scales").reshape(-1, 3))
+    R = turns.as_matrix()
+    sigma = (R * sizes[:, None, :] ** 2) @ R.transpose(0, 2, 1)
+    squeezed = (1.0, 1.0, 0.8, 0.5, 0.9, 1.1, 1.0)
+    truth = np.array([np.diag([1, s * s, 1]) for s in squeezed]) * 1e-4
+    # scales in 255 steps of their logarithm, turns in 1/127
+    count = len(motion.chosen)
+    assert sigma.reshape(FRAMES, count, 3, 3) == pytest.approx(
+        np.repeat(truth[:, None], count, axis=1), abs=0.02 * 1e-4
+    )
+
+
+def test_stretch_is_coded_by_its_logarithm(motion):
+    assert octaves(np.array([0.01, 0.25, 1.0, 4.0, 100.0])).tolist() == [1, 1, 128, 255, 255]
+    table, blob = pack(motion)
+    back = 2.0 ** ((unpack(table, blob, "ratio") - 128.0) / 127.0 * 2.0)
+    # one code is 2^(2/127): 1.1 %
+    assert back[:, 0] == pytest.approx([1.0, 1.0, 0.8, 0.5, 0.9, 1.1, 1.0], rel=0.006)
+
+
+def test_curves_are_of_the_whole_body(motion):
+    curves = motion.curves
+    assert curves["lowest"] == pytest.approx([0.5, 0.3, 0.0, 0.0, 0.0, 0.1, 0.0], abs=1e-12)
+    assert curves["highest"][3] == pytest.approx(0.1)
+    assert curves["ratio_min"] == pytest.approx([1.0, 1.0, 0.8, 0.5, 0.9, 1.1, 1.0])
+    assert curves["surface_min"][3] == pytest.approx(0.5)
+    assert curves["surface_max"][5] == pytest.approx(1.1)
+    whole = FallingBox()
+    mean = np.mean([f.positions[:, 1].mean() for f in whole.frames([1.0])])
+    # the centre is that of all 40 Gaussians, of which the page keeps 30
+    assert len(motion.chosen) == 30
+    assert curves["centre"][0] == pytest.approx(mean)
+
+
+def test_a_motion_without_gaussians_or_without_meshes_packs():
+    bare = FallingBox(gaussians=0)
+    recording = bare.recording()
+    motion = collect(recording, bare.frames(recording.time_codes), 100, 100)
+    table, _ = pack(motion)
+    assert "positions" not in table
+    assert motion.curves["centre"][0] == pytest.approx(0.6)
+    assert "ratio_min" not in motion.curves

@@ -1,0 +1,176 @@
+"""The ramp of colours and what it paints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.scene import Quantity, RenderEllipsoids, RenderMesh, RenderSplats, Scene
+from gf_usd.view.legend import (
+    SMALLEST_PICTURE,
+    XYZ_OF_RGB,
+    Legend,
+    colours,
+    fraction,
+    lab_to_linear,
+    label,
+    paint,
+    prefix,
+    ramp,
+    rounded_up,
+    ticks,
+    written,
+)
+
+WHITE = XYZ_OF_RGB.sum(axis=1)
+
+
+def lab(linear: np.ndarray) -> np.ndarray:
+    """CIELAB of linear Rec. 709, after CIE 15, apart from the code under test."""
+    t = linear @ XYZ_OF_RGB.T / WHITE
+    f = np.where(t > 216 / 24389, np.cbrt(t), (24389 / 27 * t + 16) / 116)
+    return np.stack(
+        [116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1
+    )
+
+
+def test_the_ramp_grows_lighter_in_even_steps():
+    seen = lab(ramp())
+    assert (np.diff(seen[:, 0]) > 0.0).all()
+    steps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    # the display clips a few of the most saturated colours, which shortens their steps
+    assert np.percentile(steps, 5) > 0.8 * np.median(steps)
+    assert steps.max() < 1.2 * np.median(steps)
+    assert ramp().min() >= 0.0
+    assert ramp().max() <= 1.0
+
+
+def test_lab_is_inverted():
+    rgb = np.random.default_rng(0).random((50, 3))
+    # the white of the matrix and the stated one differ in the fourth digit
+    assert np.allclose(lab_to_linear(lab(rgb)), rgb, atol=2e-3)
+
+
+def test_values_beyond_the_range_have_its_ends_and_what_is_no_number_the_low_one():
+    assert fraction(np.array([-1.0, 2.0, 3.0, 9.0, np.nan]), 2.0, 4.0) == pytest.approx(
+        [0.0, 0.0, 0.5, 1.0, 0.0]
+    )
+    shown = colours(np.array([0.0, 0.5, 1.0]), 0.0, 1.0)
+    assert np.allclose(shown[[0, 2]], ramp()[[0, -1]])
+    assert fraction(np.array([3.0]), 3.0, 3.0) == [0.0]
+
+
+def scene() -> Scene:
+    mesh = RenderMesh(
+        name="/mesh",
+        points=np.eye(3),
+        triangles=np.array([(0, 1, 2)]),
+        colours=np.ones(3),
+        roughness=np.array(0.1),
+        metallic=np.array(1.0),
+        values=np.array([0.0, 0.5, 2.0]),
+    )
+    bare = RenderMesh(
+        name="/prop",
+        points=np.eye(3),
+        triangles=np.array([(0, 1, 2)]),
+        colours=np.ones(3),
+        roughness=np.array(0.1),
+        metallic=np.array(1.0),
+    )
+    common = {
+        "name": "/cloud",
+        "positions": np.zeros((2, 3)),
+        "axes": np.tile(np.eye(3), (2, 1, 1)),
+    }
+    white = np.ones((2, 3))
+    values = np.array([0.0, 1.0])
+    return Scene(
+        up=(0, 1, 0),
+        meshes=(mesh, bare),
+        splats=(
+            RenderSplats(**common, colours=white, opacities=np.ones(2), lit=True, values=values),
+        ),
+        ellipsoids=(RenderEllipsoids(**common, colours=white, values=values),),
+    )
+
+
+def test_what_has_values_is_painted_and_the_rest_is_not():
+    painted = paint(scene(), 0.0, 1.0)
+    mesh, prop = painted.meshes
+    assert prop is not None
+    assert prop.textures == ()
+    assert np.array_equal(prop.colours, np.ones(3))
+    (texture,) = mesh.textures
+    texel = np.floor(mesh.uvs[0, :, 0] * texture.pixels.shape[1]).astype(int)
+    assert texel.tolist() == [0, 128, 255]
+    assert float(mesh.metallic) == 0.0
+    for cloud in (painted.splats[0], painted.ellipsoids[0]):
+        assert np.allclose(cloud.colours, ramp()[[0, -1]])
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.0, 1.0, [0.0, 0.25, 0.5, 0.75, 1.0]),
+        (0.0, 0.46, [0.0, 0.1, 0.2, 0.3, 0.4]),
+        (-2.0, 2.0, [-2.0, -1.0, 0.0, 1.0, 2.0]),
+        (3.0, 3.0, [3.0]),
+    ],
+)
+def test_ticks_are_round(low, high, expected):
+    assert ticks(low, high) == pytest.approx(expected)
+
+
+def test_numbers_are_written_short():
+    assert [written(v) for v in (0.0, 0.123456, 12.0, 2500.0, -0.5)] == [
+        "0", "0.123", "12", "2500", "-0.5",
+    ]  # fmt: skip
+    assert prefix(12_300.0, "Pa") == (1e3, "kPa")
+    assert prefix(0.3, "") == (1.0, "")
+    assert [rounded_up(v) for v in (0.4567, 12.0, 123_400.0, 0.0)] == pytest.approx(
+        [0.46, 12.0, 130_000.0, 0.0]
+    )
+
+
+def test_the_legend_shows_the_ramp_with_the_high_end_at_the_top():
+    size = (640, 480)
+    blank = np.full((480, 640, 3), 128, dtype=np.uint8)
+    quantity = Quantity(title="stress", measure="von Mises", unit="Pa", high=4e4, largest=5e4)
+    legend = Legend(quantity, size)
+    shown = legend.over(blank)
+    assert shown.shape == blank.shape
+    # nothing beyond what it reserves, and that is less than a quarter of the picture
+    assert np.array_equal(shown[:, legend.reserved :], blank[:, legend.reserved :])
+    assert legend.reserved < 160
+    left = shown[:, : legend.reserved].astype(int)
+    yellow = np.argwhere((left[..., 0] > 200) & (left[..., 2] < 120))
+    blue = np.argwhere((left[..., 2] > 100) & (left[..., 0] < 80))
+    assert len(yellow) > 50
+    assert len(blue) > 50
+    assert yellow[:, 0].max() < blue[:, 0].min()
+    # there is writing: ink that is neither panel, ramp nor ground
+    assert (left.max(axis=2) < 70).sum() > 200
+
+
+def test_other_numbers_give_another_legend():
+    blank = np.full((480, 640, 3), 128, dtype=np.uint8)
+    one, two = (
+        Legend(Quantity(title="strain", high=high), (640, 480)).over(blank) for high in (0.5, 0.7)
+    )
+    assert not np.array_equal(one, two)
+
+
+def test_a_picture_too_small_for_words_is_refused():
+    with pytest.raises(UsageError, match="100x80 pixels has no room for a legend"):
+        Legend(Quantity(title="strain"), (100, 80))
+    assert Legend(Quantity(title="strain"), SMALLEST_PICTURE).reserved < SMALLEST_PICTURE[0] // 2
+
+
+def test_a_label_stays_in_its_corner():
+    blank = np.full((240, 320, 3), 128, dtype=np.uint8)
+    marked = label(blank, "time code 12")
+    assert (marked[:60, :160] != 128).any()
+    assert np.array_equal(marked[60:], blank[60:])
+    assert np.array_equal(marked[:, 160:], blank[:, 160:])
