@@ -167,7 +167,7 @@ MATT = 0.9  # roughness of what is painted: a highlight would read as a high val
 
 @cache
 def ramp() -> NDArray[np.float64]:
-    """(256, 3) linear Rec. 709, low to high: linear in sRGB between `STOPS`.  Do not write to it."""
+    """(256, 3) linear Rec. 709, low to high, by way of `STOPS`.  Do not write to it."""
     stops = np.array([list(bytes.fromhex(stop)) for stop in STOPS.split()]) / 255.0
     at, known = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(stops))
     return srgb_to_linear(np.stack([np.interp(at, known, channel) for channel in stops.T], axis=1))
