@@ -1,4 +1,3 @@
-# pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
 """What a frame asks of every particle, as kernels: rotation, stretches, Gaussian, radiance.
 
 A particle stays in registers and threads share the particles; with arrays in NumPy each of some two
@@ -11,6 +10,16 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.radiance import DIRECTIONS, INVERSES, terms
+from gf_usd.physics.laws.simd3x3 import (
+    at,
+    cofactor,
+    determinant,
+    double_dot,
+    let,
+    product,
+    put,
+    unrolled,
+)
 from gf_usd.system.taichi_runtime import ensure_running, ensure_taichi, import_taichi
 
 ti = import_taichi()
@@ -72,50 +81,22 @@ def _flat(values: Floats) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, float).reshape(-1)
 
 
-@ti.func
-def matrix(values: ti.template(), p):
-    """Matrix p of many, row by row."""
-    return ti.Matrix(
-        [[values[9 * p + 3 * a + b] for b in ti.static(range(3))] for a in ti.static(range(3))]
-    )
+@unrolled
+def matrix(values, p):
+    """Matrix p of many, nine numbers row by row."""
+    return [let(at(values, 9 * p + a)) for a in range(9)]
 
 
-@ti.func
-def keep(values: ti.template(), p, A):
-    for a, b in ti.static(ti.ndrange(3, 3)):
-        values[9 * p + 3 * a + b] = A[a, b]
+@unrolled
+def keep(values, p, A):
+    """Write A where `matrix` reads it."""
+    for a in range(9):
+        put(at(values, 9 * p + a), A[a])
 
 
-@ti.func
-def cofactor(A):
-    return ti.Matrix(
-        [
-            [
-                A[(a + 1) % 3, (b + 1) % 3] * A[(a + 2) % 3, (b + 2) % 3]
-                - A[(a + 1) % 3, (b + 2) % 3] * A[(a + 2) % 3, (b + 1) % 3]
-                for b in ti.static(range(3))
-            ]
-            for a in ti.static(range(3))
-        ]
-    )
-
-
-@ti.func
-def first_row(A, B):
-    """A00 B00 + A01 B01 + A02 B02: the determinant of A where B is its cofactor."""
-    return A[0, 0] * B[0, 0] + A[0, 1] * B[0, 1] + A[0, 2] * B[0, 2]
-
-
-@ti.func
-def root(x):
-    """sqrt(x), 0 where rounding made x negative; what is no number stays none."""
-    return ti.sqrt(ti.select(x < 0.0, 0.0 * x, x))
-
-
-@ti.func
-def within(x):
-    """x in [-1, 1]."""
-    return ti.select(x > 1.0, x / x, ti.select(x < -1.0, 0.0 - x / x, x))
+@unrolled
+def transposed(A):
+    return [A[3 * b + a] for a in range(3) for b in range(3)]
 
 
 @ti.kernel
@@ -124,22 +105,27 @@ def _rotations(F: Many, R: Many, done: Flags):
     for p in range(done.shape[0]):
         Q = matrix(F, p)
         settled = 0
-        if first_row(Q, cofactor(Q)) > 0.0:
+        if determinant(Q, cofactor(Q)) > 0.0:
             step = 0
             while step < NEWTON and settled == 0:
                 C = cofactor(Q)
-                J = first_row(Q, C)
-                new = 0.5 * (Q + C / J)
-                change = new - Q
-                largest = 0.0 * J
-                for a, b in ti.static(ti.ndrange(3, 3)):
-                    largest = ti.max(largest, ti.abs(change[a, b]))
-                if largest < SETTLED:
+                if newton(Q, C, determinant(Q, C)) < SETTLED:
                     settled = 1
-                Q = new
                 step += 1
         done[p] = settled
         keep(R, p, Q)
+
+
+@unrolled
+def newton(Q, C, J):
+    """Q <- (Q + C / J) / 2; the largest change of an entry."""
+    J, largest = let(J), None
+    for a in range(9):
+        new = let(0.5 * (Q[a] + C[a] / J))
+        change = ti.abs(new - Q[a])
+        largest = let(change if largest is None else ti.max(largest, change))
+        put(Q[a], new)
+    return largest
 
 
 @ti.kernel
@@ -147,19 +133,14 @@ def _stretches(F: Many, s: Many, J: Many):
     """Singular values, ascending, and det F: see `strains`."""
     for p in range(J.shape[0]):
         A = matrix(F, p)
-        J[p] = first_row(A, cofactor(A))
-        C = A.transpose() @ A
-        q = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
-        D = C
-        size = 0.0 * q
-        for a in ti.static(range(3)):
-            D[a, a] = D[a, a] - q
-        for a, b in ti.static(ti.ndrange(3, 3)):
-            size += D[a, b] * D[a, b]
-        r = ti.sqrt(size / 6.0)
-        if r > 0.0:
-            D = D / r
-        cosine = within(first_row(D, cofactor(D)) / 2.0)
+        J[p] = determinant(A, cofactor(A))
+        D = product(transposed(A), A)
+        q = (D[0] + D[4] + D[8]) / 3.0
+        r = scaled_deviator(D, q)
+        # within [-1, 1], and what is no number stays none
+        cosine = determinant(D, cofactor(D)) / 2.0
+        cosine = ti.select(cosine > 1.0, cosine / cosine, cosine)
+        cosine = ti.select(cosine < -1.0, 0.0 - cosine / cosine, cosine)
         angle = ti.acos(cosine) / 3.0
         # cos(angle + 2 pi / 3), of which a literal would have single precision only
         along, across = ti.cos(angle), ti.sqrt(0.0 * angle + 3.0) * ti.sin(angle)
@@ -170,58 +151,96 @@ def _stretches(F: Many, s: Many, J: Many):
         s[3 * p + 2] = root(high)
 
 
-@ti.func
+@unrolled
+def scaled_deviator(D, q):
+    """D <- (D - q) / r, and r = |D - q| / sqrt(6); where r is 0 D is left 0."""
+    for a in (0, 4, 8):
+        put(D[a], D[a] - q)
+    r = let(ti.sqrt(double_dot(D, D) / 6.0))
+    divisor = let(ti.select(r > 0.0, r, 0.0 * r + 1.0))
+    for a in range(9):
+        put(D[a], D[a] / divisor)
+    return r
+
+
+@unrolled
+def root(x):
+    """sqrt(x), 0 where rounding made x negative; what is no number stays none."""
+    x = let(x)
+    return ti.sqrt(ti.select(x < 0.0, 0.0 * x, x))
+
+
+@unrolled
 def quaternion(R):
-    """Unit quaternion (w, x, y, z) of a rotation R."""
-    a, b, c = R[0, 0], R[1, 1], R[2, 2]
-    wx, wy, wz = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    xy, xz, yz = R[1, 0] + R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2]
-    w2, x2, y2, z2 = 1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c
+    """Unit quaternion [w, x, y, z] of a rotation R."""
+    a, b, c = R[0], R[4], R[8]
+    wx, wy, wz = R[7] - R[5], R[2] - R[6], R[3] - R[1]
+    xy, xz, yz = R[3] + R[1], R[2] + R[6], R[7] + R[5]
     # The largest of four squared components is at least a quarter: divide by that one.
-    q = ti.Vector([w2, wx, wy, wz])
-    most = w2
-    if x2 > most:
-        most = x2
-        q = ti.Vector([wx, x2, xy, xz])
-    if y2 > most:
-        most = y2
-        q = ti.Vector([wy, xy, y2, yz])
-    if z2 > most:
-        q = ti.Vector([wz, xz, yz, z2])
-    return q / q.norm()
+    q = let([1 + a + b + c, wx, wy, wz])
+    most = q[0]
+    for k, row in enumerate(
+        (
+            [wx, 1 + a - b - c, xy, xz],
+            [wy, xy, 1 - a + b - c, yz],
+            [wz, xz, yz, 1 - a - b + c],
+        ),
+        1,
+    ):
+        row = let(row)
+        larger = let(row[k] > most)
+        most = let(ti.select(larger, row[k], most))
+        q = [let(ti.select(larger, row[i], q[i])) for i in range(4)]
+    length = let(ti.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
+    return [one / length for one in q]
 
 
 @ti.func
-def diagonalize(S):
-    """Q^T S Q, diagonal, and Q, det Q = 1, near the identity, of a symmetric S."""
-    Q = S * 0.0
-    for a in ti.static(range(3)):
-        Q[a, a] = 1.0
+def diagonalize(S: ti.template()):
+    """S <- Q^T S Q, diagonal, for a symmetric S of which the upper half is read and changed.
+
+    Returns Q, det Q = 1, near the identity: cyclic rotations (Jacobi 1846).
+    """
+    Q = identity()
     # Below rounding an off-diagonal says nothing, and turning by it would be noise.
-    least = 1e-14 * ti.max(S[0, 0] + S[1, 1] + S[2, 2], 1e-300)
+    least = 1e-14 * ti.max(S[0] + S[4] + S[8], 1e-300)
     sweep = 0
     moved = 1
     while sweep < SWEEPS and moved == 1:
         moved = 0
-        for p, q in ti.static(((0, 1), (0, 2), (1, 2))):
-            off = S[p, q]
-            if ti.abs(off) > least:
+        for a, b in ti.static(((0, 1), (0, 2), (1, 2))):
+            if ti.abs(S[3 * a + b]) > least:
                 moved = 1
-                tau = (S[q, q] - S[p, p]) / (2.0 * off)
-                sign = ti.select(tau >= 0.0, 1.0, -1.0)
-                t = sign / (ti.abs(tau) + ti.sqrt(1.0 + tau * tau))
-                c = 1.0 / ti.sqrt(1.0 + t * t)
-                J = S * 0.0
-                for a in ti.static(range(3)):
-                    J[a, a] = 1.0
-                J[p, p] = c
-                J[q, q] = c
-                J[p, q] = t * c
-                J[q, p] = 0.0 - t * c
-                S = J.transpose() @ S @ J
-                Q = Q @ J
+                turn_plane(S, Q, a, b)
         sweep += 1
-    return S, Q
+    return Q
+
+
+@unrolled
+def identity():
+    return [ti.cast(1.0 if a % 4 == 0 else 0.0, ti.f64) for a in range(9)]
+
+
+@unrolled
+def turn_plane(S, Q, a, b):
+    """Make S_ab 0 by a rotation of at most 45 degrees in the plane of a and b, a < b."""
+    off = let(S[3 * a + b])
+    tau = let((S[4 * b] - S[4 * a]) / (2.0 * off))
+    t = let(ti.select(tau >= 0.0, 1.0, -1.0) / (ti.abs(tau) + ti.sqrt(1.0 + tau * tau)))
+    c = let(1.0 / ti.sqrt(1.0 + t * t))
+    s = let(t * c)
+    put(S[4 * a], S[4 * a] - t * off)
+    put(S[4 * b], S[4 * b] + t * off)
+    put(S[3 * a + b], 0.0)
+    other = 3 - a - b
+    places = [(3 * min(a, other) + max(a, other), 3 * min(b, other) + max(b, other))]
+    for M, first, second in (
+        *((S, i, j) for i, j in places),
+        *((Q, 3 * i + a, 3 * i + b) for i in range(3)),
+    ):
+        x, y = let(M[first]), let(M[second])
+        put(M[first], c * x - s * y)
+        put(M[second], s * x + c * y)
 
 
 @ti.kernel
@@ -234,21 +253,29 @@ def _carry(
     rest : Q0 diag(s0); R : rotations of F, the next turn.
     """
     for p in range(count):
-        A = matrix(F, p) @ matrix(rest, p)
-        start = matrix(R, p) @ matrix(turn, p).transpose() @ matrix(axes, p)
-        B = start.transpose() @ A
-        S, spin = diagonalize(B @ B.transpose())
-        Q = start @ spin
+        turned = product(matrix(R, p), transposed(matrix(turn, p)))
+        start = product(turned, matrix(axes, p))
+        A = product(matrix(F, p), matrix(rest, p))
+        B = product(transposed(start), A)
+        S = product(B, transposed(B))
+        spin = diagonalize(S)
+        Q = product(start, spin)
         keep(new_axes, p, Q)
-        for a in ti.static(range(3)):
-            scales[3 * p + a] = root(S[a, a])
-        q = quaternion(Q)
-        before = ti.Vector([last[4 * p + a] for a in ti.static(range(4))])
-        sign = 1.0
-        if q.dot(before) < 0.0:
-            sign = -1.0
-        for a in ti.static(range(4)):
-            new_last[4 * p + a] = sign * q[a]
+        keep_gaussian(new_last, scales, last, p, S, quaternion(Q))
+
+
+@unrolled
+def keep_gaussian(new_last, scales, last, p, S, q):
+    """Write the roots of S_aa, and of q and -q, which are one rotation, the one near the last."""
+    q = let(q)
+    for a in range(3):
+        put(at(scales, 3 * p + a), root(S[4 * a]))
+    along = q[0] * at(last, 4 * p)
+    for a in range(1, 4):
+        along = along + q[a] * at(last, 4 * p + a)
+    sign = let(ti.select(along < 0.0, -1.0, 1.0))
+    for a in range(4):
+        put(at(new_last, 4 * p + a), sign * q[a])
 
 
 _terms = ti.func(terms)

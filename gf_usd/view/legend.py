@@ -166,7 +166,7 @@ MATT = 0.9  # roughness of what is painted: a highlight would read as a high val
 
 
 @cache
-def ramp() -> NDArray[np.float64]:
+def ramp() -> NDArray[np.floating]:
     """(256, 3) linear Rec. 709, low to high, by way of `STOPS`.  Do not write to it."""
     stops = np.array([list(bytes.fromhex(stop)) for stop in STOPS.split()]) / 255.0
     at, known = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(stops))

@@ -8,7 +8,7 @@ from scipy.stats import special_ortho_group
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.gaussians import GaussianTrack
-from gf_usd.physics.per_particle import diagonalize, matrix, nearest_rotation, quaternion
+from gf_usd.physics.per_particle import diagonalize, keep, matrix, nearest_rotation, quaternion
 from gf_usd.system.taichi_runtime import ensure_running, import_taichi
 
 ti = import_taichi()
@@ -30,10 +30,9 @@ def each_quaternion(R: Many, q: Many):
 @ti.kernel
 def each_diagonal(S: Many, D: Many, Q: Many):
     for p in range(S.shape[0] // 9):
-        diagonal, turn = diagonalize(matrix(S, p))
-        for a, b in ti.static(ti.ndrange(3, 3)):
-            D[9 * p + 3 * a + b] = diagonal[a, b]
-            Q[9 * p + 3 * a + b] = turn[a, b]
+        diagonal = matrix(S, p)
+        keep(Q, p, diagonalize(diagonal))
+        keep(D, p, diagonal)
 
 
 def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
@@ -47,7 +46,8 @@ def jacobi(S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ensure_running()
     D, Q = np.empty(S.shape), np.empty(S.shape)
     each_diagonal(np.ascontiguousarray(S).reshape(-1), D.reshape(-1), Q.reshape(-1))
-    return D, Q
+    upper = np.triu(D)
+    return upper + np.triu(upper, 1).swapaxes(1, 2), Q
 
 
 def quaternions(n: int, seed: int) -> np.ndarray:

@@ -9,7 +9,6 @@ import numpy as np
 
 from gf_usd.core.materials import FILTER_RATE, G0, time_scale
 from gf_usd.physics.frame_loop import energy
-from gf_usd.physics.per_particle import strains
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import ball, look, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Measure
@@ -31,6 +30,8 @@ class Drop:
 
 def drop(solver: str, particles: int, device: str) -> Drop:
     """A rubber ball of r = 1 m from three radii above the floor."""
+    from gf_usd.physics.per_particle import strains
+
     body, samples = ball(particles)
     T = time_scale(body.radius)
     s = settings(
