@@ -274,8 +274,7 @@ def test_packages_and_files_stay_small() -> None:
     for folder in {path.parent for path in python_files(PACKAGE)} - {PACKAGE, PACKAGE / "cli"}:
         entries = {p.name for p in folder.glob("*.py")} - {"__init__.py"}
         entries |= {p.parent.name for p in folder.glob("*/__init__.py")}
-        most = MOST_ENTRIES + (folder.name == "physics")
-        assert len(entries) <= most, (folder, sorted(entries))
+        assert len(entries) <= MOST_ENTRIES, (folder, sorted(entries))
     lengths = {
         str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines())
         for path in python_files(PACKAGE)
