@@ -36,7 +36,7 @@ from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.parts import Part, suggestion
 from gf_usd.geometry.repair import Repairs
 from gf_usd.pipeline.run import draw
-from gf_usd.prepare.fill import AXIS, UNIT, fill, mend, origin, size
+from gf_usd.prepare.fill import fill, mend, size
 from gf_usd.prepare.outputs import USD, outputs
 from gf_usd.prepare.prepare import _asked, _hulled, _stage, _try, _would_fill
 from gf_usd.system.sandbox import Limits
@@ -76,7 +76,6 @@ class Inspection:
     def as_json(self) -> dict[str, Any]:
         """Plain values; see the top of this file."""
         facts = self.asset.facts
-        unit_from, axis_from = origin(facts, UNIT), origin(facts, AXIS)
         return {
             "file": str(facts.path),
             "bakeable": self.refusal is None,
@@ -86,10 +85,10 @@ class Inspection:
             "skipped": [{"path": p, "reason": why} for p, why in self.asset.skipped],
             "units": {
                 "meters_per_unit": facts.units.meters_per_unit,
-                "meters_per_unit_from": unit_from,
+                "meters_per_unit_from": facts.unit_from,
                 "kilograms_per_unit": facts.units.kilograms_per_unit,
                 "up_axis": facts.up_axis,
-                "up_axis_from": axis_from,
+                "up_axis_from": facts.axis_from,
             },
             "time": {
                 "codes_per_second": facts.time_codes_per_second,

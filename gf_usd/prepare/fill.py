@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
     Choices,
@@ -278,20 +278,8 @@ PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 
 
-UNIT, AXIS = "--meters-per-unit", "--up-axis"
-ATTRIBUTES = {UNIT: "metersPerUnit", AXIS: "upAxis"}
+UNIT = "--meters-per-unit"
 COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
-
-
-def origin(facts: StageFacts, option: str) -> str:
-    """Where the answer to --meters-per-unit or --up-axis comes from: file, assumed or option.
-
-    Readers say in a note what the file does not say itself.
-    """
-    said = [note for note in facts.notes if option in note or ATTRIBUTES[option] in note]
-    if any("asked for" in note for note in said):
-        return "option"
-    return "assumed" if any("assumed" in note for note in said) else "file"
 
 
 def size(asset: Asset) -> Floats:
@@ -307,7 +295,7 @@ def implausible_size(asset: Asset) -> str:
     width = float(size(asset).max())
     units = width / unit
     # An assumed unit deserves less trust than one that somebody wrote down.
-    least = PLAUSIBLE[0] if origin(asset.facts, UNIT) == "assumed" else TINY
+    least = PLAUSIBLE[0] if asset.facts.unit_from == ASSUMED else TINY
     if least <= width <= HUGE:
         return ""
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
