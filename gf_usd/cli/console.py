@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from gf_usd.pipeline.result import BakeResult, LookResult
+    from gf_usd.pipeline.result import BakeResult, VariantResult
     from gf_usd.prepare.plan import Plan
 
 
@@ -108,7 +108,7 @@ def summarise(result: BakeResult, plan: Plan) -> None:
     typer.echo("\n".join(lines))
 
 
-def _measured(bake: LookResult) -> str:
+def _measured(bake: VariantResult) -> str:
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
     overlap = h["deepest_overlap_spacings"]

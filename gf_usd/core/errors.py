@@ -60,14 +60,14 @@ class SolverError(BakeError):
         self.frame, self.particle = frame, particle
 
 
-class OutOfRoom(SolverError):
+class OutOfResources(SolverError):
     """The disk or the memory is nearly full; what was had is kept, and clips can be resumed."""
 
 
 class UnhealthyError(GfUsdError):
     """The bake is complete and written, but has warnings, and --strict asks for none (status 4).
 
-    warnings : the `judgement.Caution`s; result : the `plan.BakeResult`.
+    warnings : the `HealthWarning`s; result : the `BakeResult`.
     """
 
     exit_status = 4

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.errors import InputError, OutOfRoom
+from gf_usd.core.errors import InputError, OutOfResources
 from gf_usd.core.frames import written
 from gf_usd.prepare.plan import frame_bytes
 from gf_usd.system.memory_and_disk import _swap, free_disk, free_memory
@@ -147,7 +147,7 @@ ASKED = 0.1  # [s] memory is asked for no more often: the system takes longer to
 DISK_HINT = "free some space, choose another -o, or write less: --frames, --half, --only"
 
 
-def require_room(plan: Plan) -> None:
+def require_resources(plan: Plan) -> None:
     """Raise InputError where a bake is estimated to need more disk or memory than is free.
 
     The estimates hold within some tenths.  What a bake that is gone on with has on the disk counts
@@ -183,7 +183,7 @@ def _done(plan: Plan, number: int) -> float:
     return 0.0 if since is None else min(1.0, since.index / samples)
 
 
-class RoomWatch:
+class ResourceGuard:
     """Sees to it, sample by sample, that the next one has room."""
 
     def __init__(self, plan: Plan) -> None:
@@ -197,7 +197,7 @@ class RoomWatch:
         self._asked = -math.inf
 
     def require(self, index: int, unsaved: int) -> None:
-        """Raise OutOfRoom where the disk or the memory has not enough for one more sample.
+        """Raise OutOfResources where the disk or the memory has not enough for one more sample.
 
         Memory is looked at once in ASKED seconds.
         index : of the sample; unsaved : samples that the cache still holds.
@@ -206,7 +206,7 @@ class RoomWatch:
         need = self._reserve + (unsaved + 2) * self._sample
         free = free_disk(self._folder)
         if free < need:
-            raise OutOfRoom(
+            raise OutOfResources(
                 f"{self._folder} has {free / 1e6:.3g} MB left, and {need / 1e6:.3g} MB are wanted"
                 " for the next frame, what is not yet written, and the report",
                 f"free some space; {again}",
@@ -218,7 +218,7 @@ class RoomWatch:
         self._asked = now
         left = free_memory()
         if left < LEAST_MEMORY and (left := left + _swap()) < LEAST_MEMORY:
-            raise OutOfRoom(
+            raise OutOfResources(
                 f"{left / 1e6:.3g} MB of memory are left on this machine",
                 f"end other programs, or take fewer --particles; {again}",
                 frame=index,

@@ -207,7 +207,7 @@ def clip_files(state: Mapping[str, Any]) -> list[str]:
     return [f"{state['folder']}/{name}" for name in ("manifest.usda", *clips)]
 
 
-class Keeper:
+class CheckpointWriter:
     """Writes the checkpoints of a run, and ends it where its slice does.
 
     slice : full clips after which the run ends; None: never.

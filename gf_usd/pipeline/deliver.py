@@ -18,7 +18,7 @@ from gf_usd.system import file_locks
 from gf_usd.system.atomic_files import drop_working, partial_path, publish
 
 if TYPE_CHECKING:
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
     from gf_usd.prepare.outputs import SplatSequence
     from gf_usd.prepare.plan import Plan
 
@@ -42,7 +42,7 @@ def sweep(plan: Plan) -> set[Path]:
     return kept
 
 
-def deliver(plan: Plan, looks: Sequence[BakedLook], earlier: set[Path]) -> tuple[str, ...]:
+def deliver(plan: Plan, looks: Sequence[BakedVariant], earlier: set[Path]) -> tuple[str, ...]:
     """Give the results their final names, none before all of it is there; returns notes.
 
     looks : with the final names of their caches, which still have their partial names.
@@ -65,7 +65,7 @@ def deliver(plan: Plan, looks: Sequence[BakedLook], earlier: set[Path]) -> tuple
     return root.notes
 
 
-def _one_file(plan: Plan, looks: Sequence[BakedLook]) -> tuple[str, ...]:
+def _one_file(plan: Plan, looks: Sequence[BakedVariant]) -> tuple[str, ...]:
     """Flatten the layers; they are working files and go when the one file is there."""
     from gf_usd.layers.flatten import write_flat
     from gf_usd.layers.root import write_root

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import sampled
-from gf_usd.pipeline.result import LookResult, report_json
+from gf_usd.pipeline.result import VariantResult, report_json
 from gf_usd.prepare.outputs import report_of_failure
 from gf_usd.prepare.plan import Plan
 from gf_usd.system.atomic_files import publish_text
 
 if TYPE_CHECKING:
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
 
 
 def place(plan: Plan, look: str, error: SolverError) -> dict[str, Any]:
@@ -46,8 +46,8 @@ def place(plan: Plan, look: str, error: SolverError) -> dict[str, Any]:
 
 def leave(
     plan: Plan,
-    results: Sequence[LookResult],
-    looks: Sequence[BakedLook],
+    results: Sequence[VariantResult],
+    looks: Sequence[BakedVariant],
     error: SolverError,
     *,
     notes: Sequence[str],

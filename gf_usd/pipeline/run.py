@@ -9,17 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.core.errors import OutOfRoom, SolverError
+from gf_usd.core.errors import OutOfResources, SolverError
 from gf_usd.core.frames import BakeInfo, sampled
 from gf_usd.core.materials import Material
 from gf_usd.core.scene import Scene
-from gf_usd.pipeline.budget import MAX_HOURS, RoomWatch, require_affordable, require_room
-from gf_usd.pipeline.checkpoint import Keeper, finished, going_on
+from gf_usd.pipeline.budget import MAX_HOURS, ResourceGuard, require_affordable, require_resources
+from gf_usd.pipeline.checkpoint import CheckpointWriter, finished, going_on
 from gf_usd.pipeline.deliver import alone, deliver, sweep, write_source
 from gf_usd.pipeline.failure import leave
 from gf_usd.pipeline.frames import Carrier, Moving, with_held
-from gf_usd.pipeline.health import HealthLog, judge
-from gf_usd.pipeline.result import BakeResult, LookResult, report_json, require_healthy
+from gf_usd.pipeline.health import HealthLog, health_warnings
+from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
 from gf_usd.prepare.outputs import claim
 from gf_usd.prepare.plan import Plan, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
@@ -27,7 +27,7 @@ from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
 
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
@@ -125,22 +125,22 @@ def run(
     is writing the same (see `writing.alone`), SolverError where the simulation
     failed (see `failure.leave`), BakeError where the disk did.
     """
-    keeper = Keeper(plan, slice)
+    keeper = CheckpointWriter(plan, slice)
     require_affordable(plan, max_hours)
-    require_room(plan)
+    require_resources(plan)
     with alone(plan):
         return _run_alone(plan, progress, keeper)
 
 
-def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeResult:
+def _run_alone(plan: Plan, progress: Progress | None, keeper: CheckpointWriter) -> BakeResult:
     from gf_usd.layers.check.run import review
 
     earlier = sweep(plan)
     claim(plan.outputs)
     began = time.perf_counter()
     write_source(plan)
-    results: list[LookResult] = []
-    looks: list[BakedLook] = []
+    results: list[VariantResult] = []
+    looks: list[BakedVariant] = []
     notes = list(plan.notes)
     for number, material in enumerate(plan.materials):
         result, look, more, error = _run_look(plan, number, material, progress, keeper)
@@ -150,7 +150,7 @@ def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeRes
         if error is not None:
             looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
             results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
-            if not isinstance(error, OutOfRoom):
+            if not isinstance(error, OutOfResources):
                 finished(plan.outputs)  # it would fail again
             seconds = time.perf_counter() - began
             raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
@@ -175,14 +175,14 @@ def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeRes
 
 
 def _run_look(
-    plan: Plan, number: int, material: Material, progress: Progress | None, keeper: Keeper
-) -> tuple[LookResult, BakedLook, tuple[str, ...], SolverError | None]:
+    plan: Plan, number: int, material: Material, progress: Progress | None, keeper: CheckpointWriter
+) -> tuple[VariantResult, BakedVariant, tuple[str, ...], SolverError | None]:
     """Simulate one material into its cache, which keeps its partial name.
 
     A failure of the solver is returned with what was had before it.
     """
     from gf_usd.layers.cache import CacheWriter
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
 
     total = plan.settings.frames
     settings = sampled(plan.settings_of(material))
@@ -210,7 +210,7 @@ def _run_look(
     target = plan.outputs.caches[number]
     carrier = Carrier(plan, number, since)
     moving = Moving(plan, material, carrier, since)
-    room = RoomWatch(plan)
+    room = ResourceGuard(plan)
     failure = None
     with CacheWriter(
         target,
@@ -252,7 +252,7 @@ def _run_look(
             failure = error
         summary = cache.close()
     health = log.summary()
-    result = LookResult(
+    result = VariantResult(
         look=material.name,
         cache=plan.outputs.root if plan.outputs.flat else target,
         material=material,
@@ -260,14 +260,14 @@ def _run_look(
         clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
-        warnings=judge(health),
+        warnings=health_warnings(health),
     )
-    look = BakedLook(
+    look = BakedVariant(
         name=material.name,
         cache=target,
         info=info,
         health=_plain(health),
-        warnings=tuple(caution.message for caution in result.warnings),
+        warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
     )
     return result, look, (*summary.notes, *carrier.notes), failure

@@ -14,7 +14,7 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 
 import gf_usd
 from gf_usd.core.frames import Settings
-from gf_usd.pipeline.result import BakeResult, LookResult
+from gf_usd.pipeline.result import BakeResult, VariantResult
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
 
@@ -48,7 +48,7 @@ def plan(source: Path) -> Plan:
 
 def result(plan: Plan, **changes) -> BakeResult:
     looks = tuple(
-        LookResult(
+        VariantResult(
             look=m.name,
             cache=cache,
             material=m,
