@@ -44,9 +44,16 @@ class BakeError(GfUsdError):
 
 
 class Unfinished(GfUsdError):
-    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault."""
+    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault.
+
+    variant : the one that it ended in; done : of its frames, of which there are so many.
+    """
 
     exit_status = 5
+
+    def __init__(self, message: str, hint: str, *, variant: str, done: int, frames: int) -> None:
+        super().__init__(message, hint)
+        self.variant, self.done, self.frames = variant, done, frames
 
 
 class SolverError(BakeError):

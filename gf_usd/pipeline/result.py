@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import Material
 from gf_usd.pipeline.health import HealthWarning, warnings_json
-from gf_usd.prepare.plan import Plan, describe, settings_json
+from gf_usd.prepare.plan import settings_json
 
 
 def require_healthy(result: BakeResult) -> None:
@@ -32,21 +32,24 @@ def require_healthy(result: BakeResult) -> None:
 
 
 def report_json(
-    plan: Plan,
+    description: Mapping[str, Any],
+    settings: Settings,
     bakes: Sequence[VariantResult],
-    *,
-    notes: Sequence[str],
     seconds: float,
+    notes: Sequence[str],
     findings: Sequence[dict[str, str]],
 ) -> dict[str, Any]:
-    """The report; its keys are documented in docs/guide.md."""
+    """The report; its keys are documented in docs/guide.md.
+
+    description : of `describe`.
+    """
     warnings = [(bake.look, warning) for bake in bakes for warning in bake.warnings]
     return {
-        **describe(plan),
-        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
+        **description,
+        "outputs": [*description["outputs"], *(str(c) for bake in bakes for c in bake.clips)],
         "notes": list(notes),
         "seconds": seconds,
-        "settings": settings_json(plan.settings),
+        "settings": settings_json(settings),
         "bakes": [bake.as_json(frames=True) for bake in bakes],
         "warnings": warnings_json(warnings),
         "check": list(findings),
@@ -61,7 +64,7 @@ class VariantResult:
     cache: Path
     material: Material
     frames: int
-    health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
+    health: dict[str, Any] = field(repr=False)  # see `HealthLog.summary`
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[HealthWarning, ...] = ()
     clips: tuple[Path, ...] = ()  # files beside the cache

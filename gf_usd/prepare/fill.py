@@ -1,11 +1,13 @@
 """From an asset that was read to a plan: bodies, particles, materials, settings, encounters.
 
+Nothing that is called from here takes the whole request but `settings.resolve`.
+
 What --repair does to an asset before it is filled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +37,7 @@ from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import make_pins
 from gf_usd.prepare.plan import Plan, frame_bytes
 from gf_usd.prepare.request import Request, parse_floor
-from gf_usd.prepare.settings import resolution, resolve
+from gf_usd.prepare.settings import Resolution, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 def fill(
     asset: Asset,
     request: Request,
-    looks: Sequence[Any],
+    presets: Sequence[Any],
     law: str | None,
     files: Outputs,
     file: Path,
@@ -82,7 +84,7 @@ def fill(
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     closed = zip(solid.surfaces, solid.triangles, strict=True)
-    asked = resolution(
+    asked = _resolution(
         request, words, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
     )  # fmt: skip
@@ -126,13 +128,15 @@ def fill(
     of, regional = material_regions.owners(regions, solid.surfaces, particles, unit)
     slot = body_materials.in_regions(slot, particles, parts, of)
 
-    def finish(look: Any, radius: float) -> Material:
-        return _made(look, radius, law, request)
+    own_values = _stated_values(request)
+
+    def finish(preset: Any, radius: float) -> Material:
+        return replace(preset.material(radius, law), **own_values)
 
     tables, index = [], particles.material
-    for look in looks:
+    for preset in presets:
         table, index = body_materials.table(
-            look, parts, slot, particles, solid, bodies, words, finish
+            preset, parts, slot, particles, solid, bodies, words, finish
         )
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
     particles, own = with_own_values(
@@ -140,10 +144,16 @@ def fill(
         (request.blend_width or 0.0) * unit,
     )  # fmt: skip
     made = tuple(
-        replace(_main(table, index, particles.V0), name=look.name)
-        for look, table in zip(looks, tables)
+        replace(_main(table, index, particles.V0), name=preset.name)
+        for preset, table in zip(presets, tables)
     )
-    each = tuple(paper_options.of_material(settings, request, m, radius) for m in made)
+    each = tuple(
+        paper_options.of_material(
+            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            procrustes=request.procrustes, clamp=request.clamp, stress_cap=request.stress_cap,
+        )
+        for m in made
+    )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
@@ -158,6 +168,7 @@ def fill(
         settings=each[0],
         each=each,
         outputs=files,
+        source=files.source or file,
         riders=solid.riders,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
@@ -262,8 +273,8 @@ def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[s
     return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
 
 
-def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
-    """A material on a body of radius [m], with what the request says in place of its own."""
+def _stated_values(request: Request) -> dict[str, float]:
+    """What the request says in place of a material's own values."""
     own = {
         name: value
         for name in ("damping_time", "friction", "restitution")
@@ -271,7 +282,15 @@ def _made(look: Any, radius: float, law: str | None, request: Request) -> Materi
     }
     if request.preset == "paper":
         own.setdefault("damping_time", 0.0)  # the paper has none
-    return replace(look.material(radius, law), **own)
+    return own
+
+
+def _resolution(
+    request: Request, words: StageWords, unit: float, volumes: Callable[[], Mapping[str, float]]
+) -> Resolution:
+    """See `resolution`; unit : [m] of the stage's."""
+    spacing = request.spacing * unit if request.spacing else None
+    return resolution(request.particles, spacing, words, volumes, paper=request.preset == "paper")
 
 
 PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
@@ -319,7 +338,7 @@ def mend(
     from gf_usd.geometry.thicken import thicken_asset
 
     mended, repairs = repair_asset(asset)
-    asked = resolution(
+    asked = _resolution(
         request, words, asset.facts.units.length,
         lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
     )  # fmt: skip

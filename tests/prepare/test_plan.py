@@ -15,6 +15,7 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 import gf_usd
 from gf_usd.core.frames import Settings
 from gf_usd.pipeline.result import BakeResult, VariantResult
+from gf_usd.pipeline.run import Prepared
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
 
@@ -40,6 +41,7 @@ def plan(source: Path) -> Plan:
         materials=(look("rubber", particles), look("jelly", particles)),
         settings=settings(frames=5, fps=30.0, seed=3, gravity=(0.0, -9.81, 0.0)),
         outputs=outputs(source, ["rubber", "jelly"], "out/"),
+        source=source,
         riders=(("/World/Hat", "open"),),
         drop=1.5,
         notes=("a note",),
@@ -80,7 +82,9 @@ def test_a_description_answers_what_a_dry_run_is_asked(plan: Plan, source: Path)
     d = describe(plan)
     assert strict(d)["bodies"] == [PATH]
     assert d["source"] == str(source)
-    assert d["input_sha256"] == hashlib.sha256(source.read_bytes()).hexdigest() == input_hash(plan)
+    assert (
+        d["input_sha256"] == hashlib.sha256(source.read_bytes()).hexdigest() == input_hash(source)
+    )
     assert d["version"] == gf_usd.__version__
     assert d["riders"] == [["/World/Hat", "open"]]
     assert d["particles"] == len(plan.particles)
@@ -120,11 +124,11 @@ def test_the_command_has_every_digit() -> None:
 
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
-    solver = plan.solver(plan.materials[1])
+    solver = Prepared(plan=plan).solvers.take(plan.variants[1])
     assert solver.riders.keys() == plan.points.keys() == {PATH}
     assert solver.settings is plan.settings
     alone = replace(plan, settings=replace(plan.settings, skin="idw"))
-    assert alone.solver(plan.materials[0]).riders == {}
+    assert Prepared(plan=alone).solvers.take(alone.variants[0]).riders == {}
 
 
 def test_a_result_has_the_documented_keys(plan: Plan) -> None:
