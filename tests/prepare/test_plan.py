@@ -5,17 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import pickle
 import shlex
-from dataclasses import asdict, replace
+from dataclasses import FrozenInstanceError, asdict, fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from physics_stages import head, mesh
+from planned import at
 from solids import asset, facts, fill, look, settings, solid, sphere
 
 import gf_usd
 from gf_usd.core.frames import Settings
 from gf_usd.pipeline.result import BakeResult, VariantResult
-from gf_usd.pipeline.run import Prepared
+from gf_usd.pipeline.run import Prepared, prepare
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
 
@@ -173,3 +177,27 @@ def test_the_first_material_stands_for_the_bake(plan: Plan) -> None:
         {"restitution": None},
         5,
     )
+
+
+def test_a_plan_is_values_alone(tmp_path: Path) -> None:
+    """No closure, no open file, no solver: what cannot be written down is not in it."""
+    source = tmp_path / "two.usda"
+    moving = "float3 physics:velocity = (1, 0, 0)\nfloat3 physics:angularVelocity = (0, 90, 0)"
+    apis = ("PhysicsRigidBodyAPI",)
+    prims = mesh("One", moving, apis=apis) + mesh("Two", at(3.0))
+    source.write_text(head() + prims, encoding="utf-8")
+    made = prepare(
+        source, output=tmp_path / "out.usda", particles=200, frames=3, material="rubber,jelly",
+        pins=("box:-1,-1,-1,9,0.3,9",),
+    ).plan  # fmt: skip
+    again = pickle.loads(pickle.dumps(made))
+    assert describe(again) == describe(made)
+    assert again.variants == made.variants
+    X = made.particles.X[:5]
+    for one, other in zip(made.velocity, again.velocity, strict=True):
+        if callable(one):
+            np.testing.assert_array_equal(one(X), other(X))
+    assert any(callable(one) for one in made.velocity)
+    for field in fields(made):
+        with pytest.raises(FrozenInstanceError):
+            setattr(made, field.name, None)
