@@ -132,15 +132,16 @@ def run(
     """
     from gf_usd.core.errors import BakeError
 
-    plan = prepare(
+    prepared = prepare(
         SAMPLES / asset, material=material, preset=options.pop("preset", "paper"), seed=seed,
         frames=frames, overwrite=True, drop=options.pop("drop", "3r"), **options,
     )  # fmt: skip
+    plan = prepared.plan
     wls = plan.settings.wls
     observer = Observer(plan, drift_every=drift_every or 10**9, wls=wls, resolution=resolution)
     series = Series(name=name or material, seed=seed)
     best: Frame | None = None
-    solver = plan.solver(plan.materials[0])
+    solver = prepared.solvers.take(plan.variants[0])
     began, watched = time.process_time(), 0.0
     try:
         for frame in solver.frames():

@@ -22,7 +22,7 @@ import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,6 +67,7 @@ class MeshSource:
     folder : holds its USD form and what is to be extracted beside that.
     record : what the layer was made of, to be found again in it.
     notes : what was assumed or left out on the way.
+    sources : `unit_from` and `axis_from` of the facts, where the layer does not tell them itself.
     """
 
     def __init__(
@@ -75,15 +76,23 @@ class MeshSource:
         folder: Folder,
         record: dict[str, str],
         notes: tuple[str, ...],
+        sources: Mapping[str, str],
     ) -> None:
         self.path = path
         self.notes = notes
+        self._sources = sources
         self._folder = folder
         self._record = record
 
     @classmethod
     def of(
-        cls, file: MeshFile, *, meters_per_unit: float, up_axis: str, notes: tuple[str, ...]
+        cls,
+        file: MeshFile,
+        *,
+        meters_per_unit: float,
+        up_axis: str,
+        notes: tuple[str, ...],
+        sources: Mapping[str, str],
     ) -> MeshSource:
         """Make the layer of a mesh file."""
         folder = Folder()
@@ -91,7 +100,7 @@ class MeshSource:
             file, folder.layer, folder.pictures, meters_per_unit=meters_per_unit, up_axis=up_axis
         )
         record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
-        return cls(file.path, folder, record, notes)
+        return cls(file.path, folder, record, notes, sources)
 
     @property
     def layer(self) -> Path:
@@ -101,7 +110,8 @@ class MeshSource:
     def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
         """The surfaces and facts; `facts.path` is the original.  See `readers.read_asset`."""
         asset = read_usd(self._folder.layer, prims=prims, time_code=time_code, named=self.path)
-        return replace(asset, facts=replace(asset.facts, notes=(*self.notes, *asset.facts.notes)))
+        notes = (*self.notes, *asset.facts.notes)
+        return replace(asset, facts=replace(asset.facts, notes=notes, **self._sources))
 
     def is_at(self, target: Path) -> bool:
         """Whether `target` was made of the same bytes in the same way, and is whole."""

@@ -45,6 +45,8 @@ def test_what_trimesh_writes_with_a_picture_and_a_node(tmp_path):
     assert asset.facts.units.length == 1.0
     assert asset.facts.up_axis == "Y"
     assert not any("assumed" in note for note in convert(path).notes)
+    facts = convert(path).asset().facts
+    assert (facts.unit_from, facts.axis_from) == ("file", "file")
     assert read.path.endswith("/turned_box")
     np.testing.assert_allclose(
         read.points, trimesh.transform_points(box.vertices, matrix), atol=EXACT
