@@ -37,8 +37,8 @@ from gf_usd.geometry.parts import Part, suggestion
 from gf_usd.geometry.repair import Repairs
 from gf_usd.pipeline.run import draw
 from gf_usd.prepare.fill import AXIS, UNIT, fill, mend, origin, size
-from gf_usd.prepare.outputs import USD, outputs
-from gf_usd.prepare.prepare import _asked, _hulled, _stage, _try, _would_fill
+from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.prepare import _asked, _reading, _stage, _would_fill
 from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
@@ -233,22 +233,13 @@ def inspect(
     from gf_usd.geometry.parts import poor_parts
     from gf_usd.pipeline.budget import estimate
     from gf_usd.prepare.fill import implausible_size
-    from gf_usd.readers import read_asset
 
     check_unit(meters_per_unit)
     request, looks = _asked(material, law, options)
     source = Path(path)
-    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
-    asset = read_asset(
-        source,
-        prims=tuple(prims),
-        meters_per_unit=meters_per_unit,
-        up_axis=up_axis,
-        time_code=request.start,
-    )
-    asset = _hulled(asset)
-    usd = source.suffix.lower() in USD
-    asset, words, looks = _stage(asset, source, prims, request, looks, usd, draw)
+    with _reading(source, limits, request, looks, prims, meters_per_unit, up_axis) as reading:
+        read = reading.result()
+    asset, words, looks = _stage(read, source, prims, request, looks, draw)
     seen = look_at(asset, mend(asset, request, words)[2] if repair else ())
     files = outputs(source, [look.name for look in looks], None)
     try:

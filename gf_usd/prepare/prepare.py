@@ -28,7 +28,7 @@ from gf_usd.prepare.outputs import (
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.request import Request
-from gf_usd.readers.trial import try_asset
+from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_words
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi
@@ -78,25 +78,12 @@ def prepare(
         overwritten = overwrite or (resume and interrupted(files))
         require_free(files, overwritten)
         frames_of(looks, overwritten)
-    # It forks, which must be done before Taichi starts its threads.
-    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
-    # A device that is not there is found out before the asset is read.
-    init_taichi(request.device, request.threads)
-    from gf_usd.readers import convert, read_asset
-
-    converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
-    if converted is None:
-        asset = read_asset(
-            source,
-            prims=tuple(prims),
-            meters_per_unit=meters_per_unit,
-            up_axis=up_axis,
-            time_code=request.start,
-        )
-    else:
-        asset = converted.asset(prims=tuple(prims), time_code=request.start)
-    asset = _hulled(asset)
-    asset, words, looks = _stage(asset, source, prims, request, looks, converted is None, draw)
+    with _reading(source, limits, request, looks, prims, meters_per_unit, up_axis) as reading:
+        # Beside it; a device that is not there is found out before the file is judged.
+        init_taichi(request.device, request.threads)
+        read = reading.result()
+    converted = read.converted
+    asset, words, looks = _stage(read, source, prims, request, looks, draw)
     names = [look.name for look in looks]
     files = outputs(source, names, target_name, request.flatten)
     there = stamps(files)
@@ -135,21 +122,22 @@ def prepare(
 
 
 def _stage(
-    asset: Asset,
+    read: Source,
     file: Path,
     prims: Sequence[str],
     request: Request,
     looks: Sequence[Any],
-    usd: bool,
     draw: Draw,
 ) -> tuple[Asset, StageWords, Sequence[Any]]:
-    """What is to be soft, what its stage says of that, and the looks that it is baked with.
-
-    usd : the file is a stage, and not a mesh file.
-    """
-    words = StageWords()
-    if usd:
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=_elastic(looks))
+    """What is to be soft, what its stage says of that, and the looks that it is baked with."""
+    asset, words = _hulled(read.asset), read.words
+    usd = read.converted is None
+    if words is None:
+        words = StageWords()
+        if usd:
+            asset, words = read_words(
+                asset, file, prims, rest=request.start, elastic=_elastic(looks)
+            )
     if looks and isinstance(looks[0], Auto):
         words = advise(asset, file, words, looks[0], usd=usd, rest=request.start, draw=draw)
         return asset, words, [Authored(looks[0].name)]
@@ -174,7 +162,7 @@ def _elastic(looks: Sequence[Any]) -> bool:
     return not looks or isinstance(looks[0], Auto)
 
 
-def _try(
+def _reading(
     source: Path,
     limits: Limits | None,
     request: Request,
@@ -182,9 +170,9 @@ def _try(
     prims: Sequence[str],
     meters_per_unit: float | None,
     up_axis: str | None,
-) -> None:
-    """Read it in a child process first, where limits are given."""
-    try_asset(
+) -> Reading:
+    """The file, being read."""
+    return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
         time_code=request.start, elastic=_elastic(looks),
     )  # fmt: skip
