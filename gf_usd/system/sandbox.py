@@ -88,6 +88,10 @@ class Scratch:
         # Windows will not remove a file that USD still maps.
         self._finalizer = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
+    def remove(self) -> None:
+        """Remove it now."""
+        self._finalizer()
+
     def release(self) -> Path:
         """The folder, which stays from now on."""
         self._finalizer.detach()
@@ -114,6 +118,7 @@ class Isolated:
         self.scratch: Scratch | None = None  # the child's temporary folder
         self._path, self._task, self._args = path, task, args
         self._limits = limits
+        self._delivered = False
         self._child: Child | None = None
         self._ended: list[Ended] = []
         if limits is None or os.name != "posix" or not path.is_file():
@@ -155,16 +160,20 @@ class Isolated:
         if self._child is None or self._limits is None:
             return _function(self._task)(*self._args)
         self._reader.join()
-        return _answer(self._path, self._ended[0], self._limits)
+        value = _answer(self._path, self._ended[0], self._limits)
+        self._delivered = True
+        return value
 
     def __enter__(self) -> Isolated:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the child, if it still runs."""
+        """End the child, if it still runs; without a result what it wrote goes as well."""
         if self._child is not None:
             self._child.stop()
             self._reader.join()
+        if self.scratch is not None and not self._delivered:
+            self.scratch.remove()
 
 
 def _answer(path: Path, ended: Ended, limits: Limits) -> Any:
