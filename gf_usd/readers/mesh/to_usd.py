@@ -262,7 +262,7 @@ class _Pictures:
             return picture.path.absolute().as_posix()
         data = picture.data or b""
         if data not in self._written:
-            self.folder.mkdir(exist_ok=True)
+            self._folder.mkdir(exist_ok=True)
             name = self._free(re.sub(r"[^\w.-]", "_", picture.name).lstrip("."))
             (self._folder / name).write_bytes(data)
             self._written[data] = (self._folder / name).absolute().as_posix()
