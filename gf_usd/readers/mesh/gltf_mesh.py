@@ -141,7 +141,8 @@ def decoded(gltf: Gltf, index: int | None) -> Floats:
 
 
 def _numbers(accessor: dict[str, Any], values: np.ndarray) -> Floats:
-    numbers = values.astype(np.float64).reshape(len(values), -1)
+    width = int(np.prod(values.shape[1:]))
+    numbers = values.astype(np.float64).reshape(len(values), width)
     if not accessor.get("normalized") or values.dtype.kind == "f":
         return numbers
     return np.maximum(numbers / np.iinfo(values.dtype).max, -1.0)
