@@ -40,7 +40,7 @@ from gf_usd.pipeline.run import Prepared, draw
 from gf_usd.prepare.fill import fill, implausible_size, mend, size
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
-from gf_usd.prepare.prepare import parse_request, read_source, try_source, would_fill
+from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill
 from gf_usd.system.sandbox import Limits
 
 KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
@@ -232,11 +232,8 @@ def inspect(
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)
-    try_source(source, limits, request, presets, prims, meters_per_unit, up_axis)
-    found = read_source(
-        source, request, presets, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        draw=draw,
-    )  # fmt: skip
+    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
+        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
     asset, words = found.asset, found.words
     seen = examine(asset, mend(asset, request, words)[2] if repair else ())
     files = outputs(source, [preset.name for preset in found.presets], None)

@@ -33,7 +33,7 @@ from gf_usd.prepare.outputs import (
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.request import Request
-from gf_usd.readers.trial import try_asset
+from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_words
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi
@@ -74,14 +74,10 @@ def prepare(
     again = {"overwrite": overwrite, "resume": resume}
     # what is in the way of the results is found before the asset is read, where they have names
     targets = _targets(source, presets, target, request, **again) if presets else None
-    # It forks, which must be done before Taichi starts its threads.
-    try_source(source, limits, request, presets, prims, meters_per_unit, up_axis)
-    # A device that is not there is found out before the asset is read.
-    init_taichi(request.device, request.threads)
-    found = read_source(
-        source, request, presets, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        draw=draw,
-    )  # fmt: skip
+    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
+        # Beside it; a device that is not there is found out before the file is judged.
+        init_taichi(request.device, request.threads)
+        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
     targets = targets or _targets(source, found.presets, target, request, **again)
     files, seen_source = _with_layer(targets, found.converted)
     asset = found.asset
@@ -165,62 +161,37 @@ class SourceAsset:
     converted: MeshSource | None  # of an asset that is not USD
 
 
-def read_source(
+def read_stage(
+    read: Source,
     source: Path,
     request: Request,
     presets: Sequence[Any],
     *,
     prims: Sequence[str],
-    meters_per_unit: float | None,
-    up_axis: str | None,
     draw: Draw,
 ) -> SourceAsset:
-    """Read an asset, its stage's words and its advice; see `bake` for the parameters.
+    """What is to be soft, what its stage says of that, and the presets that it is baked with.
 
     presets : that were asked for; none: the stage says what it is made of, or it is rubber.
     """
-    from gf_usd.readers import convert, read_asset
-
-    converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
-    if converted is None:
-        file = source
-        asset = read_asset(
-            source, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
-            time_code=request.start,
-        )  # fmt: skip
-    else:
-        file = converted.layer
-        asset = converted.asset(prims=tuple(prims), time_code=request.start)
-    asset, words, presets = _stage(
-        _hulled(asset), source, prims, request, presets, converted is None, draw
-    )
-    return SourceAsset(asset=asset, words=words, presets=presets, file=file, converted=converted)
-
-
-def _stage(
-    asset: Asset,
-    file: Path,
-    prims: Sequence[str],
-    request: Request,
-    presets: Sequence[Any],
-    usd: bool,
-    draw: Draw,
-) -> tuple[Asset, StageWords, Sequence[Any]]:
-    """What is to be soft, what its stage says of that, and the presets that it is baked with.
-
-    usd : the file is a stage, and not a mesh file.
-    """
-    words = StageWords()
-    if usd:
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=_elastic(presets))
+    asset, words, converted = _hulled(read.asset), read.words, read.converted
+    usd = converted is None
+    if words is None:
+        words = StageWords()
+        if usd:
+            asset, words = read_words(
+                asset, source, prims, rest=request.start, elastic=_elastic(presets)
+            )
     if presets and isinstance(presets[0], Auto):
-        words = advise(asset, file, words, presets[0], usd=usd, rest=request.start, draw=draw)
-        return asset, words, [Authored(presets[0].name)]
-    if presets:
-        return asset, words, presets
-    if words.says_material:
-        return asset, words, [Authored(look_name(words, asset.surfaces))]
-    return asset, words, [Authored("rubber")]
+        words = advise(asset, source, words, presets[0], usd=usd, rest=request.start, draw=draw)
+        presets = [Authored(presets[0].name)]
+    elif not presets:
+        named = look_name(words, asset.surfaces) if words.says_material else "rubber"
+        presets = [Authored(named)]
+    return SourceAsset(
+        asset=asset, words=words, presets=presets, converted=converted,
+        file=source if converted is None else converted.layer,
+    )  # fmt: skip
 
 
 def _hulled(asset: Asset) -> Asset:
@@ -237,7 +208,7 @@ def _elastic(presets: Sequence[Any]) -> bool:
     return not presets or isinstance(presets[0], Auto)
 
 
-def try_source(
+def reading(
     source: Path,
     limits: Limits | None,
     request: Request,
@@ -245,9 +216,9 @@ def try_source(
     prims: Sequence[str],
     meters_per_unit: float | None,
     up_axis: str | None,
-) -> None:
-    """Read it in a child process first, where limits are given."""
-    try_asset(
+) -> Reading:
+    """The file, being read."""
+    return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
         time_code=request.start, elastic=_elastic(presets),
     )  # fmt: skip
