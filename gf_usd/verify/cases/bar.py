@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, MIDDLE, accelerate, block, clamp, elastic, settings
+from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, frequency, lowest, order
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the bar is 1 m long

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, accelerate, block, clamp, elastic, settings
+from gf_usd.verify.bodies import GAUSS, block, clamp, elastic, settings
 from gf_usd.verify.case import RELATIVE, Case, Curve, Measure
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the beam is 1 m long

@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.materials import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, accelerate, block, elastic, put, settings
+from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order
 
 E, NU, DENSITY, G = 1e7, 0.3, 1000.0, 1e-4  # [Pa], -, [kg/m^3], [m]
