@@ -2,7 +2,7 @@
 
     clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
     cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)
-    WLS     F anchored anew once a frame: see `shape_correction`                         (section 3.2)
+    WLS     F anchored anew once a frame: see `shape_correction`       (section 3.2)
 
 Off, none of them leaves a trace in the kernels.  The particles that the first two touch are counted
 each frame, however often they are touched.

@@ -130,7 +130,8 @@ class ShapeCorrection:
 
         Which particles (N,) bool were clipped, and the strains of the F that was `first`.
         """
-        assert self.gradient is not None and state.rest is not None
+        assert self.gradient is not None
+        assert state.rest is not None
         pose, F0 = now.pose(index), state.rest.F0.astype(float)
         F = slopes(self.gradient, pose.x - self._body.particles.X - now.offset)
         F += np.eye(3)

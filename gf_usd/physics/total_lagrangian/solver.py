@@ -52,6 +52,8 @@ class TotalLagrangian(Solver):
     Raises InputError for pins that hold nothing, or everything.
     """
 
+    state: State
+
     def __init__(
         self,
         particles: Particles,

@@ -37,6 +37,8 @@ class UpdatedLagrangian(Solver):
     Raises UsageError for what only the other solver can do: pins, WLS and the shape correction.
     """
 
+    state: State
+
     def __init__(
         self,
         particles: Particles,
