@@ -27,7 +27,7 @@ from gf_usd.system.memory_and_disk import free_disk, free_memory, free_swap
 from gf_usd.system.taichi_runtime import epoch
 
 if TYPE_CHECKING:
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
 
 
 KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
@@ -43,10 +43,10 @@ class Solvers:
     particles : of each.
     """
 
-    def __init__(self, build: Callable[[Variant], Marcher], particles: int) -> None:
+    def __init__(self, build: Callable[[Variant], Solver], particles: int) -> None:
         self._build, self._particles = build, particles
         self._substeps: dict[str, int] = {}
-        self._waiting: dict[str, tuple[Marcher, int]] = {}  # with the epoch of Taichi
+        self._waiting: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
 
     def substeps(self, variant: Variant) -> int:
         """Substeps of a sample."""
@@ -57,7 +57,7 @@ class Solvers:
             self._substeps[variant.name] = solver.substeps
         return self._substeps[variant.name]
 
-    def take(self, variant: Variant) -> Marcher:
+    def take(self, variant: Variant) -> Solver:
         """A solver at its start, which is the caller's to move."""
         solver, made = self._waiting.pop(variant.name, (None, 0))
         if solver is not None and made == epoch():

@@ -38,7 +38,7 @@ from gf_usd.prepare.plan import Variant
 from gf_usd.system.atomic_files import partial_path, publish
 from gf_usd.system.fingerprint import program
 
-FORMAT = 1
+FORMAT = 2
 ABOUT = "about"
 
 

@@ -27,7 +27,7 @@ from gf_usd.prepare.outputs import SplatSequence
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.layers.space import Space
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
     from gf_usd.physics.gaussians import CarriedSplats, GaussianTrack
 
 
@@ -43,7 +43,7 @@ class FrameBuilder:
 
     def __init__(
         self,
-        solver: Marcher,
+        solver: Solver,
         track: GaussianTrack,
         skin: MeshSkin | None,
         surfaces: Sequence[Surface],
@@ -56,7 +56,7 @@ class FrameBuilder:
     def state(self) -> dict[str, Any]:
         """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
         track = {**self._track.state(), **self._splats.state()}
-        return {"solver": self.solver.standing(), "track": track}
+        return {"solver": self.solver.save(), "track": track}
 
     def samples(self, since: Checkpoint | None = None) -> Iterator[BakedFrame]:
         """The samples, in playback time.  Raises SolverError where the simulation fails.
@@ -66,7 +66,7 @@ class FrameBuilder:
         if since is None:
             frames = self.solver.frames()
         else:
-            self.solver.stand(since.solver)
+            self.solver.load(since.solver)
             self._track.recall(since.track)
             self._splats.recall(since.track)
             frames = self.solver.frames_after(since.index, since.last)

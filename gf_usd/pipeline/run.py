@@ -38,7 +38,7 @@ from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
     from gf_usd.layers.variants import BakedVariant
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
@@ -380,7 +380,7 @@ def _run_variant(
     return result, baked, (*summary.notes, *splats.notes), failure
 
 
-def _solver(plan: Plan, variant: Variant) -> Marcher:
+def _solver(plan: Plan, variant: Variant) -> Solver:
     """The solver of a variant, at its start."""
     from gf_usd.physics.solvers import make_solver
 
@@ -414,7 +414,7 @@ def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:
 
 
 def frame_builder(
-    plan: Plan, variant: Variant, solver: Marcher, splats: SplatDeformer
+    plan: Plan, variant: Variant, solver: Solver, splats: SplatDeformer
 ) -> FrameBuilder:
     """What makes samples of the frames of a variant's solver."""
     from gf_usd.geometry.skinning import MeshSkin

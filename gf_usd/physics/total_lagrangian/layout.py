@@ -77,6 +77,16 @@ def lanes(batches: Batches, values: Floats, *, fill: bool = False) -> Floats:
     return np.moveaxis(out, 1, -1).reshape(-1, LANES)
 
 
+def from_lanes(batches: Batches, values: Floats) -> Floats:
+    """Per-particle values (N, k) of lane vectors (B k, 8); the reverse of `lanes`."""
+    rows = len(batches.source)
+    by_lane = np.moveaxis(values.reshape(rows, -1, LANES), 1, -1).reshape(rows * LANES, -1)
+    filled = batches.filled.ravel() > 0.0
+    out = np.empty((int(filled.sum()), by_lane.shape[1]), values.dtype)
+    out[batches.source.ravel()[filled]] = by_lane[filled]
+    return out
+
+
 def group_nodes(stencil: Stencil, batches: Batches) -> Ints:
     """First component, 3 x node, of the nodes of each group: (G, 27, 8), flat."""
     return 3 * np.moveaxis(stencil.cell_nodes[batches.cells], 1, -1).ravel()
