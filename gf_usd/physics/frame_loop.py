@@ -39,6 +39,7 @@ class Passage:
     stress_capped: int = 0  # particles whose stress was cut
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
     sleeping: int = 0  # bodies that slept: there were no substeps
+    plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
 
 
 class Marcher(ABC):
@@ -191,7 +192,7 @@ class Guard:
         """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
-        gain = after - before - now.work - now.injected
+        gain = after - before - now.work - now.injected + (now.plastic_dissipation or 0.0)
         # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
         # the step.  Written so that an energy that is no number fails too.
         limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)

@@ -124,7 +124,7 @@ def identity(plan: Plan, material: Material) -> dict[str, str]:
     del settings["threads"]
     options = {
         "settings": settings,
-        "materials": [asdict(m) for m in plan.table(material)],
+        "materials": [m.values for m in plan.table(material)],
         "choices": asdict(plan.choices),
         "command": INDIFFERENT.sub("", plan.command),
     }

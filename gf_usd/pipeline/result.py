@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,7 @@ class LookResult:
         out = {
             "look": self.look,
             "cache": str(self.cache),
-            "material": asdict(self.material),
+            "material": self.material.values,
             "frames": self.frames,
             "health": self.health,
         }

@@ -31,8 +31,7 @@ def strain_energy(solver: TotalLagrangian, stretch: Floats, J: Floats) -> float:
     if clamp is not None:
         s = np.clip(s, *clamp)
         J = s.prod(1)
-    per = solver.per
-    return float(per["V0"] @ solver.law.stored(s, J, per["signed_mu"], per["lam"]))
+    return float(solver.per["V0"] @ solver.law.stored(s, J))
 
 
 def elastic_energy(solver: TotalLagrangian) -> float:
@@ -73,8 +72,14 @@ def pair_energy(solver: TotalLagrangian) -> float:
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
 
 
-def measure(solver: TotalLagrangian, now: Moment, stretch: Floats, J: Floats) -> Health:
-    """Energies, momenta and stretches of one frame, in float64; see `stretches`.
+def measure(
+    solver: TotalLagrangian,
+    now: Moment,
+    stretch: Floats,
+    J: Floats,
+    elastic: tuple[Floats, Floats],
+) -> Health:
+    """Energies, momenta and stretches of one frame, in float64; elastic : strains of F_e.
 
     Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
     which the solver conserves; angular momentum is sum m_i x_i x v_i about the world's origin.
@@ -83,7 +88,7 @@ def measure(solver: TotalLagrangian, now: Moment, stretch: Floats, J: Floats) ->
     whole = m.sum()
     return Health(
         kinetic=float(0.5 * m @ (v * v).sum(1)),
-        elastic=strain_energy(solver, stretch, J),
+        elastic=strain_energy(solver, *elastic),
         potential=now.potential,
         contact=now.contact + pair_energy(solver),
         mass=float(whole),

@@ -16,6 +16,7 @@ from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.grid.pins import held_by
 from gf_usd.physics.grid.reference import Stencil
+from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import GATE
@@ -29,15 +30,11 @@ def per_particle(
 ) -> dict[str, Floats]:
     """Material values spread over particles, (N,) each, and the rest volume that is simulated.
 
-    signed_mu is `laws.moduli`.
     held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
     """
-    from gf_usd.physics.laws.registry import law_of, moduli
-
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
-    signed = moduli(law_of(materials), materials, particles.material, per["mu"])
-    return {**per, "V0": particles.V0 * free, "signed_mu": signed}
+    return {**per, "V0": particles.V0 * free}
 
 
 def surface_contact(
@@ -131,6 +128,7 @@ def arrays(
     contact: FloorContact | None,
     settings: Settings,
     per: dict[str, Floats],
+    law: ParticleLaws,
     velocity: Floats,
     acceleration: Floats,
     converged: float,
@@ -149,8 +147,8 @@ def arrays(
         "fx": layout.lanes(batches, fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
-        "mu": layout.lanes(batches, per["signed_mu"], fill=True),
-        "lam": layout.lanes(batches, per["lam"], fill=True),
+        "constants": layout.law_lanes(batches, law.constants),
+        "history": layout.law_lanes(batches, law.history),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
         "u": np.zeros(3 * stencil.node_count),
         "v": velocity.ravel(),

@@ -28,10 +28,11 @@ from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import pose, rider_rows
 from gf_usd.physics.grid.pins import Holder, held_by
 from gf_usd.physics.grid.reference import Rows, build_stencil
+from gf_usd.physics.laws.registry import GRADIENT, particle_laws, take_dissipated
 from gf_usd.physics.total_lagrangian import limits, setup
 from gf_usd.physics.total_lagrangian.energies import measure, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
-from gf_usd.physics.total_lagrangian.layout import batch_particles, single_particles
+from gf_usd.physics.total_lagrangian.layout import batch_particles, from_lanes, single_particles
 from gf_usd.physics.total_lagrangian.rest_and_flight import Shortcuts, strained_substeps
 from gf_usd.physics.total_lagrangian.shape_correction import Reanchor
 from gf_usd.physics.total_lagrangian.state import Moment, anchor, given
@@ -44,7 +45,7 @@ class TotalLagrangian(Marcher):
 
     Parameters
     ----------
-    particles, materials, settings : see `model`; every material must have the same law.
+    particles, materials, settings : see `core.frames` and `core.materials`; any mix of laws.
     samples : surface points that feel the floor; None or no floor: no contact.
     riders : named points (n, 3) [m] that ride along; their poses come with every frame.
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
@@ -83,6 +84,7 @@ class TotalLagrangian(Marcher):
         self.holder = Holder(pins, particles.X) if pins else None
         held = self.holder.particles.pin if self.holder else None
         self.per = per = setup.per_particle(particles, materials, held)
+        self.law = particle_laws(materials, particles.material, per)
         self.m = per["density"] * per["V0"]
         self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
         self.stencil = build_stencil(
@@ -126,7 +128,10 @@ class TotalLagrangian(Marcher):
         self._moment: Moment | None = None
         self.attended: Any = None  # contact samples that the kernels look at, see `attend`
         plain = settings.device != "cpu" if plain is None else plain
-        self.batches = single_particles(self.stencil) if plain else batch_particles(self.stencil)
+        several = self.law.of if self.law.set.several else None
+        self.batches = (
+            single_particles(self.stencil) if plain else batch_particles(self.stencil, several)
+        )
         self.meeting = None
         if meets and encounters and self.contact:
             self.meeting = Meeting(encounters, self.contact, self)
@@ -134,31 +139,41 @@ class TotalLagrangian(Marcher):
         self.reanchor = Reanchor(self)
         self.shortcuts = Shortcuts(self)
         values = setup.arrays(
-            particles, self.stencil, self.batches, self.contact, settings, per, start,
+            particles, self.stencil, self.batches, self.contact, settings, per, self.law, start,
             self.acceleration, self.converged,
         ) | (self.meeting.arrays() if self.meeting else pack_arrays(0))  # fmt: skip
         self.arrays = setup.to_device(values | self.reanchor.start(self), real)
-        self._start_kernels(materials, bool((per["damping_time"] > 0).any()))
+        self._start_kernels(bool((per["damping_time"] > 0).any()))
 
-    def _start_kernels(self, materials: Sequence[Material], damped: bool) -> None:
+    def _start_kernels(self, damped: bool) -> None:
         import taichi as ti
 
-        from gf_usd.physics.laws.registry import law_of
         from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
         from gf_usd.system.taichi_runtime import epoch
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
         self.pack = pack_type(kind, epoch())(**self.arrays)
-        self.law = law_of(materials)
-        self.kernels = build(self.law, damped, kind, epoch(), self.options)
+        self.kernels = build(self.law.set, damped, kind, epoch(), self.options)
         self._vec = ti.types.vector(3, kind)
         self.launches = Launches(self)
         self.cell_energy = ti.ndarray(kind, self.batches.cells.size)
         self.lane_stress = ti.ndarray(kind, self.batches.source.size)
 
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Arrays that are the state."""
+        return ("u", "v", "history") if self.law.set.flows else ("u", "v")
+
+    def elastic(self, F: Floats) -> Floats:
+        """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles."""
+        if not self.law.set.flows:
+            return F
+        history = from_lanes(self.batches, taichi_arrays.values(self.arrays["history"]))
+        return F @ history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
+
     def save(self) -> dict[str, Any]:
         """u and v of every node, F0, the offset, the time and the count of substeps."""
-        state = {name: taichi_arrays.values(self.arrays[name]) for name in "uv"}
+        state = {name: taichi_arrays.values(self.arrays[name]) for name in self._names}
         if self.options.anchored:
             state["F0"] = self.reanchor.F0.copy()
         if self.meeting:
@@ -168,7 +183,7 @@ class TotalLagrangian(Marcher):
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Go back to what `save` returned."""
-        for name in "uv":
+        for name in self._names:
             taichi_arrays.put(self.arrays[name], saved[name])
         if self.options.anchored:
             self.reanchor.put(self, saved["F0"])
@@ -214,6 +229,11 @@ class TotalLagrangian(Marcher):
             let_go=self.meeting.let_go if self.meeting else 0,
             clamped=int((touched["clamped"] | clipped).sum()),
             stress_capped=int(touched["stress_capped"].sum()),
+            plastic_dissipation=(
+                take_dissipated(self.law.set, self.arrays["history"])
+                if self.law.set.flows
+                else None
+            ),
         )
         if active:
             passage = replace(
@@ -258,7 +278,8 @@ class TotalLagrangian(Marcher):
         now = self.moment()
         particles = self.pose_at(now, index)
         stretch, J = now.strains(index, particles.F)
-        self.strained = strained_substeps(self, stretch, J)
+        elastic = now.elastic_strains(index)
+        self.strained = strained_substeps(self, *elastic)
         return Frame(
             index=index,
             time=self.time,
@@ -268,7 +289,7 @@ class TotalLagrangian(Marcher):
                 for n, rows in self.riders.items()
             },
             stress=von_mises(self) if self.settings.stress else None,
-            health=measure(self, now, stretch, J),
+            health=measure(self, now, stretch, J, elastic),
         )
 
     def particle_pose(self, index: int) -> Pose:

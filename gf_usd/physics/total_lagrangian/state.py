@@ -78,6 +78,12 @@ class Moment:
             self._strains = known = index, F0, strains_by_numpy(found)
         return known[2]
 
+    def elastic_strains(self, index: int) -> tuple[Floats, Floats]:
+        """The strains of F_e at frame `index`; those of F where no law flows."""
+        if not self._solver.law.set.flows:
+            return self.strains(index)
+        return strains_by_numpy(self._solver.elastic(self._solver.gradients(self, index)))
+
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
         """Strains of another F (N, 3, 3); of few, in the same calls as those of F at `index`."""
         n = len(other)

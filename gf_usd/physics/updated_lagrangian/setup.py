@@ -14,6 +14,7 @@ from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.stage import Pin
 from gf_usd.physics.contact.floor import FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.reference import Rows, Stencil
+from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.total_lagrangian import setup
 from gf_usd.physics.updated_lagrangian.riding import CARRIERS, Ride, board
 
@@ -76,6 +77,7 @@ def arrays(
     X: Floats,
     motion: dict[str, Floats],
     per: dict[str, Floats],
+    law: ParticleLaws,
     contact: FloorContact | None,
     ride: Ride | None,
 ) -> dict[str, Floats]:
@@ -90,8 +92,8 @@ def arrays(
         "F": np.tile(np.eye(3).ravel(), n),
         "m": per["density"] * per["V0"],
         "V0": per["V0"],
-        "mu": per["signed_mu"],
-        "lam": per["lam"],
+        "constants": law.constants.ravel(),
+        "history": law.history.ravel() if law.set.flows else np.zeros(1),
         "viscosity": 2.0 * per["mu"] * per["damping_time"],
         "push": np.zeros(12 * n),
         "box": np.zeros(9, int),

@@ -23,6 +23,7 @@ from gf_usd.core.stage import Pin
 from gf_usd.physics import taichi_arrays, time_step
 from gf_usd.physics.frame_loop import Guard, Marcher, Passage, first_bad
 from gf_usd.physics.grid.reference import build_stencil
+from gf_usd.physics.laws.registry import GRADIENT, particle_laws, take_dissipated
 from gf_usd.physics.per_particle import strains_by_numpy
 from gf_usd.physics.time_step import strained_step
 from gf_usd.physics.total_lagrangian.setup import largest_step, per_particle, to_device
@@ -62,6 +63,7 @@ class UpdatedLagrangian(Marcher):
         init_taichi(settings.device, settings.threads, f64=real is np.float64)
         self.particles, self.settings, self.real = particles, settings, real
         self.per = per = per_particle(particles, materials)
+        self.law = particle_laws(materials, particles.material, per)
         self.m = per["density"] * per["V0"]
         self.h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
         at_rest = build_stencil(particles.X, self.m, self.h, particles.corner, free_mass=0.0)
@@ -81,25 +83,24 @@ class UpdatedLagrangian(Marcher):
         self.phase = (at_rest.origin - centre) / self.h  # [cells] where the grid's node 0 lies
         motion = setup.start_motion(velocity, rows, at_rest)
         self.arrays = to_device(
-            setup.arrays(particles.X - centre, motion, per, self.contact, self.ride), real
+            setup.arrays(particles.X - centre, motion, per, self.law, self.contact, self.ride),
+            real,
         )
-        self._start_kernels(materials, bool((per["damping_time"] > 0).any()))
+        self._start_kernels(bool((per["damping_time"] > 0).any()))
         self.most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
         self.node_room = self.cell_room = 0
         self._make_room()
 
-    def _start_kernels(self, materials: Sequence[Material], damped: bool) -> None:
+    def _start_kernels(self, damped: bool) -> None:
         import taichi as ti
 
-        from gf_usd.physics.laws.registry import law_of
         from gf_usd.physics.updated_lagrangian.kernels import build, pack_type
         from gf_usd.system.taichi_runtime import epoch
 
         kind = ti.f64 if self.real is np.float64 else ti.f32
         self.pack_of = pack_type(kind, epoch())
         clamp, cap = self.settings.clamp is not None, self.settings.stress_cap is not None
-        self.law = law_of(materials)
-        self.kernels = build(self.law, damped, clamp, cap, kind, epoch())
+        self.kernels = build(self.law.set, damped, clamp, cap, kind, epoch())
         self._vec = ti.types.vector(3, kind)
         self.value = ti.ndarray(kind, len(self.particles))
 
@@ -123,21 +124,26 @@ class UpdatedLagrangian(Marcher):
         """One of the kernels' arrays, in float64."""
         return self.arrays[name].to_numpy().astype(float)
 
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """Arrays that are the state."""
+        return (*STATE, "history") if self.law.set.flows else STATE
+
     def save(self) -> dict[str, Any]:
         """Every particle's x, v, C, F and L, the offset, the time and the count of substeps."""
-        state = {name: self.arrays[name].to_numpy() for name in STATE}
+        state = {name: self.arrays[name].to_numpy() for name in self._names}
         return {**state, "offset": self.offset.copy(), "time": self.time, "done": self.done}
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Go back to what `save` returned."""
-        for name in STATE:
+        for name in self._names:
             self.arrays[name].from_numpy(saved[name])
         self.offset = np.asarray(saved["offset"], float).copy()
         self.time, self.done = float(saved["time"]), int(saved["done"])
 
     def not_finite(self) -> tuple[int, str]:
         """See `Marcher`."""
-        for name in STATE:
+        for name in self._names:
             bad = first_bad(self.arrays[name].to_numpy().reshape(len(self.particles), -1))
             if bad >= 0:
                 X = self.particles.X[bad].round(4).tolist()
@@ -162,9 +168,11 @@ class UpdatedLagrangian(Marcher):
         self.done += substeps
         self.time += substeps * (self.frame_time / substeps)
         self._recentre()
-        count = {
+        count: dict[str, Any] = {
             name: int(self.arrays[name].to_numpy().sum()) for name in ("clamped", "stress_capped")
         }
+        if self.law.set.flows:
+            count["plastic_dissipation"] = take_dissipated(self.law.set, self.arrays["history"])
         if not active:
             return Passage(**count)
         return Passage(
@@ -224,10 +232,14 @@ class UpdatedLagrangian(Marcher):
         x = x + self.offset
         pose = Pose(x=x, v=v, F=F)
         stretch, J = strains_by_numpy(pose.F)
-        self.strained = self._strained(stretch, J, cells)
+        elastic = stretch, J
+        if self.law.set.flows:
+            history = self.array("history").reshape(len(x), -1)
+            elastic = strains_by_numpy(history[:, :GRADIENT].reshape(-1, 3, 3))
+        self.strained = self._strained(*elastic, cells)
         C = self.array("C").reshape(-1, 3, 3)
         self.kernels.energy(self.pack, len(x), self.value, self.converged)
-        elastic = float(self.value.to_numpy().astype(float).sum())
+        stored = float(self.value.to_numpy().astype(float).sum())
         s, contact = self.settings, contact_energy(self)
         return Frame(
             index=index,
@@ -236,7 +248,7 @@ class UpdatedLagrangian(Marcher):
             riders={name: ride.pose(x, v, F, L) for name, ride in self.riders.items()},
             stress=self.von_mises() if s.stress else None,
             health=measure(
-                pose, (stretch, J), C, self.m, self.h, s, elastic=elastic, contact=contact
+                pose, (stretch, J), C, self.m, self.h, s, elastic=stored, contact=contact
             ),
         )
 
@@ -244,7 +256,7 @@ class UpdatedLagrangian(Marcher):
         """Substeps a frame that the body as strained now asks for; none where they are given."""
         if self.settings.substeps:
             return 1
-        k = world_stiffness(self.law, stretch, J, self.per["signed_mu"], self.per["lam"])
+        k = world_stiffness(self.law, stretch, J)
         speed = strained_speed(k, self.per["density"], cells)
         dt = strained_step(self.step, speed, self.h, time_step.per_cell(self.particles, self.h))
         return int(np.ceil(self.frame_time / dt))

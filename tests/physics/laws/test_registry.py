@@ -7,8 +7,8 @@ import pytest
 from lane_kernels import evaluate, rotations
 from scipy.stats import special_ortho_group
 
-from gf_usd.core.materials import LAW_TOKENS
-from gf_usd.physics.laws.registry import J_EXTENSION, LAWS
+from gf_usd.core.materials import LAW_TOKENS, LAWS
+from gf_usd.physics.laws.neo_hookean import J_EXTENSION
 
 MU, LAM = 2.0, 3.0  # [Pa] of order one: stresses and their rounding are then of order one too
 every_law = pytest.mark.parametrize("token", LAWS)
