@@ -39,7 +39,7 @@ CATCH_ALL = {"Exception", "BaseException"}
 
 # The plan builds the solver for the estimate; to be moved to the pipeline.
 KNOWN = {
-    "gf_usd/prepare/plan.py imports gf_usd.physics.frame_loop.Marcher",
+    "gf_usd/prepare/plan.py imports gf_usd.physics.frame_loop.Solver",
     "gf_usd/prepare/plan.py imports gf_usd.physics.solvers.make_solver",
 }
 

@@ -104,6 +104,11 @@ class Settings:
         return self.start + index * self.time_codes_per_second / self.fps
 
     @property
+    def frame_time(self) -> float:
+        """[s] of simulated time between frames."""
+        return self.time_scale / self.fps
+
+    @property
     def normal(self) -> NDArray[np.float64]:
         """Unit vector (3,) out of the floor."""
         return np.asarray(self.up if self.floor_normal is None else self.floor_normal, float)

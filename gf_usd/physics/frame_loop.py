@@ -6,7 +6,7 @@ and redoes it with half the step, and ends in words where that does not help.
 
 Watching a run: what no sound frame does is not believed.
 
-The step limit of `timestep` holds for the body at rest.  A material crushed to a tenth of its
+The step limit of `time_step` holds for the body at rest.  A material crushed to a tenth of its
 volume is many times stiffer, and a step too long for it shows as energy: without a source of its
 own a body under gravity, floor and damping can only lose some, up to the integrator's error.
 """
@@ -23,10 +23,11 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
+from gf_usd.physics.taichi_arrays import DeviceState
 
 
 @dataclass(frozen=True, kw_only=True)
-class Passage:
+class FrameStats:
     """What was noticed between two frames, on the substeps, under the names of `Health`."""
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
@@ -34,7 +35,7 @@ class Passage:
     let_go: int = 0  # contact samples at once that seemed deeper than they can have come
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
-    injected: float = 0.0  # [J] given to the body between substeps: see `reanchor`
+    injected: float = 0.0  # [J] given to the body between substeps: see `shape_correction`
     clamped: int = 0  # particles whose singular values of F were clipped
     stress_capped: int = 0  # particles whose stress was cut
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
@@ -42,11 +43,11 @@ class Passage:
     plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
 
 
-class Marcher(ABC):
+class Solver(ABC):
     """The protocol of a solver: construct it, then iterate `frames()`.
 
     What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable step
-    at rest), `strained` (those that the body as it is now asks for), `time` [s], and the abstract
+    at rest), `strained` (those that the body as it is now asks for), `state`, and the abstract
     methods below.
     """
 
@@ -55,18 +56,10 @@ class Marcher(ABC):
     guard: Guard
     coarse: int
     strained: int = 1
-    time: float
+    state: DeviceState
 
     @abstractmethod
-    def save(self) -> dict[str, Any]:
-        """The whole state as arrays and numbers, from which `restore` goes on to the bit."""
-
-    @abstractmethod
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Go back to what `save` returned."""
-
-    @abstractmethod
-    def advance(self, index: int, substeps: int) -> Passage:
+    def advance(self, index: int, substeps: int) -> FrameStats:
         """Move to frame `index` in so many substeps."""
 
     @abstractmethod
@@ -75,12 +68,12 @@ class Marcher(ABC):
 
     @abstractmethod
     def read(self, index: int) -> Frame:
-        """The frame of the present state; its health lacks what only the passage knows."""
+        """The frame of the present state; its health lacks what only `FrameStats` knows."""
 
     @property
     def frame_time(self) -> float:
         """[s] of simulated time between frames."""
-        return self.settings.time_scale / self.settings.fps
+        return self.settings.frame_time
 
     @property
     def substeps(self) -> int:
@@ -111,17 +104,17 @@ class Marcher(ABC):
             last = frame.health
             yield frame
 
-    def standing(self) -> dict[str, Any]:
+    def save(self) -> dict[str, Any]:
         """Between two frames, all that another solver of the same body needs to go on alike."""
-        guard = {f"guard_{name}": value for name, value in self.guard.state().items()}
-        return {**self.save(), **guard, "strained": self.strained}
+        guard = {f"guard_{name}": value for name, value in self.guard.save().items()}
+        return {**self.state.save(), **guard, "strained": self.strained}
 
-    def stand(self, standing: Mapping[str, Any]) -> None:
-        """Go on from `standing`, to the bit."""
-        self.restore(dict(standing))
-        known = self.guard.state()
-        self.guard.recall({name: float(standing[f"guard_{name}"]) for name in known})
-        self.strained = int(standing["strained"])
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """Go on from what `save` returned, to the bit."""
+        self.state.load(saved)
+        known = self.guard.save()
+        self.guard.load({name: float(saved[f"guard_{name}"]) for name in known})
+        self.strained = int(saved["strained"])
 
     def _hint(self) -> str:
         """What a person may do about a frame that cannot be had."""
@@ -131,22 +124,23 @@ class Marcher(ABC):
 
     def next(self, index: int, last: Health) -> Frame:
         """Move by a frame; where it fails, roll back and redo it with half the step."""
-        saved = self.save()
+        saved = self.state.save()
         for attempt in range(RETRIES + 1):
             substeps = self.substeps
-            passage = self.advance(index, substeps)
+            stats = self.advance(index, substeps)
             particle, fault = self.not_finite()
             if not fault:
                 frame = self.read(index)
-                done = 0 if passage.flying or passage.sleeping else substeps
-                health = replace(frame.health, substeps=done, rollbacks=attempt, **vars(passage))
+                done = 0 if stats.flying or stats.sleeping else substeps
+                seen = {name: value for name, value in vars(stats).items() if value is not None}
+                health = replace(frame.health, substeps=done, rollbacks=attempt, **seen)
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:
                     self.guard.passed()
                     return replace(frame, health=health)
             if attempt == RETRIES:
                 break
-            self.restore(saved)
+            self.state.load(saved)
             self.guard.refine()
         raise SolverError(
             f"frame {index}: {fault}, with {self.coarse} substeps and still after {RETRIES}"
@@ -241,7 +235,7 @@ class Guard:
             self.halvings -= 1
             self._calm = 0
 
-    def state(self) -> dict[str, float]:
+    def save(self) -> dict[str, float]:
         """What a checkpoint keeps of it."""
         return {
             "scale": self._scale,
@@ -250,11 +244,11 @@ class Guard:
             "halvings": self.halvings,
         }
 
-    def recall(self, state: dict[str, float]) -> None:
-        """Go on from `state`."""
-        self._scale = float(state["scale"])
-        self._calm, self._inverted = int(state["calm"]), int(state["inverted"])
-        self.halvings = int(state["halvings"])
+    def load(self, saved: Mapping[str, float]) -> None:
+        """Go on from what `save` returned."""
+        self._scale = float(saved["scale"])
+        self._calm, self._inverted = int(saved["calm"]), int(saved["inverted"])
+        self.halvings = int(saved["halvings"])
 
 
 def energy(h: Health) -> float:

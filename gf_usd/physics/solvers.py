@@ -1,4 +1,4 @@
-"""The solvers by their names, all behind `marching.Marcher`."""
+"""The solvers by their names, all behind `frame_loop.Solver`."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from typing import Any
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
-from gf_usd.physics.frame_loop import Marcher
+from gf_usd.physics.frame_loop import Solver
 
 
-def _total_lagrangian() -> type[Marcher]:
+def _total_lagrangian() -> type[Solver]:
     from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
     return TotalLagrangian
 
 
-def _updated_lagrangian() -> type[Marcher]:
+def _updated_lagrangian() -> type[Solver]:
     from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
     return UpdatedLagrangian
 
 
 # One row makes a solver; its file is imported when it is asked for.
-SOLVERS: dict[str, Callable[[], type[Marcher]]] = {
+SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
     "ul": _updated_lagrangian,
 }
 
 
-def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Marcher:
+def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Solver:
     """The solver that `settings.solver` names; `more` as for `TotalLagrangian`.
 
     Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.

@@ -3,6 +3,8 @@
 Taichi's own copies launch a kernel, some 100 microseconds each: with 30 of them a frame that is
 more than a small body's substeps.
 
+The state of a body on a device: what kernels and the steps between them change.
+
 A kernel launched again and again with the same pack of arrays.
 
 Taichi goes through every array of a pack twice at each launch, to see that their types are those it
@@ -14,7 +16,8 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -90,6 +93,100 @@ def _wait() -> None:
     program = impl.get_runtime().prog
     assert program is not None
     program.synchronize()
+
+
+def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:
+    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
+
+    Rows of lanes become vectors.
+    """
+    import taichi as ti
+
+    kind = ti.f64 if real is np.float64 else ti.f32
+    out = {}
+    for name, value in values.items():
+        whole = np.issubdtype(value.dtype, np.integer)
+        value = np.ascontiguousarray(value, dtype=np.int32 if whole else real)
+        made = ti.i32 if whole else kind
+        if value.ndim > 1:
+            made = ti.types.vector(value.shape[1], made)
+        out[name] = ti.ndarray(made, value.shape[:1])
+        put(out[name], value)
+    return out
+
+
+class Saved(Protocol):
+    """What has a state of its own beside the arrays."""
+
+    def save(self) -> dict[str, Any]:
+        """The state as arrays and numbers."""
+        ...
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """Go back to what `save` returned."""
+        ...
+
+
+class DeviceState:
+    """The state of a body: arrays on a device, the offset of the moving frame, and the time.
+
+    Only its methods write to the arrays between launches.
+
+    values : every array by its name, flat; real : numpy dtype of those that are no whole numbers.
+    saved : names of the arrays that `save` keeps; the others follow from them or are scratch.
+    offset : (3,) [m] rigid translation that the arrays leave out.
+    """
+
+    def __init__(
+        self, values: Mapping[str, Floats], real: type, saved: Sequence[str], offset: Any
+    ) -> None:
+        self.arrays = to_device(values, real)
+        self.real, self.saved = real, tuple(saved)
+        self.offset = np.asarray(offset, float)
+        self.time = 0.0  # [s]
+        self.done = 0  # substeps since the start
+        self.parts: list[Saved] = []  # saved and loaded with the arrays
+
+    def get(self, name: str) -> Floats:
+        """A copy of an array, as it is on the device."""
+        return values(self.arrays[name])
+
+    def rows(self, name: str, width: int = 3) -> Floats:
+        """A copy of an array in float64, (n, width)."""
+        return self.get(name).astype(float).reshape(-1, width)
+
+    def put(self, name: str, new: Any) -> None:
+        """Fill an array; `new` may have another shape.  Raises ValueError for another size."""
+        array, new = self.arrays[name], np.asarray(new)
+        kind = np.int32 if np.issubdtype(new.dtype, np.integer) else self.real
+        put(array, new.astype(kind).reshape(_shape(array)))
+
+    def put_first(self, name: str, new: Any) -> None:
+        """Fill the beginning of a flat array, and what follows with zeros."""
+        whole = np.zeros(self.arrays[name].shape, np.asarray(new).dtype)
+        whole[: len(new)] = new
+        self.put(name, whole)
+
+    def clear(self, *names: str) -> None:
+        """Fill arrays with zeros."""
+        for name in names:
+            clear(self.arrays[name])
+
+    def save(self) -> dict[str, Any]:
+        """All from which `load` goes on to the bit."""
+        out: dict[str, Any] = {name: self.get(name) for name in self.saved}
+        for part in self.parts:
+            out |= part.save()
+        return {**out, "offset": self.offset.copy(), "time": self.time, "done": self.done}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """Go back to what `save` returned."""
+        for name in self.saved:
+            self.put(name, saved[name])
+        for part in self.parts:
+            part.load(saved)
+        self.offset = np.asarray(saved["offset"], float).copy()
+        self.time, self.done = float(saved["time"]), int(saved["done"])
 
 
 class Launcher:

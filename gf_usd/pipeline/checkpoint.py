@@ -1,7 +1,7 @@
 """The file from which a bake goes on: ``NAME.checkpoint.npz``, beside the cache.
 
     about       JSON: `Checkpoint` without its arrays
-    solver.*    the solver's state, as `Marcher.standing` gives it
+    solver.*    the solver's state, as `Solver.save` gives it
     track.*     the axes of the Gaussians, as `GaussianTrack.state` gives them
 
 It is written when a value clip is full, and speaks of the moment of that clip's last sample.  The
@@ -37,7 +37,7 @@ from gf_usd.prepare.plan import Checkpoint, Plan
 from gf_usd.system.atomic_files import partial_path, publish
 from gf_usd.system.fingerprint import program
 
-FORMAT = 1
+FORMAT = 2
 ABOUT = "about"
 
 

@@ -54,7 +54,7 @@ class Moving:
             self._skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
         self.solver = plan.solver(material)
         if since:
-            self.solver.stand(since.solver)
+            self.solver.load(since.solver)
             self.track.recall(since.track)
 
     def samples(self) -> Iterator[BakedFrame]:

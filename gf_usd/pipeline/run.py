@@ -244,7 +244,7 @@ def _run_look(
                             "last": baked.health,
                             "log": log.state(),
                             "cache": cache.state(),
-                            "solver": moving.solver.standing(),
+                            "solver": moving.solver.save(),
                             "track": {**moving.track.state(), **carrier.state()},
                         },
                     )

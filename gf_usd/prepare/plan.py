@@ -32,7 +32,7 @@ from gf_usd.prepare.outputs import Outputs, SplatSequence
 from gf_usd.system.taichi_runtime import epoch
 
 if TYPE_CHECKING:
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
     from gf_usd.prepare.outputs import Stamp, Stamps
     from gf_usd.readers.mesh.to_usd import MeshSource
 
@@ -97,7 +97,7 @@ class Plan:
             self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
         return self._ready[material.name][0] * self.settings.samples_per_frame
 
-    def solver(self, material: Material) -> Marcher:
+    def solver(self, material: Material) -> Solver:
         """The solver of one material, at its start."""
         from gf_usd.physics.solvers import make_solver
 

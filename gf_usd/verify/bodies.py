@@ -138,16 +138,8 @@ def settings(device: str, **changes: Any) -> Settings:
 def put(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:
     """Set displacement u and velocity v (M, 3) [m], [m/s] of all nodes; v None: at rest."""
     still = np.zeros_like(u) if v is None else v
-    solver.restore(
-        {
-            **solver.save(),
-            "u": u.astype(solver.real).ravel(),
-            "v": still.astype(solver.real).ravel(),
-            "offset": np.zeros(3),
-            "time": 0.0,
-            "done": 0,
-        }
-    )
+    start = {"u": u, "v": still, "offset": np.zeros(3), "time": 0.0, "done": 0}
+    solver.state.load({**solver.state.save(), **start})
 
 
 def force(solver: TotalLagrangian) -> Floats:
@@ -155,10 +147,10 @@ def force(solver: TotalLagrangian) -> Floats:
 
     The solver has to be at rest; it moves on by a frame.
     """
-    before = solver.state()[1]
+    before = solver.state.view().v
     solver.advance(1, 1)
-    kick = solver.state()[1] - before
-    return solver.stencil.mass[:, None] * kick / solver.frame_time
+    kick = solver.state.view().v - before
+    return solver.body.stencil.mass[:, None] * kick / solver.frame_time
 
 
 def virial(solver: TotalLagrangian) -> Floats:
@@ -167,10 +159,4 @@ def virial(solver: TotalLagrangian) -> Floats:
     With every node free sum_i X_i (x) G_ip = I, and so -sum_i f_i (x) X_i = sum_p V0_p P.
     """
     f = force(solver)
-    return -f.T @ solver.stencil.free_X / float(solver.particles.V0.sum())
-
-
-def accelerate(solver: TotalLagrangian, b: Floats) -> None:
-    """Replace the body force of the frames to come; b (free, 3) [m/s^2]."""
-    solver.acceleration = b
-    solver.arrays["acceleration"].from_numpy(np.ascontiguousarray(b, dtype=solver.real).ravel())
+    return -f.T @ solver.body.stencil.free_X / float(solver.particles.V0.sum())

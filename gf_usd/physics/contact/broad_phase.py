@@ -46,7 +46,7 @@ def schedule(
 ) -> tuple[list[tuple[int, int]], float]:
     """Which pairs (body, body or -1 - obstacle) are near, and for how long [s] that holds.
 
-    frame : where the obstacles are; fall : [m/s] that gravity adds until the next look at latest;
+    frame : where the obstacles are; fall : [m/s] that gravity adds until the next detection;
     reach : [m] from where something is faced; bodies `still` (B,) do not move: what does not either
     is no concern of theirs.
     """

@@ -1,8 +1,8 @@
-"""Who touches whom: the plane that each surface sample faces until the next look.
+"""The narrow phase: the plane that each surface sample faces until the next detection.
 
-Between two looks no sample may move by more than half a spacing against another body, so that what
-is near is known before it is deep.  A sample faces the obstacle or the body that it is deepest in,
-or nearest to.
+Between two detections no sample may move by more than half a spacing against another body, so that
+what is near is known before it is deep.  A sample faces the obstacle or the body that it is deepest
+in, or nearest to.
 
 The surface of a body as others meet it: its own triangles, where they are now.
 
@@ -25,11 +25,11 @@ from gf_usd.physics.contact.distance import Closest, above_plane, closest, outsi
 from gf_usd.physics.grid.reference import Rows
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
-LOOK = 0.5  # [spacings] that samples may move between two looks
-# [spacings] that a gap may shrink between two looks, of which LOOK is the way at the speeds of the
+TRAVEL = 0.5  # [spacings] that samples may move between two detections
+# [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first; the rest is for speeds that grow and for what the surface does between its samples.
-CLOSER = 1.5 * LOOK
-EASE = 0.1  # [spacings] that a look may make a sample deeper than it was under its old plane
+CLOSER = 1.5 * TRAVEL
+EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
 APART = 4.0  # [spacings] at rest, from where on a body meets itself
 # Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
 # 0.41 spacings at most; with 1 by 0.52 (measured).
@@ -39,7 +39,7 @@ ARRAYS = ("partner", "obstacle", "normal", "point", "velocity")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faced:
+class ContactPlanes:
     """What each of n samples faces, in the world."""
 
     partner: Ints  # (n,) the sample that carries the plane, NOBODY or OBSTACLE
@@ -68,7 +68,7 @@ class Faced:
         return start, order
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
-        """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since the look."""
+        """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
         who = self.partner[active]
         q = self.point[active] + elapsed * self.velocity[active]
@@ -78,9 +78,9 @@ class Faced:
         return out
 
 
-def nothing(n: int) -> Faced:
+def nothing(n: int) -> ContactPlanes:
     """n samples that face nothing."""
-    return Faced(
+    return ContactPlanes(
         partner=np.full(n, NOBODY),
         obstacle=np.full(n, -1),
         normal=np.zeros((n, 3)),
@@ -89,34 +89,34 @@ def nothing(n: int) -> Faced:
     )
 
 
-def eased(faced: Faced, deeper: Floats) -> Faced:
+def eased(planes: ContactPlanes, deeper: Floats) -> ContactPlanes:
     """The planes moved back along their normals by deeper (n,) [m] >= 0."""
-    return replace(faced, point=faced.point - deeper[:, None] * faced.normal)
+    return replace(planes, point=planes.point - deeper[:, None] * planes.normal)
 
 
-class Looking:
+class ContactSearch:
     """Collects, of all that a sample might face, what it is deepest in or nearest to.
 
     x : (n, 3) [m]; reach : [m] from where something is faced; least : (n,) [m] the gap that each
-    may have come to since the last look.
+    may have come to since the last detection.
 
     A surface that a crash folded or turned inside out shows a wrong side to what is near it.  A
-    sample that seems deeper than it can have come is let go there, and counted: a spring that
+    sample that seems deeper than it can have come is released there, and counted: a spring that
     begins deep would throw it out with energy that nobody's motion paid for.
     """
 
     def __init__(self, x: Floats, reach: float, least: Floats) -> None:
         self.x, self.reach, self._least = x, reach, least
         self.gap = np.full(len(x), reach)
-        self.faced = nothing(len(x))
+        self.planes = nothing(len(x))
         self._gone = np.zeros(len(x), bool)
 
     @property
-    def let_go(self) -> int:
-        """How many samples were let go."""
+    def released(self) -> int:
+        """How many samples were released."""
         return int(self._gone.sum())
 
-    def plane(
+    def offer(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats, carried: Ints | None,
         velocity: Floats | None = None, obstacle: int = -1,
     ) -> None:  # fmt: skip
@@ -127,7 +127,7 @@ class Looking:
         likely = gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
-        rows, f = rows[nearer], self.faced
+        rows, f = rows[nearer], self.planes
         self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
         f.obstacle[rows] = obstacle
         if carried is None:
@@ -142,7 +142,7 @@ class Looking:
 def facing_itself(
     x: Floats, normal: Floats, X: Floats, members: Ints, reach: float, spacing: float
 ) -> tuple[Ints, Ints]:
-    """Samples of one body, and for each the nearest one far off at rest that looks it in the face.
+    """Samples of one body, and for each the nearest one far off at rest that faces it.
 
     x, normal, X : (n, 3) of all samples, now, now and at rest; members : (m,) those of the body.
     """
@@ -158,7 +158,7 @@ def facing_itself(
 
 
 def pair_values(
-    faced: Faced,
+    planes: ContactPlanes,
     stiffness: Floats,
     mass: Floats,
     friction: Floats,
@@ -172,13 +172,13 @@ def pair_values(
     walls : (friction, restitution) of each obstacle, None: the sample's own.
     """
     k, m, mu, e = (np.array(v, float) for v in (STIFFER * stiffness, mass, friction, restitution))
-    a = np.flatnonzero(faced.partner >= 0)
-    b = faced.partner[a]
+    a = np.flatnonzero(planes.partner >= 0)
+    b = planes.partner[a]
     k[a] = STIFFER * np.minimum(stiffness[a], stiffness[b])
     m[a] = mass[a] * mass[b] / (mass[a] + mass[b])
     mu[a], e[a] = np.sqrt(friction[a] * friction[b]), np.minimum(restitution[a], restitution[b])
     for number, (wall_friction, wall_restitution) in enumerate(walls):
-        at = faced.obstacle == number
+        at = planes.obstacle == number
         if wall_friction is not None:
             mu[at] = wall_friction
         if wall_restitution is not None:
@@ -315,7 +315,7 @@ PARTNER, START, PAIR_FACING = 0, 1, 2
 
 
 def pack_arrays(n: int) -> dict[str, Floats]:
-    """The meeting's part of the kernels' pack for n samples; n = 0 where nobody meets."""
+    """The arrays of contact between n samples in the kernels' pack; n = 0: none."""
     return {
         "pair": np.zeros(ROW * max(1, n)),
         "links": np.full(LINKS * (n + 1), NOBODY),

@@ -17,18 +17,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gf_usd.physics.taichi_arrays import Launcher
+from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.stages import CLOSES, OPENS
+from gf_usd.physics.total_lagrangian.state import State
 from gf_usd.system.background import at_work
 from gf_usd.system.taichi_runtime import cores
-
-if TYPE_CHECKING:
-    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-
 
 FILTER_STEP = 0.2  # the filter acts once r dt has added up to this
 
@@ -39,35 +37,41 @@ class Launches:
     over_all : each substep is a launch over all threads; None: on a GPU.
     """
 
-    def __init__(self, solver: TotalLagrangian, over_all: bool | None = None) -> None:
-        gpu = solver.settings.device != "cpu"
-        self.crew = None
-        self._vectors = (solver.vector(solver.settings.gravity), solver.vector(solver.normal))
-        if gpu if over_all is None else over_all:
-            self._kernel = Launcher(solver.kernels.parallel, solver.pack)
-        else:
-            self._kernel = Launcher(solver.kernels.relay, solver.pack)
-            self.crew = Crew(solver.settings.threads or cores(), len(solver.particles))
+    def __init__(self, body: Body, state: State, over_all: bool | None = None) -> None:
+        import taichi as ti
 
-    def run(self, solver: TotalLagrangian, substeps: int, dt: float, active: int) -> None:
+        s = body.settings
+        vector = ti.types.vector(3, ti.f64 if body.real is np.float64 else ti.f32)
+        self._vectors = tuple(
+            vector([float(v) for v in values]) for values in (s.gravity, s.normal)
+        )
+        self._body, self.crew = body, None
+        if s.device != "cpu" if over_all is None else over_all:
+            self._kernel = Launcher(body.kernels.parallel, state.pack)
+        else:
+            self._kernel = Launcher(body.kernels.relay, state.pack)
+            self.crew = Crew(s.threads or cores(), len(body.particles))
+
+    def run(self, state: State, substeps: int, dt: float, active: int) -> None:
         """So many substeps of dt [s] in which `active` contact samples are looked at."""
-        s, free = solver.settings, solver.stencil.free_count
+        s, nodes = self._body.settings, self._body.stencil
+        free = nodes.free_count
         every, alpha = filter_of(s.filter_rate, dt)
-        counts = (solver.batches.groups, free, solver.stencil.node_count - free, active)
-        lift = float(solver.offset @ solver.normal)
+        counts = (self._body.layout.groups, free, nodes.node_count - free, active)
+        lift = float(state.offset @ s.normal)
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
         done = 0
         while done < substeps:
             many = self.crew.fitting(substeps - done) if self.crew else 1
             ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
-            when = (every, (solver.done + done) % every if every else 0)
+            when = (every, (state.done + done) % every if every else 0)
             if self.crew:
                 tail = (many, ends, *when, *numbers)
                 self.crew.launch(partial(self._draw, counts, tail), many)
             else:
                 self._kernel(*counts, ends, *when, *numbers)
             done += many
-        solver.done += substeps
+        state.done += substeps
 
     def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:
         self._kernel(*counts, threads, *tail)

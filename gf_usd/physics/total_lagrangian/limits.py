@@ -2,7 +2,7 @@
 
     clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
     cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)
-    WLS     F anchored anew once a frame: see `reanchor`                         (section 3.2)
+    WLS     F anchored anew once a frame: see `shape_correction`       (section 3.2)
 
 Off, none of them leaves a trace in the kernels.  The particles that the first two touch are counted
 each frame, however often they are touched.
@@ -11,18 +11,13 @@ each frame, however often they are touched.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Settings
-from gf_usd.physics import taichi_arrays
 from gf_usd.physics.total_lagrangian import layout
-
-if TYPE_CHECKING:
-    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
 CLIP_ROOM = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
@@ -37,10 +32,10 @@ class Options:
     clamped: bool = False
     capped: bool = False
     meets: bool = False  # bodies meet each other, themselves or obstacles
-    plain: bool = False  # one thread a particle (`plain_kernel`), as on GPUs
+    plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
 
 
-PLAIN = Options()
+DEFAULT = Options()
 
 
 def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> Options:
@@ -62,9 +57,12 @@ def arrays(
     h : [m] of a cell; converged : change of a rotation that ends its iteration.
     """
     asked, lanes = options_of(settings), batches.source.size
+    particles = int(batches.source.max()) + 1
     low, high = settings.clamp or (0.0, 0.0)
     return {
-        "F0": np.zeros((1, layout.LANES)),  # `Reanchor` puts what belongs here
+        "F0": layout.lanes(batches, np.tile(np.eye(3).ravel(), (particles, 1)), fill=True)
+        if asked.anchored
+        else np.zeros((1, layout.LANES)),
         "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
         "clip_room": np.zeros(
             (CLIP_ROOM * len(batches.source) if asked.clamped else 1, layout.LANES)
@@ -73,24 +71,21 @@ def arrays(
     }
 
 
-def clear(solver: TotalLagrangian) -> None:
-    """Count from zero."""
-    if solver.options.clamped or solver.options.capped:
-        taichi_arrays.clear(solver.arrays["touched"])
+def touched(
+    bits: Ints, options: Options, batches: layout.Batches, m: Floats
+) -> dict[str, NDArray[np.bool_]]:
+    """(N,) bool for "clamped" and "stress_capped": particles touched since `bits` were cleared.
 
-
-def touched(solver: TotalLagrangian) -> dict[str, Floats]:
-    """(N,) bool for "clamped" and "stress_capped": particles touched since `clear`."""
+    bits : the pack's array; m : (N,) [kg], 0 for what a pin holds, which has no stress.
+    """
     out = {}
-    asked = solver.options
     for name, bit, on in (
-        ("clamped", CLAMPED, asked.clamped),
-        ("stress_capped", STRESS_CAPPED, asked.capped),
+        ("clamped", CLAMPED, options.clamped),
+        ("stress_capped", STRESS_CAPPED, options.capped),
     ):
-        out[name] = np.zeros(len(solver.particles), bool)
+        out[name] = np.zeros(len(m), bool)
         if on:
-            # A filler repeats a neighbour, so that what it says is that particle's own.
-            lanes = taichi_arrays.values(solver.arrays["touched"]) & bit > 0
-            out[name][solver.batches.source.ravel()[lanes]] = True
-            out[name] &= solver.m > 0.0  # what a pin holds has no stress
+            lanes = (bits & bit > 0) & (batches.filled.ravel() > 0.0)
+            out[name][batches.source.ravel()[lanes]] = True
+            out[name] &= m > 0.0
     return out

@@ -19,22 +19,21 @@ sleeps.  In all others a body that could have is simulated with the rest.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials import G0, time_scale
-from gf_usd.physics import taichi_arrays
 from gf_usd.physics.bodies import bodies_of
-from gf_usd.physics.contact.pairs import CROWD
-from gf_usd.physics.frame_loop import Passage
+from gf_usd.physics.contact.pairs import CROWD, BodyContact
+from gf_usd.physics.frame_loop import FrameStats
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
-
-if TYPE_CHECKING:
-    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-
+from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.shape_correction import acts
+from gf_usd.physics.total_lagrangian.state import State, StateView
 
 FLIGHT = 1e-5  # strain, and speed over that of waves; far below what is seen, above rounding
 REST = 1e-7  # of m g0 r: a speed of 4.5e-4 sqrt(g0 r), 1.4 mm/s for a ball of 1 m
@@ -42,41 +41,44 @@ PRESSING = 1e-2  # [g0] gravity that would have moved a body without support wit
 
 
 class Shortcuts:
-    """What a solver knows of its bodies for it: how long each has been at rest."""
+    """Which frames need no substeps: how long each body has been at rest, and who flies."""
 
-    def __init__(self, solver: TotalLagrangian) -> None:
-        s = solver.settings
-        bodies = bodies_of(solver.particles, solver.per["density"])
-        held = solver.holder is not None
-        plain = s.shortcuts and not solver.reanchor.acts
+    def __init__(self, body: Body, state: State) -> None:
+        s = body.settings
+        bodies = bodies_of(body.particles, body.per["density"])
+        held = body.holder is not None
+        asked = s.shortcuts and not acts(s)
+        self._body = body
         self._g = np.asarray(s.gravity, float)
-        self._flies = plain and not held and s.drag == 0.0 and not solver.acceleration.any()
+        self._flies = asked and not held and s.drag == 0.0 and not state.acceleration.any()
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
-        self._sleeps = plain and pressed and not (solver.holder and solver.holder.moving)
-        self._wave = float(solver.per["wave_speed"].min())
+        self._sleeps = asked and pressed and not (body.holder and body.holder.moving)
+        self._wave = float(body.per["wave_speed"].min())
         self._limit = REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])
         self.at_rest = np.zeros(bodies.count)  # [s] since each body last moved
         self.depth = np.zeros(2)  # [m] penetration and overlap of the last frame with substeps
 
     def save(self) -> dict[str, Any]:
-        """What `restore` wants."""
+        """See `Saved`."""
         return {"at_rest": self.at_rest.copy(), "at_rest_depth": self.depth.copy()}
 
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Go back to what `save` returned."""
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `Saved`."""
         self.at_rest = np.array(saved["at_rest"], float)
         self.depth = np.array(saved["at_rest_depth"], float)
 
-    def note(self, solver: TotalLagrangian, passage: Passage) -> None:
+    def note(self, state: State, stats: FrameStats) -> None:
         """See which bodies rest after a frame with substeps."""
         if not self._sleeps:
             return
-        self.depth = np.array([passage.penetration, passage.overlap])
-        rests = kinetic_energies(solver, len(self.at_rest)) <= self._limit
-        self.at_rest = np.where(rests, self.at_rest + solver.frame_time, 0.0)
+        self.depth = np.array([stats.penetration, stats.overlap])
+        rests = kinetic_energies(self._body, state.view(), len(self.at_rest)) <= self._limit
+        self.at_rest = np.where(rests, self.at_rest + self._body.settings.frame_time, 0.0)
 
-    def take(self, solver: TotalLagrangian, near: Ints, substeps: int) -> Passage | None:
+    def take(
+        self, state: State, pairs: BodyContact | None, near: Ints, substeps: int
+    ) -> FrameStats | None:
         """Move by a frame without substeps; None where that cannot be done.
 
         near : contact samples that the floor may reach within the frame; substeps : those left out,
@@ -85,76 +87,59 @@ class Shortcuts:
         sleeping = self._sleeps & (self.at_rest >= self._patience)
         flying = ~sleeping
         if flying.any():
-            if not self._flies or _near(solver, near, len(flying))[flying].any():
+            if not self._flies or self._near(near)[flying].any():
                 return None
-            if not self._rigid(solver, flying):
+            if not self._rigid(state.view(), flying):
                 return None
-        if solver.meeting and solver.meeting.imminent(solver, sleeping):
+        if pairs and pairs.imminent(state.view(), state.time, sleeping):
             return None
-        self._move(solver, flying)
-        solver.done += substeps
+        time = self._body.settings.frame_time
+        state.fly(flying, self._g, time)
+        state.time += time
+        state.done += substeps
+        if pairs:
+            pairs.pass_by(flying, state.time)
         depth = self.depth if sleeping.any() else np.zeros(2)
-        return Passage(
+        return FrameStats(
             penetration=float(depth[0]),
             overlap=float(depth[1]),
             flying=int(flying.sum()),
             sleeping=int(sleeping.sum()),
         )
 
-    def _rigid(self, solver: TotalLagrangian, flying: Ints) -> bool:
-        u, v = solver.state()
-        nodes = solver.stencil.node_body[: len(v)]
+    def _rigid(self, now: StateView, flying: Ints) -> bool:
+        nodes = self._body.stencil.node_body[: len(now.v)]
         for body in np.flatnonzero(flying):
-            mine = v[nodes == body]
+            mine = now.v[nodes == body]
             if np.abs(mine - mine.mean(0)).max() > FLIGHT * self._wave:
                 return False
-        of = solver.particles.body
+        of = self._body.particles.body
         which = slice(None) if of is None else flying[of]
-        if solver.law.set.flows:  # it may be bent for good: strain is that of F_e, however turned
-            F = solver.elastic(solver.moment().F)[which]
-            return np.abs(F.swapaxes(1, 2) @ F - np.eye(3)).max() <= FLIGHT
-        return all(np.abs((G @ u)[which]).max() <= FLIGHT for G in solver.rows.G)
+        if self._body.law.set.flows:  # bent for good, it strains by F_e, and however it is turned
+            F = now.elastic(now.F)[which]
+            return bool(np.abs(F.swapaxes(1, 2) @ F - np.eye(3)).max() <= FLIGHT)
+        return all(np.abs((G @ now.u)[which]).max() <= FLIGHT for G in self._body.rows.G)
 
-    def _move(self, solver: TotalLagrangian, flying: Ints) -> None:
-        time = solver.frame_time
-        u, v = (
-            taichi_arrays.values(solver.arrays[name]).astype(float).reshape(-1, 3) for name in "uv"
-        )
-        nodes, m = solver.stencil.node_body, solver.stencil.mass
-        mine = nodes[: len(m)]
-        mean = np.stack([np.bincount(mine, m * v[: len(m), a], len(flying)) for a in range(3)], 1)
-        mean /= np.bincount(mine, m, len(flying))[:, None]
-        way = np.where(flying[:, None], mean * time + 0.5 * self._g * time**2, 0.0)
-        # What moves all bodies moves the frame of u, which then keeps its digits.
-        common = way[0] if (way == way[0]).all() else m @ way[mine] / m.sum()
-        solver.offset = solver.offset + common
-        u += (way - common)[nodes]
-        v = np.where(flying[nodes][:, None], v + self._g * time, 0.0)
-        taichi_arrays.put(solver.arrays["u"], u.astype(solver.real).ravel())
-        taichi_arrays.put(solver.arrays["v"], v.astype(solver.real).ravel())
-        solver.time += time
-        if solver.meeting:
-            solver.meeting.pass_by(flying, solver.time)
+    def _near(self, near: Ints) -> Ints:
+        """(B,) bodies with a contact sample among those that the floor may reach."""
+        out = np.zeros(len(self.at_rest), bool)
+        if self._body.contact and len(near):
+            of = self._body.contact.samples.body
+            out[np.zeros(1, int) if of is None else of[near]] = True
+        return out
 
 
-def _near(solver: TotalLagrangian, near: Ints, bodies: int) -> Ints:
-    """(B,) bodies with a contact sample among those that the floor may reach."""
-    out = np.zeros(bodies, bool)
-    if solver.contact and len(near):
-        of = solver.contact.samples.body
-        out[np.zeros(1, int) if of is None else of[near]] = True
-    return out
-
-
-def strained_substeps(solver: TotalLagrangian, stretch: Floats, J: Floats) -> int:
-    """Substeps a frame that a body as strained now asks for; 1 where they are given."""
-    if solver.settings.substeps:
+def strained_substeps(
+    body: Body, stretch: Floats, J: Floats, pairs: BodyContact | None, now: StateView, time: float
+) -> int:
+    """Substeps a frame that a body as strained at a time [s] asks for; 1 where they are given."""
+    if body.settings.substeps:
         return 1
-    step = solver.step
-    if solver.meeting and solver.meeting.imminent(solver):
+    step = body.step
+    if pairs and pairs.imminent(now, time):
         step = step.crowded(CROWD)
-    k = stiffness(solver.law, stretch, J)
-    nodes = solver.stencil
-    speed = wave_speed(k, solver.per["density"], nodes.order, nodes.cell_start)
-    dt = strained_step(step, speed, solver.h, per_cell(solver.particles, solver.h))
-    return int(np.ceil(solver.frame_time / dt))
+    k = stiffness(body.law, stretch, J)
+    nodes = body.stencil
+    speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
+    dt = strained_step(step, speed, body.h, per_cell(body.particles, body.h))
+    return int(np.ceil(body.settings.frame_time / dt))

@@ -1,28 +1,172 @@
-"""From particles and materials to the numbers and arrays of a solver."""
+"""From particles and materials to the body of a solver: all that is constant while it moves."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Settings, SurfaceSamples, spread
+from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples, spread
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import Pin
-from gf_usd.physics import taichi_arrays
-from gf_usd.physics.bodies import bodies_of
+from gf_usd.core.stage import Encounters, Pin
+from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure
-from gf_usd.physics.grid.pins import held_by
-from gf_usd.physics.grid.reference import Stencil
-from gf_usd.physics.laws.registry import ParticleLaws
+from gf_usd.physics.contact.narrow_phase import pack_arrays
+from gf_usd.physics.grid.dependent_nodes import FREE_MASS
+from gf_usd.physics.grid.embedding import rider_rows
+from gf_usd.physics.grid.pins import Held, Holder, held_by
+from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import GATE
 
+if TYPE_CHECKING:
+    from types import SimpleNamespace
+
+
+CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
 NO_FLOOR = -1e9  # [m] where no sample ever comes
 PILE = 8.0  # bodies on top of one that its contact is laid out to carry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """What moves, as it is at rest: one or several bodies on one grid."""
+
+    particles: Particles
+    settings: Settings
+    real: type  # numpy dtype of the kernels
+    per: Mapping[str, Floats]  # material values of the particles, (N,) each: `per_particle`
+    m: Floats  # (N,) [kg]; 0 for what a pin holds
+    h: float  # [m] edge of a cell
+    stencil: Stencil
+    rows: Rows  # of the particles on the nodes
+    riders: Mapping[str, Rows]  # of each set of points that rides along
+    holder: Holder | None  # the pins
+    held: Mapping[str, Held]  # which riders a pin holds, and under "" which particles
+    contact: FloorContact | None
+    encounters: Encounters | None  # what the bodies meet besides the floor; None: nothing
+    start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
+    step: StableStep
+    layout: layout.Batches  # where cells and particles stand in the kernels' arrays
+    options: limits.Options
+    law: ParticleLaws
+    kernels: SimpleNamespace
+    pack_type: Any  # of the kernels' arguments
+
+    @property
+    def converged(self) -> float:
+        """Change of a rotation that ends its iteration."""
+        return 1e-7 if self.real is np.float32 else 1e-15
+
+    @property
+    def internal(self) -> tuple[str, ...]:
+        """Arrays of particles, in lanes, that are part of the state besides u and v."""
+        anchored = ("F0",) if self.options.anchored else ()
+        return (*anchored, "history") if self.law.set.flows else anchored
+
+    def constrained(self, name: str, rows: Rows, free: Pose, index: int, offset: Floats) -> Pose:
+        """The pose of riders (or "", the particles) at a frame, with what pins hold in its place.
+
+        rows, free : of the riders; offset : (3,) [m] of the moving frame.
+        """
+        if self.holder is None:
+            return free
+        time = self.settings.frame_time
+        return self.holder.override(self.held[name], rows.X, free, index, time, offset)
+
+
+def build_body(
+    particles: Particles,
+    materials: Sequence[Material],
+    settings: Settings,
+    *,
+    samples: SurfaceSamples | None,
+    riders: Mapping[str, Floats] | None,
+    velocity: Any,
+    pins: Sequence[Pin],
+    encounters: Encounters | None,
+    rider_body: Mapping[str, int] | None,
+    h: float | None,
+    real: type,
+    plain: bool | None,
+) -> Body:
+    """The body of these; parameters as of `TotalLagrangian`.  Taichi must run.
+
+    Raises InputError for pins that hold nothing, or everything.
+    """
+    import taichi as ti
+
+    from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
+    from gf_usd.system.taichi_runtime import epoch
+
+    holder = Holder(pins, particles.X) if pins else None
+    per = per_particle(particles, materials, holder.particles.pin if holder else None)
+    m = per["density"] * per["V0"]
+    h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
+    stencil = build_stencil(
+        particles.X,
+        m,
+        h,
+        particles.corner,
+        free_mass=FREE_MASS if settings.followers else 0.0,
+        holder=holder,
+        body=particles.body,
+    )
+    held = {}
+    if holder:
+        holder.check(stencil.held)
+        held = {name: held_by(pins, X) for name, X in (riders or {}).items()}
+        held[""] = holder.particles
+    on = rider_body or {}
+    start = start_velocity(velocity, stencil.node_X, stencil.node_body)
+    meets = encounters is not None and encounters.any
+    contact = surface_contact(
+        samples, particles, stencil, settings, per, pins,
+        meets=meets,
+        datum=encounters.lowest(settings.normal) if encounters else np.inf,
+        speed=fastest(start),
+    )  # fmt: skip
+    if not (meets and contact):
+        encounters = None
+    plain = settings.device != "cpu" if plain is None else plain
+    options = limits.options_of(settings, encounters is not None, plain)
+    law = particle_laws(materials, particles.material, per)
+    damped = bool((per["damping_time"] > 0).any())
+    kind = ti.f64 if real is np.float64 else ti.f32
+    return Body(
+        particles=particles,
+        settings=settings,
+        real=real,
+        per=per,
+        m=m,
+        h=h,
+        stencil=stencil,
+        rows=stencil.rows(particles.X, particles.body),
+        riders={
+            name: rider_rows(stencil, X, np.full(len(X), on.get(name, 0)))
+            for name, X in (riders or {}).items()
+        },
+        holder=holder,
+        held=held,
+        contact=contact,
+        encounters=encounters,
+        start=start,
+        step=largest_step(particles, h, contact, settings, per),
+        layout=(
+            layout.single_particles(stencil)
+            if plain
+            else layout.batch_particles(stencil, law.of if law.set.several else None)
+        ),
+        options=options,
+        law=law,
+        kernels=build(law.set, damped, kind, epoch(), options),
+        pack_type=pack_type(kind, epoch()),
+    )
 
 
 def per_particle(
@@ -121,37 +265,27 @@ def largest_step(
     )
 
 
-def arrays(
-    particles: Particles,
-    stencil: Stencil,
-    batches: layout.Batches,
-    contact: FloorContact | None,
-    settings: Settings,
-    per: dict[str, Floats],
-    law: ParticleLaws,
-    velocity: Floats,
-    acceleration: Floats,
-    converged: float,
-) -> dict[str, Floats]:
-    """Every array of the kernels' pack, flat.
+def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
+    """Every array of the kernels' pack, flat, at the start.
 
-    velocity (M, 3) [m/s] on the nodes; acceleration (free, 3) [m/s^2] of a body force.
+    acceleration : (free, 3) [m/s^2] of a body force.
     """
+    stencil, batches, per, contact = body.stencil, body.layout, body.per, body.contact
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
     height = np.zeros(1)
     if contact:
-        height = contact.rows.X @ settings.normal - floor_height(settings)
+        height = contact.rows.X @ body.settings.normal - floor_height(body.settings)
     followers = max(1, stencil.node_count - stencil.free_count)
     return {
         "fx": layout.lanes(batches, fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
-        "constants": layout.law_lanes(batches, law.constants),
-        "history": layout.law_lanes(batches, law.history),
+        "constants": layout.law_lanes(batches, body.law.constants),
+        "history": layout.law_lanes(batches, body.law.history),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
         "u": np.zeros(3 * stencil.node_count),
-        "v": velocity.ravel(),
+        "v": body.start.ravel(),
         "inverse_mass": 1.0 / stencil.mass,
         "node_mass": stencil.node_mass,
         "acceleration": acceleration.ravel(),
@@ -163,25 +297,6 @@ def arrays(
         **layout.follower_arrays(stencil),
         **layout.contact_arrays(contact, height, stencil.free_count),
         "gate": np.zeros(GATE, int),
-        **limits.arrays(batches, settings, stencil.h, converged),
+        **limits.arrays(batches, body.settings, stencil.h, body.converged),
+        **pack_arrays(len(contact.samples.X) if contact and body.options.meets else 0),
     }
-
-
-def to_device(values: dict[str, Floats], real: type) -> dict[str, Any]:
-    """Taichi ndarrays: int32 for whole numbers, else `real` (numpy float32 or float64).
-
-    Rows of lanes become vectors.
-    """
-    import taichi as ti
-
-    kind = ti.f64 if real is np.float64 else ti.f32
-    out = {}
-    for name, value in values.items():
-        whole = np.issubdtype(value.dtype, np.integer)
-        value = np.ascontiguousarray(value, dtype=np.int32 if whole else real)
-        made = ti.i32 if whole else kind
-        if value.ndim > 1:
-            made = ti.types.vector(value.shape[1], made)
-        out[name] = ti.ndarray(made, value.shape[:1])
-        taichi_arrays.put(out[name], value)
-    return out

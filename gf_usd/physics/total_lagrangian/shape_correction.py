@@ -21,23 +21,17 @@ kept as one matrix for each particle.  x needs no anchor, since nothing but u ev
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Settings
 from gf_usd.core.neighbors import nearest, operator, slopes
-from gf_usd.physics import taichi_arrays
 from gf_usd.physics.per_particle import strains_by_numpy
-from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.energies import stored_energy
-
-if TYPE_CHECKING:
-    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-    from gf_usd.physics.total_lagrangian.state import Moment
-
+from gf_usd.physics.total_lagrangian.setup import Body
+from gf_usd.physics.total_lagrangian.state import State, StateView
 
 CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
 NEIGHBOURS = 20  # docs/physics.md, fitted
@@ -60,7 +54,7 @@ def wls_gradient(X: Floats, width: float) -> sparse.csr_matrix:
 def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     """F (N, 3, 3) with singular values in [low, high], and which rows (N,) bool that changed.
 
-    Where J < 0 the smallest singular value counts as negative, as in `option_kernel.clip`.
+    Where J < 0 the smallest singular value counts as negative, as in `kernels.limits.clip`.
     """
     near = to_be_clipped(*strains_by_numpy(F), low, high)
     out, changed = np.array(F), np.zeros(len(F), bool)
@@ -86,92 +80,72 @@ def _clipped(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
     return np.where(changed[:, None, None], clipped, F), changed
 
 
-class Reanchor:
-    """What a body keeps for it: the operator, and F0 of every particle.
+class ShapeCorrection:
+    """What acts on a body once a frame.
 
     Raises UsageError for a shape correction of a body that pins hold: it has no mean of its own.
     """
 
-    def __init__(self, solver: TotalLagrangian) -> None:
-        s = solver.settings
-        if s.procrustes > 0.0 and solver.holder is not None:
+    def __init__(self, body: Body) -> None:
+        s = body.settings
+        if s.procrustes > 0.0 and body.holder is not None:
             raise UsageError(
                 f"--procrustes {s.procrustes:g} moves the body towards its rest shape about its"
                 " mean, and --pin holds it elsewhere",
                 "leave one of the two out",
             )
-        self.alpha = s.procrustes
-        self.clamp = s.clamp
-        X = solver.particles.X
-        self.gradient = wls_gradient(X, WIDTH * solver.particles.radius) if s.wls else None
-        # In the kernels' precision, so that what is saved is what they see.
-        self.F0 = np.tile(np.eye(3, dtype=solver.real), (len(X), 1, 1))
-        self._ahead = np.zeros((len(X), 3, 3))  # F0 - I
+        self._body, self._alpha, self._clamp = body, s.procrustes, s.clamp
+        X = body.particles.X
+        self.gradient = wls_gradient(X, WIDTH * body.particles.radius) if s.wls else None
 
-    @property
-    def acts(self) -> bool:
-        return self.alpha > 0.0 or self.gradient is not None
-
-    def anchored(self, F: Floats) -> Floats:
-        """F0 + G u of particles (N, 3, 3) in place of F = I + G u."""
-        return F if self.gradient is None else F + self._ahead
-
-    def put(self, solver: TotalLagrangian, F0: Floats) -> None:
-        """Set F0 (N, 3, 3), here and for the kernels."""
-        self.F0 = np.asarray(F0, solver.real)
-        self._ahead = self.F0.astype(float) - np.eye(3)
-        flat = layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)
-        taichi_arrays.put(solver.arrays["F0"], flat.astype(solver.real))
-
-    def start(self, solver: TotalLagrangian) -> dict[str, Any]:
-        """The kernels' array of F0, at rest."""
-        if self.gradient is None:
-            return {}
-        return {"F0": layout.lanes(solver.batches, self.F0.reshape(-1, 9), fill=True)}
-
-    def frame(self, solver: TotalLagrangian, index: int) -> tuple[Floats, float]:
+    def frame(self, state: State, index: int) -> tuple[Floats, float]:
         """Act at the end of frame `index`: particles (N,) bool that were clipped, energy [J] given.
 
         A state that is no longer finite is left as it is, for the guard to see.
         """
-        clipped = np.zeros(len(solver.particles), bool)
-        if not self.acts or (first := solver.moment()).not_finite()[1]:
+        clipped = np.zeros(len(self._body.particles), bool)
+        if not acts(self._body.settings) or (first := state.view()).not_finite()[1]:
             return clipped, 0.0
-        F = solver.gradients(first, index)
-        if self.alpha > 0.0:
-            self._correct(solver)
-        now = solver.moment()
+        F = first.gradients(index)
+        if self._alpha > 0.0:
+            self._correct(state)
+        now = state.view()
         if self.gradient is not None:
-            clipped, of_first = self._recompute(solver, now, index, F)
+            clipped, of_first = self._recompute(state, now, index, F)
         else:
             of_first = now.strains_beside(index, F)
-        before = stored_energy(solver, first, *of_first)
-        return clipped, stored_energy(solver, now, *now.strains(index)) - before
+        before = stored_energy(self._body, first, *of_first)
+        return clipped, stored_energy(self._body, now, *now.elastic_strains(index)) - before
 
-    def _correct(self, solver: TotalLagrangian) -> None:
-        u = taichi_arrays.values(solver.arrays["u"]).astype(float).reshape(-1, 3)
-        m = solver.stencil.mass
+    def _correct(self, state: State) -> None:
+        u, m = state.rows("u"), self._body.stencil.mass
         mean = m @ u[: len(m)] / m.sum()
-        u += self.alpha * (mean - u)
-        taichi_arrays.put(solver.arrays["u"], u.astype(solver.real).ravel())
+        u += self._alpha * (mean - u)
+        state.put("u", u)
 
     def _recompute(
-        self, solver: TotalLagrangian, now: Moment, index: int, first: Floats
+        self, state: State, now: StateView, index: int, first: Floats
     ) -> tuple[Floats, tuple[Floats, Floats]]:
         """Put F anew where the kernels see it.
 
-        Which particles (N,) bool were clipped, and the strains of the F that was `first`.
+        Which particles (N,) bool were clipped, and the elastic strains of the F that was `first`.
         """
         assert self.gradient is not None
-        pose, F0 = solver.pose_at(now, index), self.F0.astype(float)
-        F = slopes(self.gradient, pose.x - solver.particles.X - solver.offset)
+        assert state.rest is not None
+        pose, F0 = now.pose(index), state.rest.F0.astype(float)
+        F = slopes(self.gradient, pose.x - self._body.particles.X - now.offset)
         F += np.eye(3)
-        ridden = pose.F - F0  # G u
-        self.put(solver, F - ridden)
+        strained = pose.F - F0  # G u
+        state.put_F0(F - strained)
         of_first = now.strains_beside(index, first)
         clipped = np.zeros(len(F), bool)
         # Rounding of F0 is far less than what `to_be_clipped` is wide of.
-        if self.clamp and to_be_clipped(*now.strains(index), *self.clamp).any():
-            F, clipped = clip_stretches(F, *self.clamp)
-            self.put(solver, F - ridden)
+        if self._clamp and to_be_clipped(*now.strains(index), *self._clamp).any():
+            F, clipped = clip_stretches(F, *self._clamp)
+            state.put_F0(F - strained)
         return clipped, of_first
+
+
+def acts(settings: Settings) -> bool:
+    """Whether anything is done between frames."""
+    return settings.procrustes > 0.0 or settings.wls

@@ -1,57 +1,186 @@
-"""One state of a Total Lagrangian body, and what several questions of a frame have in common.
+"""The state of a Total Lagrangian body, and a view of it that remembers what was worked out.
 
 The shape correction wants the energy of a state before and after it, the report of the frame wants
-it again, and each of them where the nodes and particles are.  What was answered of a state once is
-kept for as long as the state stands: a small body spends more on such calls than on substeps.
-
-The constants of nodes that follow a pin, as they stand on a solver's device.
+it again, and each of them where the nodes and particles are.  A view keeps every such answer for as
+long as the state is the same: a small body spends more on these calls than on substeps.
 """
 
 from __future__ import annotations
 
-import weakref
+from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
-from gf_usd.physics import per_particle, taichi_arrays
+from gf_usd.physics import per_particle
 from gf_usd.physics.grid.embedding import gradient, placed
+from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.per_particle import strains_by_numpy
-
-if TYPE_CHECKING:
-    from gf_usd.physics.grid.reference import Stencil
-    from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-
+from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.total_lagrangian import layout
+from gf_usd.physics.total_lagrangian.setup import Body, arrays
 
 Given = tuple[Floats, ...]
 
 
-def given(solver: TotalLagrangian) -> Given:
-    """Copies of all that a moment follows from: u, v, the offset, and with pins the constants."""
-    names = ("u", "v") if solver.holder is None else ("u", "v", "anchor", "anchor_rate")
-    return (*(taichi_arrays.values(solver.arrays[name]) for name in names), solver.offset.copy())
+class RestGradients:
+    """F0 (N, 3, 3) of the particles, F = F0 + G u, in the kernels' precision."""
+
+    def __init__(self, F0: Floats) -> None:
+        self.set(F0)
+
+    def set(self, F0: Floats) -> None:
+        """Replace F0; it is another array whenever it changes."""
+        self.F0 = F0
+        self._ahead = F0.astype(float) - np.eye(3)
+
+    def anchored(self, F: Floats) -> Floats:
+        """F0 + G u of F = I + G u, (N, 3, 3)."""
+        return F + self._ahead
 
 
-class Moment:
-    """A solver's state as it stands.
+class State(DeviceState):
+    """u and v of the nodes, the internal arrays of the particles, the offset, the time.
+
+    acceleration : (free, 3) [m/s^2] of a body force besides gravity.
+    """
+
+    def __init__(self, body: Body, acceleration: Floats) -> None:
+        import taichi as ti
+
+        values = arrays(body, acceleration)
+        super().__init__(values, body.real, ("u", "v"), body.settings.lift)
+        self._body = body
+        self._view: StateView | None = None
+        self.acceleration = acceleration
+        self.pack = body.pack_type(**self.arrays)
+        self.rest: RestGradients | None = None
+        self._read_F0()
+        kind = ti.f64 if body.real is np.float64 else ti.f32
+        self.cell_energy = ti.ndarray(kind, body.layout.cells.size)  # [J], what `energy` writes
+        self.lane_stress = ti.ndarray(kind, body.layout.source.size)  # [Pa], what `stress` writes
+
+    def save(self) -> dict[str, Any]:
+        """See `DeviceState`; internal arrays by particles, (N, k)."""
+        internal = {n: layout.from_lanes(self._body.layout, self.get(n)) for n in self._internal}
+        return {**super().save(), **internal}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `DeviceState`."""
+        for name in self._internal:
+            self.put_particles(name, saved[name])
+        self._read_F0()
+        super().load(saved)
+
+    @property
+    def _internal(self) -> tuple[str, ...]:
+        return self._body.internal
+
+    def put_particles(self, name: str, values: Floats) -> None:
+        """Fill an internal array with what belongs to each particle, (N, k)."""
+        self.put(name, layout.law_lanes(self._body.layout, values))
+
+    def take_dissipated(self) -> float | None:
+        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        laws = self._body.law.set
+        return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
+
+    def put_F0(self, F0: Floats) -> None:
+        """Set F0 (N, 3, 3), here and for the kernels."""
+        assert self.rest is not None
+        self.rest.set(np.asarray(F0, self.real))
+        self.put_particles("F0", self.rest.F0.reshape(-1, 9))
+
+    def _read_F0(self) -> None:
+        if not self._body.options.anchored:
+            return
+        F0 = layout.from_lanes(self._body.layout, self.get("F0")).reshape(-1, 3, 3)
+        if self.rest is None:
+            self.rest = RestGradients(F0)
+        else:
+            self.rest.set(F0)
+
+    def accelerate(self, b: Floats) -> None:
+        """Replace the body force of the frames to come; b (free, 3) [m/s^2]."""
+        self.put("acceleration", b)
+        self.acceleration, self._view = b, None
+
+    def prescribe(self, index: int) -> None:
+        """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
+        self.clear("work")
+        holder, nodes = self._body.holder, self._body.stencil
+        if holder is None or not holder.moving:
+            return
+        free = nodes.free_count
+        start, end = (
+            holder.constants(nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame)
+            for frame in (index - 1, index)
+        )
+        self.put("anchor", start)
+        self.put("anchor_rate", (end - start) / self._body.settings.frame_time)
+
+    def recentre(self) -> None:
+        """Move the mean displacement from u to the offset; a pinned body stays where it is."""
+        if self._body.holder:
+            return
+        u, m = self.rows("u"), self._body.stencil.mass
+        mean = m @ u[: self._body.stencil.free_count] / m.sum()
+        self.offset = self.offset + mean
+        self.put("u", u - mean)
+
+    def fly(self, flying: Ints, g: Floats, time: float) -> None:
+        """Move bodies (B,) by free flight of `time` [s] under g (3,) [m/s^2]; others stand still.
+
+        x += vbar t + g t^2 / 2, v += g t for all nodes of a body, vbar its mean velocity.
+        """
+        u, v = self.rows("u"), self.rows("v")
+        nodes, m = self._body.stencil.node_body, self._body.stencil.mass
+        mine = nodes[: len(m)]
+        mean = np.stack([np.bincount(mine, m * v[: len(m), a], len(flying)) for a in range(3)], 1)
+        mean /= np.bincount(mine, m, len(flying))[:, None]
+        way = np.where(flying[:, None], mean * time + 0.5 * g * time**2, 0.0)
+        # What moves all bodies moves the frame of u, which then keeps its digits.
+        common = way[0] if (way == way[0]).all() else m @ way[mine] / m.sum()
+        self.offset = self.offset + common
+        self.put("u", u + (way - common)[nodes])
+        self.put("v", np.where(flying[nodes][:, None], v + g * time, 0.0))
+
+    def view(self) -> StateView:
+        """The present state, with what was found out about it so far."""
+        names = ("u", "v") if self._body.holder is None else ("u", "v", "anchor", "anchor_rate")
+        if self._body.law.set.flows:
+            names = (*names, "history")
+        given = (*(self.get(name) for name in names), self.offset.copy())
+        if self._view is None or not self._view.is_of(given):
+            self._view = StateView(self._body, self.rest, self.acceleration, given)
+        return self._view
+
+    def drop_view(self) -> None:
+        """Free the memory of the view."""
+        self._view = None
+
+
+class StateView:
+    """A state as it was when the view was made.
 
     u, v : (free, 3) [m], [m/s] of the free nodes, u without the offset; float64, not to be changed.
     """
 
-    def __init__(self, solver: TotalLagrangian, given: Given) -> None:
-        # The solver keeps its moment: else both would wait for the search for cycles, and the
-        # memory of a large body with them.
-        self._solver, self._given = weakref.proxy(solver), given
-        self._strains: tuple[int, Floats, tuple[Floats, Floats]] | None = None
-        free = solver.stencil.free_count
+    def __init__(
+        self, body: Body, rest: RestGradients | None, acceleration: Floats, given: Given
+    ) -> None:
+        self._body, self._rest, self._given = body, rest, given
+        self._acceleration = acceleration
+        self._strains: tuple[int, Floats | None, tuple[Floats, Floats]] | None = None
+        free = body.stencil.free_count
         self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
         self.u.flags.writeable = self.v.flags.writeable = False
 
-    def stands(self, given: Given) -> bool:
-        """Whether it is still the state; never where something is no number."""
+    def is_of(self, given: Given) -> bool:
+        """Whether these are the view's; never where something is no number."""
         return all((then == now).all() for then, now in zip(self._given, given))
 
     def not_finite(self) -> tuple[int, str]:
@@ -59,7 +188,7 @@ class Moment:
         if np.isfinite(self.u).all() and np.isfinite(self.v).all():
             return -1, ""
         bad = ~(np.isfinite(self.u).all(1) & np.isfinite(self.v).all(1))
-        X, nodes = self._solver.particles.X, self._solver.stencil.free_X
+        X, nodes = self._body.particles.X, self._body.stencil.free_X
         worst = int(np.linalg.norm(X - nodes[np.argmax(bad)], axis=1).argmin())
         return worst, (
             f"{int(bad.sum())} of {len(self.u)} grid nodes are no longer finite, first near"
@@ -70,38 +199,57 @@ class Moment:
         """Singular values (N, 3), ascending, and determinants (N,) of F at frame `index`.
 
         F : (N, 3, 3) where it is known.  What comes of it is kept for the frame and F0 of the last
-        call; F0 is another array whenever it changes.
+        call.
         """
-        known, F0 = self._strains, self._solver.reanchor.F0
-        if known is None or known[0] != index or known[1] is not F0:
-            found = self._solver.gradients(self, index) if F is None else F
-            self._strains = known = index, F0, strains_by_numpy(found)
+        known = self._strains
+        if known is None or known[0] != index or known[1] is not self._F0:
+            found = self.gradients(index) if F is None else F
+            self._strains = known = index, self._F0, strains_by_numpy(found)
         return known[2]
 
     def elastic_strains(self, index: int) -> tuple[Floats, Floats]:
         """The strains of F_e at frame `index`; those of F where no law flows."""
-        if not self._solver.law.set.flows:
+        if not self._body.law.set.flows:
             return self.strains(index)
-        return strains_by_numpy(self._solver.elastic(self._solver.gradients(self, index)))
+        return strains_by_numpy(self.elastic(self.gradients(index)))
+
+    def elastic(self, F: Floats) -> Floats:
+        """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles; F where no law flows."""
+        if not self._body.law.set.flows:
+            return F
+        history = layout.from_lanes(self._body.layout, self._given[-2])
+        return F @ history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
 
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
-        """Strains of another F (N, 3, 3); of few, in the same calls as those of F at `index`."""
+        """`elastic_strains` of another F; of few, in the same calls as those of F at `index`."""
         n = len(other)
-        if per_particle.serves(2 * n):
-            return strains_by_numpy(other)
-        s, J = strains_by_numpy(np.concatenate([other, self._solver.gradients(self, index)]))
-        self._strains = index, self._solver.reanchor.F0, (s[n:], J[n:])
+        if self._body.law.set.flows or per_particle.serves(2 * n):
+            return strains_by_numpy(self.elastic(other))
+        s, J = strains_by_numpy(np.concatenate([other, self.gradients(index)]))
+        self._strains = index, self._F0, (s[n:], J[n:])
         return s[:n], J[:n]
 
     @property
+    def _F0(self) -> Floats | None:
+        return self._rest.F0 if self._rest else None
+
+    @property
+    def offset(self) -> Floats:
+        """(3,) [m] of the moving frame of u."""
+        return self._given[-1]
+
+    @property
     def constants(self) -> tuple[Floats, Floats]:
-        """c (followers, 3) [m] of held nodes, and its rate [m/s]."""
-        return of_followers(self._solver.stencil, *self._given[2:4])
+        """c (followers, 3) [m] of held nodes, and its rate [m/s]; only of a body with pins."""
+        nodes = self._body.stencil
+        count = nodes.node_count - nodes.free_count  # the kernels' arrays are never empty
+        c, rate = (a.astype(float).reshape(-1, 3)[:count] for a in self._given[2:4])
+        return c, rate
 
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:
         """u and v as `Rows` stack them: with pins, the followers' constants too."""
-        if self._solver.holder is None:
+        if self._body.holder is None:
             return self.u, self.v
         c, rate = self.constants
         return np.concatenate([self.u, c]), np.concatenate([self.v, rate])
@@ -109,77 +257,53 @@ class Moment:
     @cached_property
     def x(self) -> Floats:
         """(free, 3) [m] where the free nodes are."""
-        return self._solver.stencil.free_X + self._given[-1] + self.u
+        return self._body.stencil.free_X + self.offset + self.u
 
     @cached_property
     def F(self) -> Floats:
         """(N, 3, 3) I + G u of the particles."""
-        return gradient(self._solver.rows, self.nodes[0])
+        return gradient(self._body.rows, self.nodes[0])
 
     @cached_property
     def particles(self) -> Pose:
-        """Where the particles are, but for what holds them."""
-        rows, (u, v) = self._solver.rows, self.nodes
+        """Where the particles are, but for F0 and for what holds them."""
+        rows, (u, v) = self._body.rows, self.nodes
         x, v = placed(rows, u, v)
-        return Pose(x=rows.X + self._given[-1] + x, v=v, F=self.F)
+        return Pose(x=rows.X + self.offset + x, v=v, F=self.F)
+
+    def pose(self, index: int) -> Pose:
+        """x, v and F of the particles at frame `index`; F is what the stress is taken of."""
+        free = self.particles
+        free = Pose(x=free.x, v=free.v, F=self._anchored())
+        return self._body.constrained("", self._body.rows, free, index, self.offset)
+
+    def gradients(self, index: int) -> Floats:
+        """F (N, 3, 3) of `pose`."""
+        return self._anchored() if self._body.holder is None else self.pose(index).F
+
+    def _anchored(self) -> Floats:
+        return self._rest.anchored(self.F) if self._rest else self.F
 
     @cached_property
     def potential(self) -> float:
         """-sum_i m_i x_i . (g + b) [J], heights over the floor."""
-        solver = self._solver
-        s, m = solver.settings, solver.stencil.mass
+        s, m = self._body.settings, self._body.stencil.mass
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
         work = height @ np.asarray(s.gravity)
-        if solver.acceleration.any():
-            work = work + (self.x * solver.acceleration).sum(1)
+        if self._acceleration.any():
+            work = work + (self.x * self._acceleration).sum(1)
         return float(-(m @ work))
 
     @cached_property
     def contact(self) -> float:
         """sum_s k d^2 / 2 [J] stored in the floor's springs."""
-        solver = self._solver
-        if solver.contact is None or solver.settings.floor is None:
+        contact, s = self._body.contact, self._body.settings
+        if contact is None or s.floor is None:
             return 0.0
-        rows = solver.contact.rows
-        x = rows.X + self._given[-1] + rows.W @ self.u
-        if solver.contact.constants is not None:
-            x = x + solver.contact.constants @ self.constants[0]
-        height = x @ solver.normal - solver.settings.floor
-        depth = np.maximum(0.0, -height)
-        return float(0.5 * solver.contact.stiffness @ depth**2)
-
-
-def constants(solver: TotalLagrangian) -> tuple[Floats, Floats]:
-    """c (followers, 3) [m] of the followers now, and its rate [m/s]."""
-    anchor, rate = (taichi_arrays.values(solver.arrays[name]) for name in ("anchor", "anchor_rate"))
-    return of_followers(solver.stencil, anchor, rate)
-
-
-def of_followers(stencil: Stencil, anchor: Floats, rate: Floats) -> tuple[Floats, Floats]:
-    """The kernels' arrays as c and its rate, (followers, 3): they are never empty."""
-    count = stencil.node_count - stencil.free_count
-    c, c_rate = (a.astype(float).reshape(-1, 3)[:count] for a in (anchor, rate))
-    return c, c_rate
-
-
-def node_motion(solver: TotalLagrangian) -> tuple[Floats, Floats]:
-    """u and v as `Rows` stack them: with pins, the followers' constants too."""
-    return solver.moment().nodes
-
-
-def anchor(solver: TotalLagrangian, index: int) -> None:
-    """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
-    taichi_arrays.clear(solver.arrays["work"])
-    if solver.holder is None or not solver.holder.moving:
-        return
-    free, nodes = solver.stencil.free_count, solver.stencil
-    start, end = (
-        solver.holder.constants(
-            nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
-        )
-        for frame in (index - 1, index)
-    )
-    taichi_arrays.put(solver.arrays["anchor"], start.astype(solver.real).ravel())
-    rate = (end - start) / solver.frame_time
-    taichi_arrays.put(solver.arrays["anchor_rate"], rate.astype(solver.real).ravel())
+        rows = contact.rows
+        x = rows.X + self.offset + rows.W @ self.u
+        if contact.constants is not None:
+            x = x + contact.constants @ self.constants[0]
+        depth = np.maximum(0.0, -(x @ s.normal - s.floor))
+        return float(0.5 * contact.stiffness @ depth**2)

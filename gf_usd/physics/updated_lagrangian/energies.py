@@ -35,6 +35,7 @@ def measure(
     *,
     elastic: float,
     contact: float,
+    flows: bool = False,
 ) -> Health:
     """Energies, momenta and stretches in float64; C (N, 3, 3) [1/s], m (N,) [kg], h [m].
 
@@ -69,6 +70,7 @@ def measure(
         min_stretch=float(stretch.min()),
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
+        plastic_dissipation=0.0 if flows else None,
     )
 
 

@@ -8,14 +8,11 @@ along as its own deformation says, and moves as their weighted mean:
 
 with w = (1 - d^2 / R^2)^2, R a hair beyond the first particle left out, scaled to sum to one: a
 surface stays continuous where the particles that carry it change.  Exact for every affine map.
-
-The floor between the frames of the Updated Lagrangian solver: who is near, what it stores.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -23,12 +20,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.physics import taichi_arrays
 from gf_usd.physics.grid.reference import Rows
-
-if TYPE_CHECKING:
-    from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-
 
 CARRIERS = 8  # particles that carry a point: about a cell's
 
@@ -84,33 +76,3 @@ def board(points: Floats, X: Floats) -> Ride:
     particle = np.repeat(near[:, :1], CARRIERS, axis=1)
     particle[:, :k] = near[:, :k]
     return Ride(X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle])
-
-
-def watch(solver: UpdatedLagrangian, lift: float) -> int:
-    """List the samples that may meet the floor in a frame, clear what they noticed; how many.
-
-    lift : [m] of the moving frame of x above the floor.
-    """
-    if solver.ride is None:
-        return 0
-    pose = solver.ride.pose(*solver.state())
-    normal, span = solver.settings.normal, solver.frame_time
-    speed = float(np.abs(pose.v @ normal).max())
-    g = abs(float(np.dot(solver.settings.gravity, normal)))
-    reach = 2.0 * span * (speed + g * span) + solver.particles.spacing
-    near = np.flatnonzero(lift + pose.x @ normal < reach)
-    active = np.zeros(len(pose.x), np.int32)
-    active[: len(near)] = near
-    solver.arrays["sample_active"].from_numpy(active)
-    for name in ("sample_force", "sample_depth", "sample_capped"):
-        taichi_arrays.clear(solver.arrays[name])
-    return len(near)
-
-
-def contact_energy(solver: UpdatedLagrangian) -> float:
-    """sum_s k d^2 / 2 [J] stored in the floor's springs."""
-    if solver.ride is None or solver.contact is None:
-        return 0.0
-    x = solver.ride.pose(*solver.state()).x + solver.offset
-    height = x @ solver.settings.normal - (solver.settings.floor or 0.0)
-    return float(0.5 * solver.contact.stiffness @ np.maximum(0.0, -height) ** 2)

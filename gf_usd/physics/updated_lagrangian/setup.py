@@ -1,22 +1,107 @@
-"""From particles and materials to the numbers and arrays of the Updated Lagrangian solver."""
+"""From particles and materials to the body of the Updated Lagrangian solver, and its arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
+from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.contact.floor import FloorContact, largest_eigenvalue
-from gf_usd.physics.grid.reference import Rows, Stencil
-from gf_usd.physics.laws.registry import ParticleLaws
-from gf_usd.physics.total_lagrangian import setup
+from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
+from gf_usd.physics.time_step import StableStep
+from gf_usd.physics.total_lagrangian.setup import (
+    CELL_PER_LATTICE,
+    largest_step,
+    per_particle,
+    surface_contact,
+)
 from gf_usd.physics.updated_lagrangian.riding import CARRIERS, Ride, board
+
+if TYPE_CHECKING:
+    from types import SimpleNamespace
+
+
+@dataclass(frozen=True, kw_only=True)
+class Body:
+    """What moves, as it is at rest."""
+
+    particles: Particles
+    settings: Settings
+    real: type  # numpy dtype of the kernels
+    per: Mapping[str, Floats]  # material values of the particles, (N,) each
+    m: Floats  # (N,) [kg]
+    h: float  # [m] edge of a cell
+    centre: Floats  # (3,) [m] of mass
+    phase: Floats  # (3,) [cells] where the grid's node 0 lies, from the offset
+    start: Mapping[str, Floats]  # v (N, 3), C and L (N, 3, 3): `start_motion`
+    riders: Mapping[str, Ride]
+    contact: FloorContact | None
+    ride: Ride | None  # of the contact samples
+    step: StableStep
+    law: ParticleLaws
+    kernels: SimpleNamespace
+    pack_type: Any  # of the kernels' arguments
+
+    @property
+    def converged(self) -> float:
+        """Change of a rotation that ends its iteration."""
+        return 1e-7 if self.real is np.float32 else 1e-15
+
+
+def build_body(
+    particles: Particles,
+    materials: Sequence[Material],
+    settings: Settings,
+    *,
+    samples: SurfaceSamples | None,
+    riders: Mapping[str, Floats] | None,
+    velocity: Any,
+    h: float | None,
+    real: type,
+) -> Body:
+    """The body of these; parameters as of `UpdatedLagrangian`.  Taichi must run."""
+    import taichi as ti
+
+    from gf_usd.physics.updated_lagrangian.kernels import build, pack_type
+    from gf_usd.system.taichi_runtime import epoch
+
+    per = per_particle(particles, materials)
+    m = per["density"] * per["V0"]
+    h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
+    at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
+    rows = at_rest.rows(particles.X)
+    contact, ride = floor_contact(samples, particles, at_rest, rows, settings, per)
+    centre = m @ particles.X / m.sum()
+    law = particle_laws(materials, particles.material, per)
+    damped = bool((per["damping_time"] > 0).any())
+    clamp, cap = settings.clamp is not None, settings.stress_cap is not None
+    kind = ti.f64 if real is np.float64 else ti.f32
+    return Body(
+        particles=particles,
+        settings=settings,
+        real=real,
+        per=per,
+        m=m,
+        h=h,
+        centre=centre,
+        phase=(at_rest.origin - centre) / h,
+        start=start_motion(velocity, rows, at_rest),
+        riders={name: board(X, particles.X) for name, X in (riders or {}).items()},
+        contact=contact,
+        ride=ride,
+        step=largest_step(particles, h, contact, settings, per),
+        law=law,
+        kernels=build(law.set, damped, clamp, cap, kind, epoch()),
+        pack_type=pack_type(kind, epoch()),
+    )
 
 
 def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
@@ -61,7 +146,7 @@ def floor_contact(
     per: dict[str, Floats],
 ) -> tuple[FloorContact | None, Ride | None]:
     """Stiffness and damping as for the Total Lagrangian solver, on samples carried by particles."""
-    contact = setup.surface_contact(samples, particles, stencil, settings, per)
+    contact = surface_contact(samples, particles, stencil, settings, per)
     if contact is None or samples is None:
         return None, None
     ride = board(samples.X, particles.X)
@@ -73,32 +158,26 @@ def floor_contact(
     ), ride
 
 
-def arrays(
-    X: Floats,
-    motion: dict[str, Floats],
-    per: dict[str, Floats],
-    law: ParticleLaws,
-    contact: FloorContact | None,
-    ride: Ride | None,
-) -> dict[str, Floats]:
-    """Every array of the kernels' pack but those of the grid, flat.  X (N, 3) [m] local."""
+def arrays(body: Body) -> dict[str, Floats]:
+    """Every array of the kernels' pack but those of the grid, flat, at the start."""
+    X, per = body.particles.X - body.centre, body.per
     n = len(X)
     whole = {
         name: np.zeros(n, int) for name in ("key", "rank", "order", "clamped", "stress_capped")
     }
     return {
         "x": X.ravel(),
-        **{name: value.ravel() for name, value in motion.items()},
+        **{name: value.ravel() for name, value in body.start.items()},
         "F": np.tile(np.eye(3).ravel(), n),
         "m": per["density"] * per["V0"],
         "V0": per["V0"],
-        "constants": law.constants.ravel(),
-        "history": law.history.ravel() if law.set.flows else np.zeros(1),
+        "constants": body.law.constants.ravel(),
+        "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
         "viscosity": 2.0 * per["mu"] * per["damping_time"],
         "push": np.zeros(12 * n),
         "box": np.zeros(9, int),
         **whole,
-        **_contact_arrays(contact, ride, n),
+        **_contact_arrays(body.contact, body.ride, n),
     }
 
 

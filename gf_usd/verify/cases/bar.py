@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, MIDDLE, accelerate, block, clamp, elastic, settings
+from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, frequency, lowest, order
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the bar is 1 m long
@@ -110,8 +110,8 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     solver = TotalLagrangian(body, [made], s, riders={"corner": corner})
     # Weight at the particles, brought to the nodes: those at the plane hang on both halves.
     pull = np.zeros((len(body), 3))
-    pull[:, 1] = solver.m * np.where(body.X[:, 1] < 0.0, -G, G)
-    accelerate(solver, (solver.rows.W.T @ pull) / solver.stencil.mass[:, None])
+    pull[:, 1] = solver.body.m * np.where(body.X[:, 1] < 0.0, -G, G)
+    solver.state.accelerate((solver.body.rows.W.T @ pull) / solver.body.stencil.mass[:, None])
     times, tips = [], []
     for frame in solver.frames():
         times.append(frame.time)

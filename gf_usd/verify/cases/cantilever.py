@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, accelerate, block, clamp, elastic, settings
+from gf_usd.verify.bodies import GAUSS, block, clamp, elastic, settings
 from gf_usd.verify.case import RELATIVE, Case, Curve, Measure
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the beam is 1 m long
@@ -64,8 +64,8 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
         riders={"tip": tip},
     )  # fmt: skip
     # Spread over the end face, and brought to the nodes by the rows of its points.
-    free = solver.stencil.free_count
-    share = np.asarray(solver.stencil.rows(end).W[:, :free].mean(0)).ravel() / solver.stencil.mass
+    nodes = solver.body.stencil
+    share = np.asarray(nodes.rows(end).W[:, : nodes.free_count].mean(0)).ravel() / nodes.mass
     unit = np.outer(share, [0.0, -beam.load, 0.0])
     plane = Plane(solver, 0.5 * h)
     out, index, before = [], 0, 0.0
@@ -73,7 +73,7 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
         for k in range(round((RAMP + WAIT) * FRAMES)):
             rise = min(1.0, (k + 0.5) / (RAMP * FRAMES))
             now = before + (load - before) * 0.5 * (1.0 - np.cos(np.pi * rise))
-            accelerate(solver, now * unit)
+            solver.state.accelerate(now * unit)
             index += 1
             solver.advance(index, solver.coarse)
             plane.keep()
@@ -91,17 +91,15 @@ class Plane:
     """
 
     def __init__(self, solver: TotalLagrangian, middle: float) -> None:
-        X = solver.stencil.node_X
+        X = solver.body.stencil.node_X
         image = X * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * middle]
         self.solver, self.partner = solver, cKDTree(X).query(image)[1]
 
     def keep(self) -> None:
         """Replace u and v by their symmetric parts."""
-        state = self.solver.save()
         for name in "uv":
-            q = state[name].reshape(-1, 3)
-            state[name] = (0.5 * (q + q[self.partner] * [1.0, 1.0, -1.0])).astype(q.dtype).ravel()
-        self.solver.restore(state)
+            q = self.solver.state.get(name).reshape(-1, 3)
+            self.solver.state.put(name, 0.5 * (q + q[self.partner] * [1.0, 1.0, -1.0]))
 
 
 def elastica(

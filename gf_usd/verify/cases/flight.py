@@ -117,7 +117,7 @@ def spin_left(device: str, particles: int, seed: int, cell: float | None) -> flo
         filter_rate=np.inf, cell=cell and cell * body.radius,
     )  # fmt: skip
     solver = TotalLagrangian(body, [made], s)
-    X = solver.stencil.node_X
+    X = solver.body.stencil.node_X
     F = np.diag([SQUASH**-0.5, SQUASH, SQUASH**-0.5])
     put(solver, X @ (F - np.eye(3)), np.cross(TURN, X @ F))
     first, *_, last = (np.linalg.norm(f.health.angular_momentum) for f in solver.frames())

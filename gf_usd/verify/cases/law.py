@@ -29,12 +29,14 @@ class LawBench:
         self.solver = TotalLagrangian(body, [made], s, real=np.float64)
 
     def strain(self, F: Floats) -> None:
-        put(self.solver, self.solver.stencil.node_X @ (F - np.eye(3)).T)
+        put(self.solver, self.solver.body.stencil.node_X @ (F - np.eye(3)).T)
 
     def psi(self, F: Floats) -> float:
         """Energy [J/m^3] of rest volume."""
         self.strain(F)
-        return elastic_energy(self.solver) / float(self.solver.particles.V0.sum())
+        return elastic_energy(self.solver.body, self.solver.state) / float(
+            self.solver.particles.V0.sum()
+        )
 
     def P(self, F: Floats) -> Floats:
         """First Piola-Kirchhoff stress (3, 3) [Pa]."""

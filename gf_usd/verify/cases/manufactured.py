@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.materials import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, accelerate, block, elastic, put, settings
+from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order
 
 E, NU, DENSITY, G = 1e7, 0.3, 1000.0, 1e-4  # [Pa], -, [kg/m^3], [m]
@@ -81,19 +81,19 @@ def error(cells: int, device: str) -> float:
     s = settings(device, frames=steps + 1, fps=steps / (PERIODS * period), substeps=1)
     X, normals = faces(cells)
     solver = TotalLagrangian(body, [made], s, real=np.float64)
-    inner, outer = solver.rows.W.T, solver.stencil.rows(X).W.T
-    mass = solver.stencil.mass[:, None]
+    inner, outer = solver.body.rows.W.T, solver.body.stencil.rows(X).W.T
+    mass = solver.body.stencil.mass[:, None]
     patch = 0.25 * h * h  # [m^2] a Gauss point stands for
-    put(solver, exact.u(solver.stencil.node_X, 0.0), exact.v(solver.stencil.node_X, 0.0))
+    put(solver, exact.u(solver.body.stencil.node_X, 0.0), exact.v(solver.body.stencil.node_X, 0.0))
     worst = 0.0
     for index in range(1, steps + 1):
-        t = solver.time + 0.5 * solver.frame_time  # forces act in the middle of a step
-        f = inner @ (solver.m[:, None] * exact.b(body.X, t))
+        t = solver.state.time + 0.5 * solver.frame_time  # forces act in the middle of a step
+        f = inner @ (solver.body.m[:, None] * exact.b(body.X, t))
         f += outer @ (patch * normals * exact.P(X, t))
-        accelerate(solver, f / mass)
+        solver.state.accelerate(f / mass)
         solver.advance(index, 1)
-        u = solver.rows.W @ solver.state()[0] + solver.offset
-        off = u - exact.u(body.X, solver.time)
+        u = solver.body.rows.W @ solver.state.view().u + solver.state.offset
+        off = u - exact.u(body.X, solver.state.time)
         worst = max(worst, float(np.sqrt((off**2).sum(1).mean())))
     return worst / G
 

@@ -52,7 +52,7 @@ from gf_usd.physics.total_lagrangian.kernels.work_queue import (
     take,
     wait,
 )
-from gf_usd.physics.total_lagrangian.limits import CONVERGED, PER_H, PLAIN, Options
+from gf_usd.physics.total_lagrangian.limits import CONVERGED, DEFAULT, PER_H, Options
 from gf_usd.physics.total_lagrangian.stages import (
     CLOSES,
     FILTERING,
@@ -98,7 +98,7 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(laws, damped: bool, real, epoch: int, options: Options = PLAIN) -> SimpleNamespace:
+def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> SimpleNamespace:
     """The kernels for a set of laws, with or without viscosity and the paper's options.
 
     laws : `registry.LawSet`; real : f32 or f64.

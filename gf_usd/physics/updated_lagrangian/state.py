@@ -1,0 +1,127 @@
+"""The state of the Updated Lagrangian solver: its particles, and room for the grid around them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.physics import taichi_arrays
+from gf_usd.physics.frame_loop import first_bad
+from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
+from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
+
+LARGEST_BOX = 1 << 23  # nodes, or eight times the box at rest where that is more
+PARTICLES = ("x", "v", "C", "F", "L")
+FAULT = 8  # of `box`: see `sort_kernels`
+NO_ROOM = 2
+
+
+class State(DeviceState):
+    """x (without the offset), v, C, F and L of the particles, and their history."""
+
+    def __init__(self, body: Body) -> None:
+        import taichi as ti
+
+        lift = np.asarray(body.settings.lift, float)
+        saved = (*PARTICLES, "history") if body.law.set.flows else PARTICLES
+        super().__init__(arrays(body), body.real, saved, lift + body.centre)
+        self._body = body
+        self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
+        self.node_room = self.cell_room = 0
+        self.make_room()
+        # a number of each particle, that kernels write
+        self.value = ti.ndarray(ti.f64 if body.real is np.float64 else ti.f32, len(body.m))
+
+    def _box_nodes(self) -> float:
+        """Nodes of the box around the particles now, at twice its cells."""
+        cells = self.rows("x") / self._body.h
+        return float(np.prod(np.ptp(cells, axis=0) + 4.0))
+
+    def make_room(self) -> bool:
+        """Arrays for twice the box that the body fills now; False where that is too large."""
+        nodes = self._box_nodes()
+        if not nodes <= self._most_nodes:
+            return False
+        self.node_room = max(2 * int(nodes), 2 * self.node_room)
+        self.cell_room = min(len(self._body.particles), self.node_room)
+        grid = grid_arrays(self.node_room, self.cell_room)
+        self.arrays |= taichi_arrays.to_device(grid, self.real)
+        self.pack = self._body.pack_type(**self.arrays)
+        return True
+
+    @property
+    def lacks_room(self) -> bool:
+        """Whether the last launch ended because the grid was too small."""
+        return self.get("box")[FAULT] == NO_ROOM
+
+    def not_finite(self) -> tuple[int, str]:
+        """See `Solver`."""
+        for name in self.saved:
+            bad = first_bad(self.get(name).reshape(len(self._body.m), -1))
+            if bad >= 0:
+                X = self._body.particles.X[bad].round(4).tolist()
+                return bad, f"{name} of particle {bad} at rest position {X} m is no longer finite"
+        if not self.get("box")[FAULT]:
+            return -1, ""
+        x = self.rows("x")
+        far = np.linalg.norm(x - np.median(x, axis=0), axis=1)
+        return int(far.argmax()), (
+            f"the body no longer fits a grid of {self._most_nodes:.3g} nodes: a particle is"
+            f" {far.max():.4g} m from the others"
+        )
+
+    def recentre(self) -> None:
+        """Move whole cells of the mean position from x to the offset."""
+        x, m, h = self.rows("x"), self._body.m, self._body.h
+        if not np.isfinite(x).all():
+            return
+        shift = h * np.round(m @ x / m.sum() / h)
+        if shift.any():
+            self.offset = self.offset + shift
+            self.put("x", x - shift)
+
+    def motion(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """x without the offset, v (N, 3), F and L (N, 3, 3), float64."""
+        F, L = (self.rows(name, 9).reshape(-1, 3, 3) for name in "FL")
+        return self.rows("x"), self.rows("v"), F, L
+
+    @property
+    def elastic(self) -> Floats:
+        """(N, 3, 3) the gradients that the stress is taken of, float64."""
+        laws = self._body.law.set
+        if not laws.flows:
+            return self.rows("F", 9).reshape(-1, 3, 3)
+        return self.rows("history", laws.history)[:, :GRADIENT].reshape(-1, 3, 3)
+
+    def take_dissipated(self) -> float | None:
+        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        laws = self._body.law.set
+        return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
+
+    def watch_floor(self, lift: float) -> int:
+        """List the samples that may meet the floor in a frame, clear what they noticed; how many.
+
+        lift : [m] of the moving frame of x above the floor.
+        """
+        s, ride = self._body.settings, self._body.ride
+        if ride is None:
+            return 0
+        pose = ride.pose(*self.motion())
+        span = s.frame_time
+        speed = float(np.abs(pose.v @ s.normal).max())
+        g = abs(float(np.dot(s.gravity, s.normal)))
+        reach = 2.0 * span * (speed + g * span) + self._body.particles.spacing
+        near = np.flatnonzero(lift + pose.x @ s.normal < reach)
+        self.put_first("sample_active", near)
+        self.clear("sample_force", "sample_depth", "sample_capped")
+        return len(near)
+
+    def contact_energy(self) -> float:
+        """sum_s k d^2 / 2 [J] stored in the floor's springs."""
+        s, ride, contact = self._body.settings, self._body.ride, self._body.contact
+        if ride is None or contact is None:
+            return 0.0
+        x = ride.pose(*self.motion()).x + self.offset
+        height = x @ s.normal - (s.floor or 0.0)
+        return float(0.5 * contact.stiffness @ np.maximum(0.0, -height) ** 2)
