@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
-from gf_usd.physics.laws.registry import LAWS
+from gf_usd.core.materials import LAWS
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 from tests.analytic.test_patch import A, reference_stress, von_mises
 

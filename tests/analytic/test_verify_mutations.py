@@ -46,13 +46,13 @@ FAULTS = {
         "spin-apic",
     ),
     "no lambda in the Neo-Hookean stress": Fault(
-        "physics/laws/registry.py",
-        "q = (lam * log_extended(J) - mu) *",
-        "q = (0.0 - mu) *",
+        "physics/laws/neo_hookean.py",
+        "p = (q[1] * log_extended(J) - mu) *",
+        "p = (0.0 - mu) *",
         "law-neoHookean",
     ),
     "half the shear modulus in the corotated stress": Fault(
-        "physics/laws/registry.py", "m = 2.0 * mu", "m = mu", "law-corotated"
+        "physics/laws/corotated.py", "m = 2.0 * q[0]", "m = q[0]", "law-corotated"
     ),
     "gravity upward": Fault(
         "physics/total_lagrangian/kernels/nodes.py", "body.inverse_mass[node] + g", "body.inverse_mass[node] - g",
