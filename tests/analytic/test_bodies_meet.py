@@ -33,7 +33,7 @@ def crash(material: str):
 def test_what_one_body_loses_another_gains(material):
     solver, frames = crash(material)
     p = np.array([momenta(solver, f) for f in frames])
-    scale = 0.5 * solver.m.sum() * SPEED
+    scale = 0.5 * solver.body.m.sum() * SPEED
     change = p - p[0]
     assert np.abs(change[-1]).max() > scale, "they met: each was turned around"
     assert np.abs(change.sum(1)).max() <= ROUNDING * scale
@@ -70,12 +70,12 @@ def test_what_new_planes_store_is_counted():
     )
     last = list(solver.frames())[-1].health
     assert last.contact > 0.0
-    assert solver.meeting is not None
-    solver.meeting.begin(solver)
-    solver.meeting.look(solver, 7, solver.dt, 0, solver.substeps)
+    assert solver.pairs is not None
+    solver.pairs.begin(solver.state)
+    solver.pairs.detect(solver.state, 7, solver.dt, 0, solver.substeps)
     change = solver.read(6).health.contact - last.contact
     assert abs(change) > 1e-4 * last.contact
-    assert solver.meeting.injected == pytest.approx(change, rel=1e-6)
+    assert solver.pairs.injected == pytest.approx(change, rel=1e-6)
 
 
 def test_equal_bodies_swap_velocities_up_to_restitution():
@@ -83,7 +83,7 @@ def test_equal_bodies_swap_velocities_up_to_restitution():
     solver = meeting(
         LEFT, right, particles=600, frames=20, velocity=[(SPEED, 0.0, 0.0), (0.0, 0.0, 0.0)]
     )
-    v = momenta(solver, list(solver.frames())[-1]) / (0.5 * solver.m.sum())
+    v = momenta(solver, list(solver.frames())[-1]) / (0.5 * solver.body.m.sum())
     e = (v[1, 0] - v[0, 0]) / SPEED
     # A ball trades part of the impact for vibration, as in `test_drop`.
     assert 0.5 < e < 0.95
@@ -101,7 +101,7 @@ def test_bodies_that_are_filtered_pass_through_each_other():
     assert max(depth(f, LEFT, RIGHT) for f in frames) > 0.5
     assert max(f.health.overlap for f in frames) == 0.0
     change = momenta(solver, frames[-1]) - momenta(solver, frames[0])
-    assert np.abs(change).max() <= ROUNDING * solver.m.sum() * SPEED
+    assert np.abs(change).max() <= ROUNDING * solver.body.m.sum() * SPEED
 
 
 def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
@@ -113,7 +113,7 @@ def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
     )  # fmt: skip
     frames = list(solver.frames())
     last, s = frames[-1], solver.particles.spacing
-    assert last.health.kinetic < 1e-4 * solver.m.sum() * G0, "they have come to rest"
+    assert last.health.kinetic < 1e-4 * solver.body.m.sum() * G0, "they have come to rest"
     assert 0.0 < last.health.overlap <= 0.1 * s  # as on the floor, see `test_drop`
     assert depth(last, lower, upper) <= 0.1 * s
     assert last.riders["/Upper"].x[:, 1].min() > 0.8
@@ -165,7 +165,7 @@ def test_a_plane_without_friction_leaves_what_is_along_it():
         ball, particles=300, frames=16, colliders=(slope,), velocity=[tuple(along - 2.0 * out)]
     )
     frames = list(solver.frames())
-    v = np.asarray(frames[-1].health.momentum) / solver.m.sum()
+    v = np.asarray(frames[-1].health.momentum) / solver.body.m.sum()
     assert v @ along == pytest.approx(1.0, abs=1e-3)  # 1e-3: normals and points of float32 at 50 m
     assert 1.0 < v @ out < 2.0
     lowest = min(float((f.riders["/Ball"].x @ out).min()) for f in frames)
@@ -225,7 +225,7 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
         x = [f.riders["/Tongs"].x[:, 0] for f in frames]
         gap[asked] = [(a[right].min() - a[left].max()) / solver.particles.spacing for a in x]
         p = np.array([f.health.momentum for f in frames])
-        assert np.abs(p - p[0]).max() <= ROUNDING * solver.m.sum() * 3.0 * rate
+        assert np.abs(p - p[0]).max() <= ROUNDING * solver.body.m.sum() * 3.0 * rate
         assert (max(f.health.overlap for f in frames) > 0.0) == asked
     assert gap[False][-1] < -1.0, "nothing else keeps the prongs apart"
     assert -0.5 <= min(gap[True]) < 0.5  # measured: -0.19 and -0.22

@@ -24,14 +24,15 @@ def falling(threads: int = 2, frames: int = 7):
 
 
 def whole(solver) -> np.ndarray:
-    return np.concatenate([*solver.state(), [solver.offset]])
+    now = solver.state.view()
+    return np.concatenate([now.u, now.v, [now.offset]])
 
 
 def march(threads: int, way: str, monkeypatch) -> np.ndarray:
     solver = launched(falling(threads), way, monkeypatch)
     health = [f.health for f in solver.frames()]
-    assert solver.meeting is not None
-    faced = solver.meeting.faced
+    assert solver.pairs is not None
+    faced = solver.pairs.planes
     assert (faced.partner >= 0).any(), "they meet each other"
     assert (faced.obstacle >= 0).any(), "and the slope"
     assert max(h.overlap for h in health) > 0.0
@@ -51,11 +52,11 @@ def test_a_kept_state_goes_on_to_the_bit():
     for frame in solver.frames():
         if frame.index == 4:
             assert frame.health.overlap > 0.0, "it is kept in contact"
-            kept, last = solver.save(), frame.health
+            kept, last = solver.state.save(), frame.health
             strained = solver.strained
         ends.append(frame.health)
     other = falling()
-    other.restore(kept)
+    other.state.load(kept)
     other.strained = strained
     for index in range(5, 7):
         last = other.next(index, last).health

@@ -33,9 +33,9 @@ def filtered(body: str, velocity: Any, *, substeps: int, followers: bool):
     # A frame of a microsecond: nodes do not move, so nothing but the filter acts.
     s = settings(frames=2, fps=1e6, filter_rate=np.inf, substeps=substeps, followers=followers)
     solver = TotalLagrangian(particles, [slack], s, velocity=velocity, real=np.float64)
-    before = solver.state()[1]
+    before = solver.state.view().v
     list(solver.frames())
-    return solver.stencil.free_X, solver.stencil.mass, before, solver.state()[1]
+    return solver.body.stencil.free_X, solver.body.stencil.mass, before, solver.state.view().v
 
 
 @on_every_body

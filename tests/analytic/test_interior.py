@@ -39,11 +39,11 @@ def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, to
     # Without followers: those hand the traction of the skin on to nodes two cells deep.
     s = settings(frames=2, substeps=1, fps=1.0 / DT, followers=False)
     solver = TotalLagrangian(particles, [made], s, real=real)
-    u = solver.stencil.node_X @ (A - np.eye(3)).T
-    solver.arrays["u"].from_numpy(u.astype(real).ravel())
+    u = solver.body.stencil.node_X @ (A - np.eye(3)).T
+    solver.state.arrays["u"].from_numpy(u.astype(real).ravel())
     solver.advance(1, 1)  # from rest, the kick of one step is the force of the patch
-    force = solver.stencil.mass[:, None] * solver.state()[1] / DT
-    X, h = solver.stencil.free_X, solver.h
+    force = solver.body.stencil.mass[:, None] * solver.state.view().v / DT
+    X, h = solver.body.stencil.free_X, solver.body.h
     inside = (np.abs(X - 0.5) < 0.5 - 1.4 * h).all(1)  # a spline reaches 1.5 h, nodes are h apart
     assert inside.sum() == 64
     # Two particles an axis in every cell integrate the spline's slope exactly, so forces of order

@@ -67,7 +67,7 @@ def test_both_momenta_are_kept_and_energy_is_only_lost(real, tolerance):
         assert after < before
     assert max(h.elastic for h in health) > 0.01 * energies[0], "the ball vibrates"
     assert energies[-1] > 0.8 * energies[0], "what is left is the spin"
-    assert solver.done == sum(h.substeps for h in health)
+    assert solver.state.done == sum(h.substeps for h in health)
     assert not any(h.rollbacks for h in health)
 
 
@@ -101,14 +101,14 @@ def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
     soft = look("rubber", body, damping_time=0.0, youngs_modulus=1e-6)
     s = settings(frames=2, substeps=24)
     solver = UpdatedLagrangian(body, [soft], s, velocity=lambda X: 60.0 * X @ SHEAR.T)
-    start, room = solver.save(), solver.node_room
+    start, room = solver.state.save(), solver.state.node_room
     seen = []
     for _ in range(2):
         solver.advance(1, 24)
         assert solver.not_finite() == (-1, "")
-        seen.append(solver.state())
-        solver.restore(start)
-    assert solver.node_room > room
+        seen.append(solver.state.motion())
+        solver.state.load(start)
+    assert solver.state.node_room > room
     for first, second in zip(*seen, strict=True):
         assert np.array_equal(first, second)
     assert np.ptp(seen[0][0], axis=0).max() > 2.0 * 2.0, "twice as large as at rest"

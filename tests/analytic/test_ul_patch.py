@@ -17,9 +17,9 @@ def strained(token: str, real: type, **changes):
     made = look("rubber", body, law=token, damping_time=0.0)
     s = settings(frames=2, substeps=1, fps=1e6, **changes)
     solver = UpdatedLagrangian(body, [made], s, real=real)
-    x = solver.array("x").reshape(-1, 3) @ A.T
-    solver.arrays["x"].from_numpy(x.astype(real).ravel())
-    solver.arrays["F"].from_numpy(np.tile(A.ravel(), len(body)).astype(real))
+    x = solver.state.rows("x") @ A.T
+    solver.state.arrays["x"].from_numpy(x.astype(real).ravel())
+    solver.state.arrays["F"].from_numpy(np.tile(A.ravel(), len(body)).astype(real))
     return body, made, solver
 
 
@@ -39,14 +39,14 @@ def test_forces_add_up_to_nothing_and_vanish_inside(token):
     # the error of eight points a cell, against h^2 tau at the surface.
     body, _, solver = strained(token, np.float64)
     *_, last = solver.frames()
-    gained = solver.m[:, None] * last.particles.v
+    gained = solver.body.m[:, None] * last.particles.v
     size = np.abs(gained).sum()
     assert size > 0.0
     assert np.abs(gained.sum(0)).max() < 1e-10 * size
     spin = np.array(last.health.angular_momentum)
     assert np.abs(spin).max() < 1e-10 * size * body.radius
     depth = body.radius - np.linalg.norm(body.X, axis=1)
-    inner, outer = depth > 1.5 * solver.h, depth < 0.5 * solver.h
+    inner, outer = depth > 1.5 * solver.body.h, depth < 0.5 * solver.body.h
     assert inner.sum() > 5
     speed = np.linalg.norm(last.particles.v, axis=1)
     assert speed[inner].mean() < 0.2 * speed[outer].mean()

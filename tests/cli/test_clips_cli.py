@@ -54,19 +54,19 @@ def test_a_new_bake_leaves_no_clips_of_the_old_one(gf_usd, here: Path, block: Pa
 def test_a_failure_keeps_the_old_bake_and_shows_its_own(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
 
     options = ("bake", block, *SMALL, "--clip-frames", "1", "-q")
     assert gf_usd(*options).status == 0
     old = {p: p.read_bytes() for p in here.rglob("*") if p.is_file()}
-    sound = Marcher.next
+    sound = Solver.next
 
     def fails(self, index, last):
         if index == 4:
             raise SolverError("frame 4: broken", "mend it", frame=4, particle=0)
         return sound(self, index, last)
 
-    monkeypatch.setattr(Marcher, "next", fails)
+    monkeypatch.setattr(Solver, "next", fails)
     assert gf_usd(*options, "--overwrite").status == 1
     assert {path: path.read_bytes() for path in old} == old
     stage = Usd.Stage.Open(str(here / f"{STEM}.partial.usda"))
@@ -75,7 +75,7 @@ def test_a_failure_keeps_the_old_bake_and_shows_its_own(
     assert len(points.Get(104.0)) == 8
     del points, stage
     assert names(here / f"{STEM}.clips-2") == [*CLIPS]
-    monkeypatch.setattr(Marcher, "next", sound)
+    monkeypatch.setattr(Solver, "next", sound)
     assert gf_usd(*options, "--overwrite").status == 0
     # the failed bake's folder was swept, so that its name was free again
     assert [name for name in names(here) if "clips" in name] == [f"{STEM}.clips-2"]

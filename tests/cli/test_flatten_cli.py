@@ -112,23 +112,23 @@ def _read(resolved: str) -> bytes:
 def test_a_failure_leaves_the_layers_it_worked_on(
     gf_usd, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.frame_loop import Solver
 
-    sound = Marcher.next
+    sound = Solver.next
 
     def fails(self, index, last):
         if index == 3:
             raise SolverError("frame 3: broken", "mend it", frame=3, particle=0)
         return sound(self, index, last)
 
-    monkeypatch.setattr(Marcher, "next", fails)
+    monkeypatch.setattr(Solver, "next", fails)
     done = gf_usd("bake", SAMPLES / "sphere.usda", *SMALL, "-o", "a.usdz")
     assert done.status == 1
     assert names(here) == ["a.cache.partial.usdc", "a.layers.partial.usda", "a.report.json"]
     stage = Usd.Stage.Open("a.layers.partial.usda")
     assert stage.GetAttributeAtPath("/Sphere/Geom/Body.points").GetTimeSamples() == [1.0, 2.0, 3.0]
     del stage  # a layer that is open cannot be made anew
-    monkeypatch.setattr(Marcher, "next", sound)
+    monkeypatch.setattr(Solver, "next", sound)
     assert gf_usd("bake", SAMPLES / "sphere.usda", *SMALL, "-o", "a.usdz", "-q").status == 0
     assert names(here) == ["a.report.json", "a.usdz"]
 

@@ -18,7 +18,7 @@ def launched(solver: TotalLagrangian, way: str, monkeypatch: pytest.MonkeyPatch)
     pieces of a few items; one by one : the same, a substep a launch; over all : as on a GPU.
     """
     if way == "over all":
-        solver.launches = Launches(solver, over_all=True)
+        solver.launches = Launches(solver.body, solver.state, over_all=True)
         return solver
     monkeypatch.setattr(launch, "BUSY", 0.0)  # keeps its threads on a busy machine, too
     monkeypatch.setattr(launch, "MOMENT", 1e-9 if way == "one by one" else 1e9)

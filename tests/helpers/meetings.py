@@ -94,7 +94,9 @@ def momenta(solver: TotalLagrangian, frame: Frame) -> np.ndarray:
     """(B, 3) [kg m/s] of every body."""
     body = solver.particles.body
     assert body is not None
-    return np.stack([np.bincount(body, solver.m * frame.particles.v[:, a]) for a in range(3)], 1)
+    return np.stack(
+        [np.bincount(body, solver.body.m * frame.particles.v[:, a]) for a in range(3)], 1
+    )
 
 
 def depth(frame: Frame, one: Surface, other: Surface) -> float:

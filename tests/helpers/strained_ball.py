@@ -33,8 +33,8 @@ def made(
 
 def strain(solver, A):
     """Put every node where x = A X would have it."""
-    u = solver.stencil.node_X @ (np.asarray(A) - np.eye(3)).T
-    solver.arrays["u"].from_numpy(u.astype(solver.real).ravel())
+    u = solver.body.stencil.node_X @ (np.asarray(A) - np.eye(3)).T
+    solver.state.arrays["u"].from_numpy(u.astype(solver.body.real).ravel())
 
 
 def shear_modulus():
@@ -44,7 +44,7 @@ def shear_modulus():
 def force(solver):
     """(free, 3) [N] of the stress alone: m dv/dt over a short frame from rest."""
     solver.advance(1, 1)
-    return solver.stencil.mass[:, None] * solver.state()[1] / solver.frame_time
+    return solver.body.stencil.mass[:, None] * solver.state.view().v / solver.frame_time
 
 
 def clipped(F, low, high):

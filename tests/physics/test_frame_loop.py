@@ -85,8 +85,8 @@ def test_its_state_goes_on() -> None:
     words(guard, health(), health(inverted=3))
     words(guard, health(), health(inverted=3))
     other = Guard(1.0, 1.0)
-    other.recall(guard.state())
-    assert other.state() == guard.state()
+    other.load(guard.save())
+    assert other.save() == guard.save()
     assert words(other, health(), health(inverted=3)) == ""
 
 
@@ -162,7 +162,7 @@ def test_a_step_that_is_too_long_is_rolled_back() -> None:
         assert np.isfinite(now.particles.x).all()
         assert np.isfinite(now.particles.F).all()
         liveliest = max(liveliest, before.health.kinetic + before.health.elastic)
-        scale = max(solver.m.sum() * 9.81 * solver.particles.radius, liveliest)
+        scale = max(solver.body.m.sum() * 9.81 * solver.particles.radius, liveliest)
         assert energy(now.health) - energy(before.health) <= GAIN * scale
         # each rollback of a frame halves its step
         assert now.health.substeps >= solver.coarse << now.health.rollbacks
@@ -244,6 +244,6 @@ def test_a_motion_that_is_no_number_is_told_with_its_place() -> None:
     )
     assert words is not None
     bad, nodes, particle = (int(words[i]) for i in (1, 2, 3))
-    assert 0 < bad <= nodes == solver.stencil.free_count
+    assert 0 < bad <= nodes == solver.body.stencil.free_count
     place = [float(number) for number in words[4].split(",")]
     np.testing.assert_allclose(place, solver.particles.X[particle], atol=1e-4)

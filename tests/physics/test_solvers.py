@@ -11,7 +11,7 @@ from solids import ball, look, settings
 import gf_usd
 from gf_usd.core.errors import UsageError
 from gf_usd.layers.check.run import check_file
-from gf_usd.physics.frame_loop import Marcher
+from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.solvers import SOLVERS, make_solver
 from gf_usd.prepare.request import SOLVERS as NAMES
 from gf_usd.prepare.request import Request
@@ -28,7 +28,7 @@ def test_every_solver_flies(name):
     body, samples = ball(100)
     s = settings(frames=3, solver=name, gravity=(0.0, -9.81, 0.0), floor=-3.0)
     solver = make_solver(s, body, [look("rubber", body)], samples=samples, riders={"a": body.X})
-    assert isinstance(solver, Marcher)
+    assert isinstance(solver, Solver)
     *_, last = solver.frames()
     fallen = -0.5 * 9.81 * last.time**2
     np.testing.assert_allclose(last.riders["a"].x[:, 1] - body.X[:, 1], fallen, atol=1e-5)

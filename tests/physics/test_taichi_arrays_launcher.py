@@ -21,12 +21,12 @@ def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     for quick in (True, False):
         solver = made(real, velocity=lambda X: SPEED * np.sin(3.0 * X[:, [1, 2, 0]]))
         if not quick:
-            kernel, pack = solver.kernels.relay, solver.pack
+            kernel, pack = solver.body.kernels.relay, solver.state.pack
             plain: Any = lambda *a, kernel=kernel, pack=pack: kernel(pack, *a)  # noqa: E731
             solver.launches._kernel = plain
         for index in (1, 2, 3):
             solver.advance(index, 2 + index)
-        ends.append(taichi_arrays.values(solver.arrays["u"]))
+        ends.append(taichi_arrays.values(solver.state.arrays["u"]))
     assert np.abs(ends[0]).max() > 1e-3 * body().radius
     np.testing.assert_array_equal(ends[0], ends[1])
 
@@ -35,13 +35,13 @@ def test_launchers_of_two_bodies_keep_to_their_own() -> None:
     one, other = made(), made()
     for solver in (one, other):
         solver.advance(1, 2)
-    before = taichi_arrays.values(one.arrays["u"])
-    taichi_arrays.put(other.arrays["v"], taichi_arrays.values(other.arrays["v"]) + 1.0)
+    before = taichi_arrays.values(one.state.arrays["u"])
+    taichi_arrays.put(other.state.arrays["v"], taichi_arrays.values(other.state.arrays["v"]) + 1.0)
     other.advance(2, 2)
-    np.testing.assert_array_equal(taichi_arrays.values(one.arrays["u"]), before)
+    np.testing.assert_array_equal(taichi_arrays.values(one.state.arrays["u"]), before)
 
 
 def test_it_complains_as_taichi_does() -> None:
     solver = made()
     with pytest.raises(Exception, match="missing"):
-        Launcher(solver.kernels.relay, solver.pack)(1)
+        Launcher(solver.body.kernels.relay, solver.state.pack)(1)

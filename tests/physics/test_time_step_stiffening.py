@@ -90,16 +90,16 @@ def test_a_squashed_body_gets_more_substeps_unless_they_are_given() -> None:
     solver = TotalLagrangian(body, [m], settings(fps=1.0))
     solver.read(0)
     assert solver.substeps == solver.coarse
-    u = np.zeros((solver.stencil.node_count, 3), np.float32)
-    u[:, 1] = -0.8 * solver.stencil.node_X[:, 1]  # to a fifth of its height
-    solver.arrays["u"].from_numpy(u.ravel())
+    u = np.zeros((solver.body.stencil.node_count, 3), np.float32)
+    u[:, 1] = -0.8 * solver.body.stencil.node_X[:, 1]  # to a fifth of its height
+    solver.state.arrays["u"].from_numpy(u.ravel())
     assert solver.read(0).health.min_J == pytest.approx(0.2, rel=1e-3)
     # U'' = (lam (1 - ln J) + mu) / J^2 and the other two stretches are 1
     k = m.mu + (m.lam * (1.0 - np.log(0.2)) + m.mu) / 0.04
-    expected = 0.5 * solver.frame_time / solver.step.dt * np.sqrt(k / (m.lam + 2.0 * m.mu))
+    expected = 0.5 * solver.frame_time / solver.body.step.dt * np.sqrt(k / (m.lam + 2.0 * m.mu))
     assert solver.substeps == pytest.approx(expected, rel=0.05)
     assert solver.substeps > 2 * solver.coarse
     fixed = TotalLagrangian(body, [m], settings(substeps=40))
-    fixed.arrays["u"].from_numpy(u.ravel())
+    fixed.state.arrays["u"].from_numpy(u.ravel())
     fixed.read(0)
     assert fixed.substeps == 40

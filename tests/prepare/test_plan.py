@@ -121,7 +121,7 @@ def test_the_command_has_every_digit() -> None:
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
     solver = plan.solver(plan.materials[1])
-    assert solver.riders.keys() == plan.points.keys() == {PATH}
+    assert solver.body.riders.keys() == plan.points.keys() == {PATH}
     assert solver.settings is plan.settings
     alone = replace(plan, settings=replace(plan.settings, skin="idw"))
     assert alone.solver(plan.materials[0]).riders == {}

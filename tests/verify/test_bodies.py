@@ -9,7 +9,6 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import (
     GAUSS,
     MIDDLE,
-    accelerate,
     block,
     clamp,
     elastic,
@@ -53,14 +52,14 @@ def test_virial_and_force_of_a_strained_block() -> None:
     made = elastic(E=2.0, nu=0.0, density=3.0)
     s = settings("cpu", fps=1e9, substeps=1, followers=False)
     solver = TotalLagrangian(body, [made], s, real=np.float64)
-    put(solver, solver.stencil.node_X * [0.1, 0.0, 0.0])
+    put(solver, solver.body.stencil.node_X * [0.1, 0.0, 0.0])
     # nu = 0: P = E (F - 1) along the axis, and nothing across.
     P = virial(solver)
     np.testing.assert_allclose(P, np.diag([0.2, 0.0, 0.0]), atol=1e-14)
-    put(solver, np.zeros((solver.stencil.node_count, 3)))
-    b = np.zeros((solver.stencil.free_count, 3))
+    put(solver, np.zeros((solver.body.stencil.node_count, 3)))
+    b = np.zeros((solver.body.stencil.free_count, 3))
     b[:, 1] = 7.0
-    accelerate(solver, b)
+    solver.state.accelerate(b)
     assert force(solver)[:, 1].sum() == pytest.approx(3.0 * 7.0, rel=1e-9)
 
 

@@ -33,13 +33,15 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
     solver = TotalLagrangian(body, [look("rubber", body)], settings(), pins=[top] if pinned else [])
     X = points(1.0)
     on = np.zeros(len(X), int)
-    plain = solver.stencil.rows(X, on)
+    plain = solver.body.stencil.rows(X, on)
     monkeypatch.setattr(embedding, "CHUNK", chunk)
-    lean = rider_rows(solver.stencil, X, on)
+    lean = rider_rows(solver.body.stencil, X, on)
     assert lean.spread is not None
     assert lean.W.nnz == 27 * len(X)
     assert lean.W.nnz < plain.W.nnz
-    assert lean.spread.shape[0] > solver.stencil.node_count, "some lie beyond what particles reach"
+    assert lean.spread.shape[0] > solver.body.stencil.node_count, (
+        "some lie beyond what particles reach"
+    )
     rng = np.random.default_rng(1)
     u, v = (rng.standard_normal((plain.W.shape[1], 3)) for _ in range(2))
     offset = np.array([0.1, 2.0, -3.0])
@@ -53,6 +55,6 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
 def test_no_points_have_no_rows() -> None:
     body, _ = ball(400, radius=1.0)
     solver = TotalLagrangian(body, [look("rubber", body)], settings())
-    lean = rider_rows(solver.stencil, np.zeros((0, 3)), np.zeros(0, int))
+    lean = rider_rows(solver.body.stencil, np.zeros((0, 3)), np.zeros(0, int))
     u = np.ones((lean.spread.shape[1], 3))
     assert pose(lean, u, u, np.zeros(3)).x.shape == (0, 3)

@@ -61,7 +61,7 @@ def test_translation_and_spin_carry_the_momenta_of_a_rigid_body(body):
     V, w = np.array([1.0, -2.0, 0.5]), np.array([0.3, 2.0, -1.0])
     lift = np.array([3.0, 1.0, -2.0])
     solver, health = first(body, velocity=lambda X: V + np.cross(w, X), lift=tuple(lift))
-    X, m = solver.stencil.free_X, solver.stencil.mass
+    X, m = solver.body.stencil.free_X, solver.body.stencil.mass
     # Nodes stand for the mass: their sums are exact, to the float32 of the velocities.
     np.testing.assert_allclose(
         health.momentum, m.sum() * (V + np.cross(w, m @ X / m.sum())), rtol=SINGLE
@@ -69,7 +69,7 @@ def test_translation_and_spin_carry_the_momenta_of_a_rigid_body(body):
     L = (m[:, None] * np.cross(X + lift, V + np.cross(w, X))).sum(0)
     np.testing.assert_allclose(health.angular_momentum, L, rtol=SINGLE)
     # A ball of samples: sum m |w x X|^2 / 2 + M V^2 / 2; nodes spread it by h^2 / 4 per axis.
-    spread = 2.0 / 3.0 * (solver.h**2 / 4.0) * 3.0 / (0.4 * 1.0)
+    spread = 2.0 / 3.0 * (solver.body.h**2 / 4.0) * 3.0 / (0.4 * 1.0)
     rigid = 0.5 * health.mass * (V @ V + 0.4 * (w @ w))
     assert rigid < health.kinetic < rigid * (1.0 + spread)
 
@@ -77,10 +77,9 @@ def test_translation_and_spin_carry_the_momenta_of_a_rigid_body(body):
 def test_a_stretched_body_holds_the_energy_of_its_strain(body):
     particles, _ = body
     solver, _ = first(body)
-    u = np.zeros((solver.stencil.node_count, 3), np.float32)
-    u[:, 1] = 0.1 * solver.stencil.node_X[:, 1]
-    solver.arrays["u"].from_numpy(u.ravel())
-    solver.settings = settings(frames=1)
+    u = np.zeros((solver.body.stencil.node_count, 3), np.float32)
+    u[:, 1] = 0.1 * solver.body.stencil.node_X[:, 1]
+    solver.state.arrays["u"].from_numpy(u.ravel())
     health = next(solver.frames()).health
     material = look("rubber", particles)
     # Corotated law at diag(1, 1.1, 1): mu .01 + lam/2 .01.
@@ -95,9 +94,9 @@ def test_a_stretched_body_holds_the_energy_of_its_strain(body):
 def test_inverted_particles_are_counted(body):
     particles, _ = body
     solver, _ = first(body)
-    u = np.zeros((solver.stencil.node_count, 3), np.float32)
-    u[:, 1] = -1.5 * solver.stencil.node_X[:, 1]
-    solver.arrays["u"].from_numpy(u.ravel())
+    u = np.zeros((solver.body.stencil.node_count, 3), np.float32)
+    u[:, 1] = -1.5 * solver.body.stencil.node_X[:, 1]
+    solver.state.arrays["u"].from_numpy(u.ravel())
     health = next(solver.frames()).health
     assert health.inverted == len(particles)
     assert health.min_J == pytest.approx(-0.5, abs=SINGLE)
@@ -111,4 +110,4 @@ def test_a_body_in_the_floor_holds_the_energy_of_its_springs(body):
     )
     depth = np.maximum(0.0, -(samples.X[:, 1] + 0.9))
     assert (depth > 0.0).sum() >= 3
-    assert health.contact == pytest.approx(0.5 * solver.contact.stiffness @ depth**2, rel=1e-9)
+    assert health.contact == pytest.approx(0.5 * solver.body.contact.stiffness @ depth**2, rel=1e-9)

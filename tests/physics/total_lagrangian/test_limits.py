@@ -33,27 +33,29 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     strain(seen, A)
     strain(bare, clipped(A, low, high))
     # Taichi's SVD of float64 stops its Jacobi sweeps at about 1e-9.
-    assert elastic_energy(seen) == pytest.approx(elastic_energy(bare), rel=1e-7)
-    told = strain_energy(seen, *strains_by_numpy(seen.particle_pose(0).F))
-    assert told == pytest.approx(elastic_energy(bare), rel=1e-7)
+    wanted = elastic_energy(bare.body, bare.state)
+    assert elastic_energy(seen.body, seen.state) == pytest.approx(wanted, rel=1e-7)
+    told = strain_energy(seen.body, *strains_by_numpy(seen.state.view().pose(0).F))
+    assert told == pytest.approx(wanted, rel=1e-7)
     wanted = force(bare)
     np.testing.assert_allclose(force(seen), wanted, atol=1e-6 * np.abs(wanted).max())
-    assert touched(seen)["clamped"].all()
+    bits = seen.state.get("touched")
+    assert touched(bits, seen.body.options, seen.body.layout, seen.body.m)["clamped"].all()
 
 
 def test_a_clamp_counts_particles_once_a_frame_and_only_those():
     # Half the body is squeezed: 5 substeps see it again and again.
     solver = made(clamp=(0.8, 1.25), substeps=5)
-    X = solver.stencil.node_X
+    X = solver.body.stencil.node_X
     u = np.where(X[:, :1] > 0.0, X * [-0.5, 0.0, 0.0], 0.0)
-    solver.arrays["u"].from_numpy(u.ravel())
+    solver.state.arrays["u"].from_numpy(u.ravel())
     passage = solver.advance(1, 5)
-    F = solver.particle_pose(1).F
+    F = solver.state.view().pose(1).F
     s = np.linalg.svd(F, compute_uv=False)
     outside = ((s < 0.8) | (s > 1.25)).any(1)
     assert 0 < outside.sum() < len(body())
     assert passage.clamped == pytest.approx(int(outside.sum()), abs=2)  # it moved by a hair
-    solver.arrays["u"].fill(0.0)
+    solver.state.arrays["u"].fill(0.0)
     assert solver.advance(2, 5).clamped == 0
 
 
@@ -75,20 +77,20 @@ def test_the_cap_scales_the_stress_down_to_itself(share):
     capped, bare = made(stress_cap=share * size), made()
     for solver in (capped, bare):
         strain(solver, A)
-    shown = von_mises(capped)
-    np.testing.assert_allclose(shown, min(share, 1.0) * von_mises(bare), rtol=1e-9)
+    shown = von_mises(capped.body, capped.state)
+    np.testing.assert_allclose(shown, min(share, 1.0) * von_mises(bare.body, bare.state), rtol=1e-9)
     # The force is minus the slope of the energy, cut by the same factor: along any direction.
     f = force(capped)
     d = np.random.default_rng(1).normal(size=f.shape)
-    full = np.zeros((bare.stencil.node_count, 3))
+    full = np.zeros((bare.body.stencil.node_count, 3))
     full[: len(d)] = d
-    full[len(d) :] = bare.stencil.follow @ d
+    full[len(d) :] = bare.body.stencil.follow @ d
     slope = []
     for step in (1e-6, -1e-6):
         strain(bare, A)
-        u = bare.arrays["u"].to_numpy() + step * full.ravel()
-        bare.arrays["u"].from_numpy(u)
-        slope.append(elastic_energy(bare))
+        u = bare.state.arrays["u"].to_numpy() + step * full.ravel()
+        bare.state.arrays["u"].from_numpy(u)
+        slope.append(elastic_energy(bare.body, bare.state))
     wanted = -min(share, 1.0) * (slope[0] - slope[1]) / 2e-6
     # Central differences of a step of 1e-6: 1e-10 of rounding over 1e-6, and the frame's motion.
     assert float((f * d).sum()) == pytest.approx(wanted, rel=1e-4)

@@ -14,7 +14,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 def test_another_step_stiffness_and_count_compile_nothing() -> None:
     first = made(np.float32)
     first.advance(1, 2)
-    kernel = first.kernels.relay._primal
+    kernel = first.body.kernels.relay._primal
     before = len(kernel.compiled_kernels)
     assert before >= 1
     p = first.particles
@@ -26,6 +26,6 @@ def test_another_step_stiffness_and_count_compile_nothing() -> None:
     )  # fmt: skip
     stiffer = look("rubber", p, damping_time=0.0, youngs_modulus=7.7e5)
     other = TotalLagrangian(fewer, [stiffer], replace(first.settings, fps=31.0), real=np.float32)
-    assert other.kernels is first.kernels
+    assert other.body.kernels is first.body.kernels
     other.advance(1, 5)
     assert len(kernel.compiled_kernels) == before

@@ -57,7 +57,7 @@ def test_flight_is_the_parabola_and_keeps_energy_and_momentum():
     frames = list(solver.frames())
     first, last = frames[0].health, frames[-1].health
     assert all(f.health.flying == 1 and f.health.substeps == 0 for f in frames[1:])
-    t = solver.time
+    t = solver.state.time
     g = np.array([0.0, -G0, 0.0])
     way = t * np.array([1.0, 2.0, -0.5]) + 0.5 * g * t**2
     # v is kept in single precision: 6e-8 of 5 m/s a frame, over half a second and 11 frames.
@@ -83,9 +83,9 @@ def test_what_is_no_free_flight_is_simulated(what):
         solver = falling(drag=0.1, frames=2)
     else:
         solver = falling(frames=2)
-        X = solver.stencil.node_X
+        X = solver.body.stencil.node_X
         stretch = 3.0 * FLIGHT * (X - X.mean(0))
-        solver.arrays["u"].from_numpy(stretch.astype(np.float32).ravel())
+        solver.state.arrays["u"].from_numpy(stretch.astype(np.float32).ravel())
     frame = list(solver.frames())[-1]
     assert frame.health.flying == 0
     assert frame.health.substeps > 0
@@ -182,12 +182,12 @@ def test_resumed_in_flight_or_asleep_it_goes_on_to_the_bit(at):
     for frame in whole.frames():
         frames.append(frame)
         if frame.index == at:
-            standing, health = whole.standing(), frame.health
+            standing, health = whole.save(), frame.health
     assert frames[at].health.sleeping + frames[at].health.flying == (2 if at == 4 else 0)
     assert standing is not None
     assert health is not None
     other = made()
-    other.stand({name: np.array(value) for name, value in standing.items()})
+    other.load({name: np.array(value) for name, value in standing.items()})
     for a, b in zip(frames[at + 1 :], other.frames_after(at, health), strict=True):
         np.testing.assert_array_equal(a.particles.x, b.particles.x)
         np.testing.assert_array_equal(a.particles.v, b.particles.v)

@@ -8,11 +8,10 @@ from solids import look, settings
 from strained_ball import EXACT, SQUASH, body, made, shear_modulus, strain
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Pose
 from gf_usd.core.neighbors import slopes
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.energies import elastic_energy
-from gf_usd.physics.total_lagrangian.limits import PLAIN, options_of
+from gf_usd.physics.total_lagrangian.limits import DEFAULT, options_of
 from gf_usd.physics.total_lagrangian.shape_correction import wls_gradient
 
 # WLS
@@ -63,24 +62,26 @@ def test_a_frame_with_wls_ends_with_f_of_the_positions():
     D = wls_gradient(body().X, 0.2 * body().radius)
     F = slopes(D, frame.particles.x)
     np.testing.assert_allclose(frame.particles.F, F, atol=1e-9)
-    G = np.stack([g @ solver.state()[0] for g in solver.rows.G], -1)
+    G = np.stack([g @ solver.state.view().u for g in solver.body.rows.G], -1)
     assert np.abs(F - np.eye(3) - G).max() > 1e-3, "it is not what the grid says"
     # The kernels see the same F: their energy is that of a law called on it.
     mu, lam = shear_modulus(), look("rubber", body()).lam
     s = np.linalg.svd(F, compute_uv=False)
     psi = mu * ((s - 1.0) ** 2).sum(1) + 0.5 * lam * (np.linalg.det(F) - 1.0) ** 2
-    assert elastic_energy(solver) == pytest.approx(float(body().V0 @ psi), rel=1e-9)
+    assert elastic_energy(solver.body, solver.state) == pytest.approx(
+        float(body().V0 @ psi), rel=1e-9
+    )
 
 
 def test_wls_gives_energy_that_is_counted():
     solver = made(wls=True, velocity=lambda X: 2e3 * np.sin(2.0 * X[:, [1, 2, 0]]))
     solver.advance(1, 2)  # forget the start: F0 is not I any more
     passage = solver.advance(2, 2)
-    after = elastic_energy(solver)
-    saved = solver.reanchor.F0.copy()
-    solver.reanchor.frame(solver, 2)
-    np.testing.assert_allclose(solver.reanchor.F0, saved, atol=EXACT)  # twice is once
-    assert after == pytest.approx(elastic_energy(solver), rel=1e-12)
+    after = elastic_energy(solver.body, solver.state)
+    saved = solver.state.rest.F0.copy()
+    solver.correction.frame(solver.state, 2)
+    np.testing.assert_allclose(solver.state.rest.F0, saved, atol=EXACT)  # twice is once
+    assert after == pytest.approx(elastic_energy(solver.body, solver.state), rel=1e-12)
     assert abs(passage.injected) > 1e-3 * after
 
 
@@ -119,7 +120,7 @@ def test_the_shape_correction_does_not_turn_with_the_body():
     solver = made(procrustes=0.5)
     strain(solver, turn)
     passage = solver.advance(1, 2)
-    F = solver.particle_pose(1).F
+    F = solver.state.view().pose(1).F
     np.testing.assert_allclose(F, np.broadcast_to(0.5 * (turn + np.eye(3)), F.shape), atol=1e-6)
     assert passage.injected > 0.0
 
@@ -144,14 +145,14 @@ def test_a_body_that_is_pinned_has_no_shape_correction():
 
 def test_off_they_leave_no_trace():
     solver = made()
-    assert solver.options == PLAIN == options_of(settings())
+    assert solver.body.options == DEFAULT == options_of(settings())
     for name in ("F0", "clip_room", "touched"):
-        assert solver.arrays[name].shape == (1,)
-    assert "F0" not in solver.save()
+        assert solver.state.arrays[name].shape == (1,)
+    assert "F0" not in solver.state.save()
     passage = solver.advance(1, 2)
     assert (passage.injected, passage.clamped, passage.stress_capped) == (0.0, 0, 0)
-    pose = Pose(x=body().X, v=body().X, F=np.zeros((len(body()), 3, 3)))
-    assert solver.reanchor.anchored(pose) is pose
+    now = solver.state.view()
+    assert now.gradients(1) is now.F
 
 
 def test_limits_that_are_not_met_change_nothing():
@@ -160,7 +161,7 @@ def test_limits_that_are_not_met_change_nothing():
     for options in ({}, {"clamp": (0.01, 100.0), "stress_cap": 1e12}):
         solver = made(velocity=lambda X: X @ SQUASH, frames=20, fps=60.0, substeps=20, **options)
         last = list(solver.frames())[-1]
-        states.append(solver.state())
+        states.append((solver.state.view().u, solver.state.view().v))
         assert last.health.clamped == last.health.stress_capped == 0
     np.testing.assert_allclose(states[0], states[1], atol=1e-9)
 
@@ -175,17 +176,17 @@ def test_what_is_saved_goes_on_to_the_bit():
     one = solver()
     for index in range(1, 5):
         one.advance(index, 10)
-    saved = one.save()
+    saved = one.state.save()
 
     def on(body):
         for index in range(5, 9):
             body.advance(index, 10)
-        pose = body.particle_pose(8)
-        return np.concatenate([pose.x.ravel(), pose.F.ravel(), body.reanchor.F0.ravel()])
+        pose = body.state.view().pose(8)
+        return np.concatenate([pose.x.ravel(), pose.F.ravel(), body.state.rest.F0.ravel()])
 
     wanted = on(one)
-    one.restore(saved)
+    one.state.load(saved)
     assert np.array_equal(on(one), wanted)
     other = solver()
-    other.restore(saved)
+    other.state.load(saved)
     assert np.array_equal(on(other), wanted)

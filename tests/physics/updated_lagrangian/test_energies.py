@@ -68,7 +68,7 @@ def test_a_stretched_body_takes_shorter_steps():
     solver.read(0)
     relaxed = solver.substeps
     F = np.tile(np.diag([4.0, 1.0, 1.0]).ravel(), len(body)).astype(np.float32)
-    solver.arrays["F"].from_numpy(F)
+    solver.state.arrays["F"].from_numpy(F)
     solver.read(0)
     # Half of the limit at rest, all of it when strained: 4 times the frequency is twice the steps.
     assert solver.substeps > 1.5 * relaxed

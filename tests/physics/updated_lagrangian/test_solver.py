@@ -8,9 +8,10 @@ from solids import ball, look, settings
 
 from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.core.stage import Pin
-from gf_usd.physics.frame_loop import Marcher
+from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.updated_lagrangian import solver as module
-from gf_usd.physics.updated_lagrangian.solver import STATE, UpdatedLagrangian
+from gf_usd.physics.updated_lagrangian import state as state_module
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 
 def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32, **changes):
@@ -24,7 +25,10 @@ def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32
 
 
 def state(solver: UpdatedLagrangian) -> np.ndarray:
-    return np.concatenate([solver.array(name) for name in STATE] + [solver.offset])
+    return np.concatenate(
+        [solver.state.get(name).astype(float) for name in state_module.PARTICLES]
+        + [solver.state.offset]
+    )
 
 
 @pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
@@ -46,7 +50,7 @@ def test_the_two_paths_agree(monkeypatch):
         monkeypatch.setattr(module, "SERIAL_BELOW", below)
         solver = dropped()
         list(solver.frames())
-        x = solver.state()[0] + solver.offset
+        x = solver.state.motion()[0] + solver.state.offset
         seen.append(x)
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
 
@@ -55,13 +59,13 @@ def test_a_saved_state_goes_on_to_the_bit():
     whole, first, second = (dropped(frames=n) for n in (7, 4, 7))
     list(whole.frames())
     list(first.frames())
-    second.restore(first.save())
-    second.guard.recall(first.guard.state())
+    second.state.load(first.state.save())
+    second.guard.load(first.guard.save())
     last = second.read(3).health
     for index in range(4, 7):
         last = second.next(index, last).health
     assert np.array_equal(state(whole), state(second))
-    assert (whole.time, whole.done) == (second.time, second.done)
+    assert (whole.state.time, whole.state.done) == (second.state.time, second.state.done)
 
 
 def test_the_floor_gives_what_its_samples_feel():
@@ -75,12 +79,12 @@ def test_the_floor_gives_what_its_samples_feel():
         return np.array([1.0, -1.0, 0.5]) + 0.5 * np.cross([0.2, 1.0, 0.3], X)
 
     solver = UpdatedLagrangian(body, [made], s, samples=samples, velocity=velocity, real=np.float64)
-    assert solver.ride is not None
-    x, v, F, L = solver.state()
+    assert solver.body.ride is not None
+    x, v, F, L = solver.state.motion()
     half = 0.5 * solver.frame_time
-    where = solver.ride.pose(x + half * v, v, F + half * L @ F, L).x + solver.offset
+    where = solver.body.ride.pose(x + half * v, v, F + half * L @ F, L).x + solver.state.offset
     before, after = (f.health for f in solver.frames())
-    f = solver.array("sample_force").reshape(-1, 3)
+    f = solver.state.rows("sample_force")
     assert (np.abs(f).sum(1) > 0.0).sum() > 5
     impulse = solver.frame_time * f
     gained = np.subtract(after.momentum, before.momentum)
@@ -104,7 +108,7 @@ def test_an_inverted_particle_is_turned_back_by_the_clamp():
     solver = dropped(frames=2, clamp=(0.2, 5.0))
     F = np.tile(np.eye(3), (len(solver.particles), 1, 1))
     F[7] = np.diag([1.0, -0.5, 1.2])
-    solver.arrays["F"].from_numpy(F.astype(np.float32).ravel())
+    solver.state.arrays["F"].from_numpy(F.astype(np.float32).ravel())
     solver.advance(1, 10_000)
     assert solver.read(1).health.inverted == 0
 
@@ -150,7 +154,7 @@ def test_stress_is_read_where_asked_for():
 
 
 def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
-    monkeypatch.setattr(module, "LARGEST_BOX", 1)  # eight boxes of the body at rest
+    monkeypatch.setattr(state_module, "LARGEST_BOX", 1)  # eight boxes of the body at rest
     body, _ = ball(300)
     s = settings(frames=3, substeps=4)
     solver = UpdatedLagrangian(
@@ -166,28 +170,28 @@ def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
 def test_a_position_that_is_no_place_is_noticed_and_nothing_is_written_for_it(value):
     solver = dropped()
-    x = solver.array("x")
+    x = solver.state.get("x").astype(float)
     x[3 * 17] = value
-    solver.arrays["x"].from_numpy(x.astype(np.float32))
-    before = solver.array("F")
+    solver.state.arrays["x"].from_numpy(x.astype(np.float32))
+    before = solver.state.get("F").astype(float)
     solver.advance(1, 3)
     particle, fault = solver.not_finite()
     assert particle == 17
     assert fault
     # Only the drift that opens the frame was done, for the others.
-    assert np.abs(solver.array("F") - before).max() < 1e-5
+    assert np.abs(solver.state.get("F").astype(float) - before).max() < 1e-5
 
 
 def test_positions_move_to_the_offset_by_whole_cells():
     body, _ = ball(300, radius=0.1)
     s = settings(frames=20, gravity=(0.0, -9.81, 0.0))
     solver = UpdatedLagrangian(body, [look("rubber", body, damping_time=0.0)], s)
-    start = solver.offset.copy()
+    start = solver.state.offset.copy()
     *_, last = solver.frames()
-    cells = (solver.offset - start) / solver.h
+    cells = (solver.state.offset - start) / solver.body.h
     np.testing.assert_allclose(cells, np.round(cells), atol=1e-9)
     assert cells[1] < -10
-    assert np.abs(solver.array("x")).max() < 0.1 + solver.h
+    assert np.abs(solver.state.get("x").astype(float)).max() < 0.1 + solver.body.h
     fall = -0.5 * 9.81 * last.time**2
     assert last.health.centre[1] == pytest.approx(fall + np.mean(body.X[:, 1]), abs=1e-4)
 
@@ -207,5 +211,5 @@ def test_what_it_does_not_know_is_refused():
         UpdatedLagrangian(body, made, settings(wls=True))
 
 
-def test_it_is_a_marcher():
-    assert issubclass(UpdatedLagrangian, Marcher)
+def test_it_keeps_the_protocol():
+    assert issubclass(UpdatedLagrangian, Solver)

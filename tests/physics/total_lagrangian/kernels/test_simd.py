@@ -17,14 +17,14 @@ def corotated(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
 
 def test_forces_are_the_plain_sum_over_particles():
     solver = made(np.float64)
-    X = solver.stencil.node_X
+    X = solver.body.stencil.node_X
     u = 0.05 * np.stack([np.sin(2.0 * X[:, 1]), X[:, 0] * X[:, 2], np.cos(X[:, 0])], -1)
-    free = solver.stencil.free_count
-    u[free:] = solver.stencil.follow @ u[:free]
-    solver.arrays["u"].from_numpy(u.ravel())
-    G = solver.rows.G
+    free = solver.body.stencil.free_count
+    u[free:] = solver.body.stencil.follow @ u[:free]
+    solver.state.arrays["u"].from_numpy(u.ravel())
+    G = solver.body.rows.G
     F = np.eye(3) + np.stack([g @ u[:free] for g in G], -1)
-    mu, lam = solver.per["mu"][0], solver.per["lam"][0]
+    mu, lam = solver.body.per["mu"][0], solver.body.per["lam"][0]
     assert mu == shear_modulus()
     T = solver.particles.V0[:, None, None] * corotated(F, mu, lam)
     expected = -sum(G[a].T @ T[:, :, a] for a in range(3))
@@ -34,13 +34,13 @@ def test_forces_are_the_plain_sum_over_particles():
 
 def test_every_particle_has_one_lane_of_its_own():
     solver = made()
-    batches = batch_particles(solver.stencil)
+    batches = batch_particles(solver.body.stencil)
     filled = batches.filled > 0.0
     assert sorted(batches.source[filled]) == list(range(len(solver.particles)))
     cell = np.repeat(np.arange(len(batches.cells)), np.diff(batches.batch))
     owner = np.empty(len(solver.particles), int)
-    owner[solver.stencil.order] = np.repeat(
-        np.arange(len(solver.stencil.cell_nodes)), np.diff(solver.stencil.cell_start)
+    owner[solver.body.stencil.order] = np.repeat(
+        np.arange(len(solver.body.stencil.cell_nodes)), np.diff(solver.body.stencil.cell_start)
     )
     # a lane belongs to one cell, whose nodes its batches use
     assert np.array_equal(owner[batches.source][filled], batches.cells[cell][filled])
