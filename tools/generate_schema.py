@@ -1,5 +1,8 @@
 """Generate the schema library and its reference from schemas/gaussianFlesh/schema.usda.
 
+The tokens of gaussianFlesh:law and the attributes of the laws' parameters come from the rows of
+gf_usd.core.materials.LAWS.
+
     python tools/generate_schema.py            write generatedSchema.usda, plugInfo.json, schema.md
     python tools/generate_schema.py --check    write nothing; exit 1 if any of them differs
 
@@ -20,6 +23,8 @@ from pathlib import Path
 
 import pxr
 from pxr import Sdf
+
+from gf_usd.core.materials import LAWS, Parameter, law_parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 LIBRARY = ROOT / "schemas" / "gaussianFlesh"
@@ -71,6 +76,44 @@ def filled_plug_info(text: str) -> str:
     if left := re.findall(r"@[A-Z_]+@", text):
         raise SystemExit(f"plugInfo.json: placeholders that this tool does not know: {left}")
     return text
+
+
+# of StageUnits.factor -> as the reference has them
+UNITS = {
+    "": "none",
+    "s": "second",
+    "1/s": "1 / second",
+    "Pa": "mass / (distance * second^2)",
+    "Pa s": "mass / (distance * second)",
+}
+
+
+def with_laws(schema: Path) -> Sdf.Layer:
+    """The layer of ``schema`` with the rows of LAWS in it."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(schema)))
+    material = layer.GetPrimAtPath("/GaussianFleshMaterialAPI")
+    law = material.attributes["gaussianFlesh:law"]
+    law.allowedTokens = list(LAWS)
+    law.documentation = law.documentation.rstrip() + " " + ", ".join(LAWS)
+    particles = layer.GetPrimAtPath("/GaussianFleshParticlesAPI")
+    for one in law_parameters():
+        _add(material, one, Sdf.ValueTypeNames.Float).default = one.default
+        _add(particles, one, Sdf.ValueTypeNames.FloatArray)
+    return layer
+
+
+def _add(prim: Sdf.PrimSpec, one: Parameter, kind: Sdf.ValueTypeName) -> Sdf.AttributeSpec:
+    """The attribute of a law's parameter."""
+    laws = ", ".join(row.token for row in LAWS.values() if one in row.parameters)
+    name = f"gaussianFlesh:{one.attribute}"
+    made = Sdf.AttributeSpec(prim, name, kind, Sdf.VariabilityUniform)
+    made.displayName = one.label
+    high = "inf)" if one.high == float("inf") else f"{one.high:g}]"
+    made.documentation = (
+        f"{one.meaning} Of the law {laws}.\n\nUnits: {UNITS[one.unit]}\nRange: [{one.low:g}, {high}"
+    )
+    return made
 
 
 def paragraph(text: str) -> str:
@@ -127,24 +170,26 @@ def api_section(prim: Sdf.PrimSpec) -> str:
     return "\n".join(lines) + "\n"
 
 
-def reference(schema: Path) -> str:
-    """The whole of docs/schema.md for ``schema``."""
-    layer = Sdf.Layer.FindOrOpen(str(schema))
+def reference(layer: Sdf.Layer) -> str:
+    """The whole of docs/schema.md for the layer of `with_laws`."""
     apis = [prim for prim in layer.rootPrims if prim.specifier == Sdf.SpecifierClass]
     return "\n".join([INTRODUCTION, *(api_section(prim) for prim in apis)])
 
 
 def generate(schema: Path) -> dict[Path, str]:
     """Every generated file with its text, made afresh from ``schema``."""
+    layer = with_laws(schema)
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        run_generator(schema, folder)
+        folder, source = Path(temporary) / "out", Path(temporary) / "schema.usda"
+        folder.mkdir()
+        layer.Export(str(source))
+        run_generator(source, folder)
         plug_info = filled_plug_info((folder / "plugInfo.json").read_text("utf-8"))
         generated = (folder / "generatedSchema.usda").read_text("utf-8")
     return {
         LIBRARY / "generatedSchema.usda": generated,
         LIBRARY / "plugInfo.json": plug_info,
-        REFERENCE: reference(schema),
+        REFERENCE: reference(layer),
     }
 
 

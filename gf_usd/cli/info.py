@@ -30,12 +30,12 @@ def materials(
     Looks are scale-free: moduli are in units of rho g0 r and times in T = sqrt(r / g0), with r the
     radius of a ball of the body's volume and g0 = 9.81 m/s^2, so that every size squashes alike.
     """
-    from gf_usd.core.materials import LAW_TOKENS, LOOKS, PHYSICAL
+    from gf_usd.core.materials import LAWS, LOOKS, PHYSICAL
 
     if as_json:
         looks = [asdict(look) for look in LOOKS.values()]
         physical = [asdict(p) for p in PHYSICAL.values()]
-        out = {"looks": looks, "physical": physical, "laws": list(LAW_TOKENS)}
+        out = {"looks": looks, "physical": physical, "laws": list(LAWS)}
         typer.echo(json.dumps(out, indent=1))
         return
     from rich.console import Console
@@ -70,7 +70,7 @@ def materials(
     for p in PHYSICAL.values():
         console.print(f"{p.name}: {p.source}")
     console.print()
-    console.print(f"laws: {', '.join(LAW_TOKENS)} (--law)")
+    console.print(f"laws: {', '.join(LAWS)} (--law)")
 
 
 def _table(*heads: str, rows: Iterable[tuple[str | float, ...]]) -> Table:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import Material, law_parameters, young_poisson
 
 if TYPE_CHECKING:
     from gf_usd.core.asset import SplatPose
@@ -152,6 +152,7 @@ class Health:
     flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
+    plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,22 +271,31 @@ def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:
 SOURCE_VARIANT = "none"  # taken: usd.variants calls the asset without a bake so
 
 
-# What a particle may have of its own; the rest follows from these.
+# What a particle may have of its own, with the parameters of laws; the rest follows from these.
 FREE = ("density", "mu", "lam", "damping_time", "friction", "restitution")
 REPORTED = ("youngs_modulus", "poissons_ratio", "density")
 SAME = 1e-6  # relative: float32 holds no finer difference
 
 
 def of_materials(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
-    """(N,) of each of FREE, as the material of each particle has it."""
+    """(N,) of each value in `columns`, as the material of each particle has it."""
     index = np.asarray(particles.material)
-    return {name: np.array([getattr(m, name) for m in materials])[index] for name in FREE}
+    return {name: column[index] for name, column in columns(materials).items()}
+
+
+def columns(materials: Sequence[Material]) -> dict[str, Floats]:
+    """(M,) of each of FREE, and of each parameter that a law of these materials has."""
+    own = {
+        one.name: np.array([m.parameter(one) for m in materials])
+        for one in law_parameters(m.law for m in materials)
+    }
+    return {name: np.array([getattr(m, name) for m in materials]) for name in FREE} | own
 
 
 def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
-    """Material values of particles, (N,) each, in SI: FREE, and what follows from it.
+    """Material values of particles, (N,) each, in SI: `columns`, and what follows from them.
 
-    E = mu (3 lam + 2 mu) / (lam + mu), nu = lam / (2 (lam + mu)), c = sqrt((lam + 2 mu) / rho).
+    c = sqrt((lam + 2 mu) / rho); E and nu by `young_poisson`.
     """
     return with_derived({**of_materials(particles, materials), **(particles.own or {})})
 
@@ -293,10 +303,11 @@ def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Flo
 def with_derived(values: Mapping[str, Floats]) -> dict[str, Floats]:
     """The values, with youngs_modulus, poissons_ratio and wave_speed as in `spread`."""
     mu, lam = values["mu"], values["lam"]
+    young, poisson = young_poisson(mu, lam)
     return {
         **values,
-        "youngs_modulus": mu * (3.0 * lam + 2.0 * mu) / (lam + mu),
-        "poissons_ratio": lam / (2.0 * (lam + mu)),
+        "youngs_modulus": young,
+        "poissons_ratio": poisson,
         "wave_speed": np.sqrt((lam + 2.0 * mu) / values["density"]),
     }
 
@@ -311,7 +322,7 @@ def summary(particles: Particles, materials: Sequence[Material]) -> dict[str, An
     plain = with_derived(of_materials(particles, materials))
     mine = spread(particles, materials)
     differs = np.zeros(len(particles), bool)
-    for name in (*FREE, *REPORTED):
+    for name in (*columns(materials), *REPORTED):
         differs |= ~np.isclose(mine[name], plain[name], rtol=SAME, atol=0.0)
     ranges = {name: [float(mine[name].min()), float(mine[name].max())] for name in REPORTED}
     return {"particles": int(differs.sum()), **ranges}

@@ -1,4 +1,9 @@
-"""Material presets: looks, made absolute for a body's size.
+"""Laws and materials as data: what a law is called, its parameters, and presets.
+
+A law's row says everything about it but its formulas, which stand in the module that it names: the
+command line, readers, writers, check rules and the schema read it here, without Taichi.
+
+Material presets: looks, made absolute for a body's size.
 
 A look is dimensionless (docs/physics.md): moduli in rho g0 r, times in T = sqrt(r / g0), with
 r = (3 V / 4 pi)^(1/3) and g0 = 9.81 m/s^2 whatever the scene's gravity, so that a 5 cm and a 5 m
@@ -14,14 +19,86 @@ spacings under the floor; Neo-Hookean: J >= 0.05, a third of a spacing, height r
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from gf_usd.core.errors import UsageError
 
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A number of a law besides its moduli, constant in time."""
+
+    name: str  # of Material.parameters; the same in every law that has it
+    unit: str  # of `StageUnits.factor`, e.g. "Pa"
+    attribute: str  # in the namespace gaussianFlesh, on the Material and on particles
+    default: float  # [unit] where a material says nothing
+    meaning: str  # a sentence, for the schema
+    label: str  # for the report
+    low: float = 0.0  # [unit] least value
+    high: float = float("inf")  # [unit] largest value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Internal:
+    """A number that a law remembers of each particle."""
+
+    name: str
+    rest: float  # before anything has happened
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawSpec:
+    """A constitutive law as data."""
+
+    token: str  # the value of gaussianFlesh:law
+    code: str  # module of its functions, relative to gf_usd.physics.laws: see `registry` there
+    source: str
+    parameters: tuple[Parameter, ...] = ()  # besides mu and lam
+    flows: bool = False  # it has a flow rule, and so a history
+    internal: tuple[Internal, ...] = ()
+
+
+LAWS: dict[str, LawSpec] = {
+    row.token: row
+    for row in (
+        LawSpec(
+            token="corotated",
+            code=".corotated",
+            source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
+        ),
+        LawSpec(token="neoHookean", code=".neo_hookean", source="Bonet and Wood 2008, eq. 6.28"),
+    )
+}
+
+
+def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]:
+    """The parameters of laws, one of each name; None: of all laws."""
+    rows = [LAWS[token] for token in LAWS if tokens is None or token in set(tokens)]
+    return tuple({p.name: p for row in rows for p in row.parameters}.values())
+
+
+def check_law(law: str) -> str:
+    """The law's token; UsageError where there is none of that name."""
+    if law in LAWS:
+        return law
+    raise UsageError(f"there is no law {law!r}", f"choose one of {', '.join(LAWS)}")
+
+
+def lame(E: Any, nu: Any) -> tuple[Any, Any]:
+    """mu = E / (2 (1 + nu)) and lam = E nu / ((1 + nu) (1 - 2 nu)), of numbers or arrays."""
+    return E / (2.0 * (1.0 + nu)), E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+
+
+def young_poisson(mu: Any, lam: Any) -> tuple[Any, Any]:
+    """E = mu (3 lam + 2 mu) / (lam + mu) and nu = lam / (2 (lam + mu)), of numbers or arrays."""
+    return mu * (3.0 * lam + 2.0 * mu) / (lam + mu), lam / (2.0 * (lam + mu))
+
+
 G0 = 9.81  # [m/s^2] in the scales of a look; never the scene's gravity
-LAW_TOKENS = ("corotated", "neoHookean")
 FILTER_RATE = 10.0  # [1/T] of the APIC filter: grid noise dies within a frame or so
 SHOT_LENGTH = 13.6  # [T] the paper's 260 frames at 60 fps for r = 1 m
 
@@ -43,13 +120,13 @@ class Look:
     def material(self, radius: float, law: str | None = None) -> Material:
         """The look on a body of radius r [m]."""
         scale = self.density * G0 * radius
-        mu, lam = self.mu * scale, self.lam * scale
+        young, poisson = young_poisson(self.mu * scale, self.lam * scale)
         return Material(
             name=self.name,
             law=law or self.law,
             density=self.density,
-            youngs_modulus=mu * (3.0 * lam + 2.0 * mu) / (lam + mu),
-            poissons_ratio=lam / (2.0 * (lam + mu)),
+            youngs_modulus=young,
+            poissons_ratio=poisson,
             damping_time=self.damping * time_scale(radius),
             friction=self.friction,
             restitution=self.restitution,
@@ -186,36 +263,40 @@ def find_preset(name: str) -> Preset:
     )
 
 
-def check_law(law: str) -> str:
-    """The law's token; UsageError where there is none of that name."""
-    if law in LAW_TOKENS:
-        return law
-    raise UsageError(f"there is no law {law!r}", f"choose one of {', '.join(LAW_TOKENS)}")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Material:
     """A constitutive law with its numbers, absolute (SI)."""
 
     name: str
-    law: str  # a row of gf_usd.physics.laws.LAWS
+    law: str  # a row of LAWS
     density: float  # [kg/m^3]
     youngs_modulus: float  # [Pa]
     poissons_ratio: float
     damping_time: float = 0.0  # Kelvin-Voigt tau [s]
     friction: float = 0.8  # Coulomb
     restitution: float = 0.85  # enters the contact damping ratio
+    # By name, in SI: those of the law's own that are not at their default.
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     @property
     def mu(self) -> float:
-        """Shear modulus E / (2 (1 + nu)) [Pa]."""
-        return self.youngs_modulus / (2.0 * (1.0 + self.poissons_ratio))
+        """Shear modulus [Pa]."""
+        return lame(self.youngs_modulus, self.poissons_ratio)[0]
 
     @property
     def lam(self) -> float:
-        """Lame's first parameter E nu / ((1 + nu) (1 - 2 nu)) [Pa]."""
-        nu = self.poissons_ratio
-        return self.youngs_modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        """Lame's first parameter [Pa]."""
+        return lame(self.youngs_modulus, self.poissons_ratio)[1]
+
+    def parameter(self, one: Parameter) -> float:
+        """The value [one.unit] of a law's parameter."""
+        return self.parameters.get(one.name, one.default)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Every field, with the parameters of the law among them, as reports hold it."""
+        fields = {name: value for name, value in vars(self).items() if name != "parameters"}
+        return fields | {p.name: self.parameter(p) for p in law_parameters([self.law])}
 
     @property
     def wave_speed(self) -> float:

@@ -17,7 +17,7 @@ schema's fallback is nobody's word.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAW_TOKENS, Material
+from gf_usd.core.materials import LAWS, Material, law_parameters
 from gf_usd.core.units import StageUnits
 
 Triple = tuple[float, float, float]
@@ -50,6 +50,7 @@ class MaterialWords:
     restitution: float | None = None
     law: str | None = None
     damping_time: float | None = None  # Kelvin-Voigt tau [s]
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of laws, by name, in SI
 
     @property
     def elastic(self) -> bool:
@@ -74,6 +75,7 @@ class MaterialWords:
             damping_time=_or(self.damping_time, 0.0),
             friction=_or(self.friction, FRICTION),
             restitution=_or(self.restitution, RESTITUTION),
+            parameters=self.parameters,
         )
 
     def over(self, base: Material) -> Material:
@@ -87,6 +89,7 @@ class MaterialWords:
             damping_time=_or(self.damping_time, base.damping_time),
             friction=_or(self.friction, base.friction),
             restitution=_or(self.restitution, base.restitution),
+            parameters={**base.parameters, **self.parameters},
         )
 
 
@@ -372,8 +375,8 @@ def read_words(
     if density is not None:
         density = _within(where, "density [kg/m^3]", density * units.density, 0.0, 1e6)
     law = authored(OURS + "law")
-    if law is not None and law not in LAW_TOKENS:
-        raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAW_TOKENS)}")
+    if law is not None and law not in LAWS:
+        raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
     return MaterialWords(
         path=path,
         density=density,
@@ -384,6 +387,7 @@ def read_words(
         restitution=_up_to(authored, "restitution", where, "restitution", 1.0),
         law=law,
         damping_time=_damping_time(authored, where, units, young),
+        parameters=_parameters(authored, where, units),
     )
 
 
@@ -403,6 +407,18 @@ def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> fl
         assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} stands for it")
         return INCOMPRESSIBLE
     return _within(where, "Poisson's ratio", nu, -1.0, 0.5)
+
+
+def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, float]:
+    """What is authored of any law's own parameters, in SI."""
+    out = {}
+    for one in law_parameters():
+        value = _float(authored(OURS + one.attribute), OURS + one.attribute, where)
+        if value is not None:
+            out[one.name] = _closed(
+                where, one.name, value * units.factor(one.unit), one.high, one.low
+            )
+    return out
 
 
 def _damping_time(
@@ -444,9 +460,9 @@ def _up_to(authored: Authored, name: str, where: str, shown: str, high: float) -
     return None if value is None else _closed(where, shown, value, high)
 
 
-def _closed(where: str, name: str, value: float, high: float) -> float:
-    if not 0.0 <= value <= high:
-        raise InputError(f"{where}: {name} is {value:g}", f"give a value from 0 to {high:g}")
+def _closed(where: str, name: str, value: float, high: float, low: float = 0.0) -> float:
+    if not low <= value <= high:
+        raise InputError(f"{where}: {name} is {value:g}", f"give a value from {low:g} to {high:g}")
     return value
 
 

@@ -48,6 +48,10 @@ class StageUnits:
         """[Pa] per stage pressure: E[Pa] = E[stage] * kilogramsPerUnit / metersPerUnit."""
         return self.kilograms_per_unit / self.meters_per_unit
 
+    def factor(self, unit: str) -> float:
+        """[unit] per stage unit, of a unit in SI; seconds are seconds."""
+        return {"": 1.0, "s": 1.0, "1/s": 1.0, "Pa": self.pressure, "Pa s": self.pressure}[unit]
+
 
 def check_unit(meters_per_unit: float | None) -> None:
     """Raise UsageError for an option that is no size of a unit."""

@@ -21,6 +21,7 @@ from pxr import Sdf, Usd
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles
+from gf_usd.core.materials import LAWS
 from gf_usd.layers.clips import ClipStore
 from gf_usd.layers.stage import (
     author_facts,
@@ -142,7 +143,9 @@ class CacheWriter:
         block_hints(self._stage, stage, tracks)
         # the particles of a mesh are inside its box
         self._bounds = skel_bounds(self._stage, stage, moving or tracks, time)
-        self._health = HealthTrack(self._stage, bake_root(asset, home), asset.facts.units)
+        flows = any(LAWS[one.law].flows for one in info.materials)
+        root = bake_root(asset, home)
+        self._health = HealthTrack(self._stage, root, asset.facts.units, flows=flows)
         self._source = stage  # the tracks read its transforms frame by frame
         save(self._layer)
         if self._clips:

@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import Material, law_parameters
 from gf_usd.core.units import StageUnits
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
@@ -101,10 +101,15 @@ def _write(
     physics.CreateDynamicFrictionAttr(material.friction)
     physics.CreateRestitutionAttr(material.restitution)
     prim.ApplyAPI("GaussianFleshMaterialAPI")
+    own = (
+        (f"gaussianFlesh:{p.attribute}", Types.Float, material.parameter(p) / units.factor(p.unit))
+        for p in law_parameters([material.law])
+    )
     for name, kind, value in (
         ("gaussianFlesh:law", Types.Token, material.law),
         ("gaussianFlesh:dampingTime", Types.Float, material.damping_time),
         ("gaussianFlesh:look", Types.Token, look),
+        *own,
     ):
         prim.CreateAttribute(name, kind, False, Sdf.VariabilityUniform).Set(value)
     for api in (VOLUME_MATERIAL_API, NEWTON_MATERIAL_API):

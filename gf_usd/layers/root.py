@@ -30,8 +30,7 @@ from pathlib import Path
 from pxr import Pcp, Sdf, Usd
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import SOURCE_VARIANT, Choices, Settings
-from gf_usd.core.materials import Material
+from gf_usd.core.frames import SOURCE_VARIANT, Choices
 from gf_usd.layers.retarget import repeat_edits, restore_rest
 from gf_usd.layers.stage import (
     VARIANT_SET,
@@ -179,13 +178,10 @@ def _author_metadata(
 
 
 def _about(bake: BakedVariant) -> dict[str, object]:
-    def plain(row: Material | Settings) -> dict[str, object]:
-        return to_metadata(vars(row))
-
-    materials = {f"{i}": plain(m) for i, m in enumerate(bake.info.materials)}
+    materials = {f"{i}": to_metadata(m.values) for i, m in enumerate(bake.info.materials)}
     return {
         "materials": materials,
-        "settings": plain(bake.info.settings),
+        "settings": to_metadata(vars(bake.info.settings)),
         "health": to_metadata(bake.health),
         **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
         **({"failure": bake.failure} if bake.failure else {}),

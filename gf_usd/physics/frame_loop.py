@@ -40,6 +40,7 @@ class FrameStats:
     stress_capped: int = 0  # particles whose stress was cut
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
     sleeping: int = 0  # bodies that slept: there were no substeps
+    plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
 
 
 class Solver(ABC):
@@ -131,7 +132,8 @@ class Solver(ABC):
             if not fault:
                 frame = self.read(index)
                 done = 0 if stats.flying or stats.sleeping else substeps
-                health = replace(frame.health, substeps=done, rollbacks=attempt, **vars(stats))
+                seen = {name: value for name, value in vars(stats).items() if value is not None}
+                health = replace(frame.health, substeps=done, rollbacks=attempt, **seen)
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:
                     self.guard.passed()
@@ -184,7 +186,7 @@ class Guard:
         """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
-        gain = after - before - now.work - now.injected
+        gain = after - before - now.work - now.injected + (now.plastic_dissipation or 0.0)
         # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
         # the step.  Written so that an energy that is no number fails too.
         limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)

@@ -8,9 +8,9 @@ ratio z is stable for (Belytschko, Liu and Moran 2000, section 6.6.6)
 How much stiffer a strained material is: what the step of the next frame has to follow.
 
 A wave in direction N that moves matter along n changes F by n (x) N, along which J is linear.  So
-of a law psi = (shear part) + U(J) it feels at most (`Law.shear`, `Law.bulk`)
+of a law psi = (shear part) + U(J) it feels at most (`moduli` of the law)
 
-    k = shear(mu) + U''(J) (J / s_min)^2,        s_min the smallest singular value of F
+    k = shear + U''(J) (J / s_min)^2,        s_min the smallest singular value of F
 
 which at rest is lam + 2 mu.  A node's frequency is that of all the particles in its cells, so that
 the mean of k over a cell is what counts, not a single particle.
@@ -28,7 +28,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
 
 if TYPE_CHECKING:
-    from gf_usd.physics.laws.registry import Law
+    from gf_usd.physics.laws.registry import ParticleLaws
 
 
 # Highest frequency of the quadratic stencil in units of c/h: measured with 8 random strata a cell,
@@ -112,10 +112,11 @@ def per_cell(particles: Particles, h: float) -> float:
 SMALLEST = 1e-3  # a stretch below this counts as this: the guard sees to what is flat
 
 
-def stiffness(law: Law, stretch: Floats, J: Floats, mu: Floats, lam: Floats) -> Floats:
-    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,); mu as `laws.moduli`."""
+def stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:
+    """k (N,) [Pa] of elastic stretches (N, 3), ascending, and J (N,)."""
     area = J / np.maximum(stretch[:, 0], SMALLEST)
-    return law.shear(mu) + np.maximum(law.bulk(J, mu, lam), 0.0) * area**2
+    shear, bulk = law.moduli(stretch, J)
+    return shear + np.maximum(bulk, 0.0) * area**2
 
 
 def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.ndarray) -> float:

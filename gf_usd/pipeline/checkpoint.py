@@ -146,7 +146,7 @@ def identity(
     del of_settings["threads"]
     options = {
         "settings": of_settings,
-        "materials": [asdict(m) for m in table],
+        "materials": [m.values for m in table],
         "choices": asdict(choices),
         "command": INDIFFERENT.sub("", command),
     }

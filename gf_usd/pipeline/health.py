@@ -121,7 +121,7 @@ class HealthLog:
         return [
             {
                 "time_code": self._settings.time_code(i),
-                **vars(f),
+                **{name: value for name, value in vars(f).items() if value is not None},
                 "energy": total[i],
                 "energy_gain": gains[i],
             }
@@ -138,6 +138,7 @@ class HealthLog:
         h, total = self.frames, [energy(f) for f in self.frames]
         gain = max([0.0, *gain_of_frames(h)])
         work, injected = sum(f.work for f in h), sum(f.injected for f in h)
+        flow = [f.plastic_dissipation for f in h if f.plastic_dissipation is not None]
         return {
             "energy_start_J": total[0],
             "energy_end_J": total[-1],
@@ -148,6 +149,7 @@ class HealthLog:
             "dissipated_J": total[0] + work + injected - total[-1],
             "work_of_pins_J": work,
             "injected_J": injected,
+            **({"plastic_dissipation_J": sum(flow)} if flow else {}),
         }
 
     def _resting(self) -> dict[str, float | None]:
@@ -194,11 +196,14 @@ def energy(f: Health) -> float:
 def gain_of_frames(frames: Sequence[Health]) -> list[float]:
     """E_i - E_(i-1) - W_i [J] of every frame but the first: what nobody accounts for.
 
-    W_i is the work of pins and what corrections of the shape gave.  Damping, friction, drag and
-    the filter only take energy, so that more than rounding and the integrator's error above zero
-    was made out of nothing.
+    W_i is the work of pins and what corrections of the shape gave, less what plastic flow took.
+    Damping, friction, drag and the filter only take energy, so that more than rounding and the
+    integrator's error above zero was made out of nothing.
     """
-    return [energy(b) - energy(a) - b.work - b.injected for a, b in pairwise(frames)]
+    return [
+        energy(b) - energy(a) - b.work - b.injected + (b.plastic_dissipation or 0.0)
+        for a, b in pairwise(frames)
+    ]
 
 
 def free_flight(frames: Sequence[Health]) -> Sequence[Health]:
@@ -449,7 +454,7 @@ def warnings_json(warnings: Sequence[tuple[str, HealthWarning]]) -> list[dict[st
     return [{"look": look, **warning.as_json()} for look, warning in warnings]
 
 
-SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected")
+SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected", "plastic_dissipation")
 MOSTS = (
     *("penetration", "overlap", "let_go", "max_J", "max_stretch", "inverted", "clamped"),
     "stress_capped",
@@ -469,5 +474,6 @@ def joined(samples: Sequence[Health]) -> Health:
         name: how(getattr(sample, name) for sample in samples)
         for names, how in rows
         for name in names
+        if getattr(samples[-1], name) is not None
     }
     return replace(samples[-1], **values)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +74,7 @@ class VariantResult:
         out = {
             "look": self.look,
             "cache": str(self.cache),
-            "material": asdict(self.material),
+            "material": self.material.values,
             "frames": self.frames,
             "health": self.health,
         }

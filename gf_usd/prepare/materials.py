@@ -15,8 +15,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.frames import FREE, Particles, of_materials, summary, with_derived
-from gf_usd.core.materials import Look, Material, find_preset
+from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
+from gf_usd.core.materials import Look, Material, find_preset, lame, law_parameters
 from gf_usd.core.stage import StageWords, SubsetMaterial
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.regions import Region
@@ -209,7 +209,7 @@ def _alike(one: Material, other: Material) -> bool:
     if (one.name, one.law) != (other.name, other.law):
         return False
     a, b = (
-        np.array([v for v in vars(m).values() if not isinstance(v, str)], float)
+        np.array([v for v in m.values.values() if not isinstance(v, str)], float)
         for m in (one, other)
     )
     return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
@@ -283,7 +283,7 @@ def blended(
     bodies: BodyPlan,
     width: float,
 ) -> dict[str, Floats] | None:
-    """(N,) of each of FREE: the mean over the materials of a body, weighted by `part_weights`.
+    """(N,) of each of `columns`: the mean over the materials of a body, weighted by `part_weights`.
 
     None where no body has two materials.
     """
@@ -293,7 +293,7 @@ def blended(
     of_slot = {int(k): int(material[np.flatnonzero(slot == k)[0]]) for k in np.unique(slot)}
     slots = slot_of_triangles(solid, parts)
     body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
-    table = {name: np.array([getattr(m, name) for m in materials]) for name in FREE}
+    table = columns(materials)
     values = of_materials(particles, materials)
     several = False
     for b in range(bodies.count):
@@ -345,6 +345,7 @@ def painted(
     young, nu, density = (
         full[name].copy() for name in ("youngs_modulus", "poissons_ratio", "density")
     )
+    own = {p.name: values[p.name].copy() for p in law_parameters() if p.name in values}
     touched = np.zeros(len(particles), bool)
     for k, surface in enumerate(solid.surfaces):
         mine = np.flatnonzero(at.surface == k)
@@ -354,12 +355,13 @@ def painted(
             if name in said:
                 column[mine] = (said[name][corners] * at.barycentric[mine]).sum(1)
                 touched[mine] = True
-        if "density" in said:
-            density[mine] = (said["density"][corners] * at.barycentric[mine]).sum(1)
-    mu = young / (2.0 * (1.0 + nu))
-    lam = young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        for name, column in {"density": density, **own}.items():
+            if name in said:
+                column[mine] = (said[name][corners] * at.barycentric[mine]).sum(1)
+    mu, lam = lame(young, nu)
     return {
         **values,
+        **own,
         "density": density,
         # untouched particles keep their digits
         "mu": np.where(touched, mu, values["mu"]),

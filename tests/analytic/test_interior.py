@@ -9,7 +9,7 @@ import pytest
 from solids import cube, fill, look, settings, solid
 
 from gf_usd.core.frames import Particles
-from gf_usd.physics.laws.registry import LAWS
+from gf_usd.core.materials import LAWS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 MAPS = {

@@ -7,7 +7,7 @@ import pytest
 from law_references import A, reference_stress, von_mises
 from solids import ball, look, settings
 
-from gf_usd.physics.laws.registry import LAWS
+from gf_usd.core.materials import LAWS
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import gf_usd as package
-from gf_usd.core.materials import LAW_TOKENS, LOOKS, PHYSICAL, presets
+from gf_usd.core.materials import LAWS, LOOKS, PHYSICAL, presets
 
 
 def numbers(row: str) -> list[float]:
@@ -57,7 +57,7 @@ def test_json(gf_usd) -> None:
     assert json.loads(done.out) == {
         "looks": [asdict(look) for look in LOOKS.values()],
         "physical": [asdict(p) for p in PHYSICAL.values()],
-        "laws": list(LAW_TOKENS),
+        "laws": list(LAWS),
     }
 
 

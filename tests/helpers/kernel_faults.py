@@ -7,8 +7,7 @@ so that the fault is in what Taichi compiles, and in this process alone.
 """
 
 import sys
-from collections.abc import MutableMapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import taichi as ti
@@ -17,7 +16,9 @@ from gf_usd.physics.contact import kernels as contact
 from gf_usd.physics.contact.kernels import floor_force
 from gf_usd.physics.grid import dependent_nodes
 from gf_usd.physics.grid.dependent_nodes import mirrored
-from gf_usd.physics.laws.registry import LAWS, corotated_pk1, neo_hookean_pk1
+from gf_usd.physics.laws import corotated, neo_hookean
+from gf_usd.physics.laws.corotated import pk1 as corotated_pk1
+from gf_usd.physics.laws.neo_hookean import pk1 as neo_hookean_pk1
 from gf_usd.physics.laws.simd3x3 import let, put, unrolled
 from gf_usd.physics.total_lagrangian.kernels import nodes, simd, substep
 from gf_usd.physics.total_lagrangian.kernels.nodes import block_sum, move_node
@@ -50,13 +51,13 @@ def half_of_apic(q, f, m, out):
 
 
 @ti.func
-def neo_hookean_without_lambda(F, mu, lam, converged):
-    return neo_hookean_pk1(F, mu, 0.0 * lam, converged)
+def neo_hookean_without_lambda(F, q, converged):
+    return neo_hookean_pk1(F, [q[0], 0.0 * q[1]], converged)
 
 
 @ti.func
-def corotated_with_half_mu(F, mu, lam, converged):
-    return corotated_pk1(F, 0.5 * mu, lam, converged)
+def corotated_with_half_mu(F, q, converged):
+    return corotated_pk1(F, [0.5 * q[0], q[1]], converged)
 
 
 @ti.func
@@ -84,7 +85,7 @@ def sum_without_followers(body: ti.template(), node, plain: ti.template()):
 
 @dataclass(frozen=True)
 class Fault:
-    """What a module (or a registry) has by a name, what takes its place, and who sees it."""
+    """What a module has by a name, what takes its place, and who sees it."""
 
     home: Any
     name: str
@@ -93,21 +94,21 @@ class Fault:
 
     def put(self) -> None:
         """Do the harm.  Raises KeyError where there is nothing of that name."""
-        held = self.home if isinstance(self.home, MutableMapping) else vars(self.home)
+        held = vars(self.home)
         if self.name not in held:
             raise KeyError(self.name)
         held[self.name] = self.wrong
 
 
-def _law(token: str, pk1: Any) -> Fault:
-    return Fault(LAWS, token, replace(LAWS[token], pk1=pk1), f"law-{token}")
-
-
 FAULTS = {
     "slope of the spline turned round": Fault(simd, "differences", turned_differences, "patch"),
     "2/h^2 for 4/h^2 in APIC": Fault(simd, "filter_batch", half_of_apic, "spin-apic"),
-    "no lambda in the Neo-Hookean stress": _law("neoHookean", neo_hookean_without_lambda),
-    "half the shear modulus in the corotated stress": _law("corotated", corotated_with_half_mu),
+    "no lambda in the Neo-Hookean stress": Fault(
+        neo_hookean, "pk1", neo_hookean_without_lambda, "law-neoHookean"
+    ),
+    "half the shear modulus in the corotated stress": Fault(
+        corotated, "pk1", corotated_with_half_mu, "law-corotated"
+    ),
     "gravity upward": Fault(substep, "move_node", move_upward, "free-fall"),
     # no launch ends a frame
     "a whole drift at the end of a frame": Fault(substep, "CLOSES", 0, "free-fall"),

@@ -265,5 +265,5 @@ def test_the_reference_names_every_property() -> None:
         "import gf_usd.system.usd_schema as schema\n"
         "print(*[name for api in schema.APIS for name in schema.property_names(api)])\n"
     ).split()
-    assert len(names) == 76
+    assert len(names) == 78
     assert [name for name in names if f"| `{name}` |" not in text] == []

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-from pxr import Usd, UsdVol
+from pxr import Usd, UsdGeom, UsdPhysics, UsdVol
 
+from gf_usd.core.materials import law_parameters
+from gf_usd.core.units import StageUnits
 from gf_usd.layers.check.base import Finding, about, once, rule
 from gf_usd.layers.check.read import Array, array_of, authored, prims, samples, times
 
@@ -70,15 +72,34 @@ LIMITS: dict[str, Interval] = {
     "physics:dynamicFriction": NOT_NEGATIVE,
     "physics:restitution": UNIT,
 }
+
+
+def limits(stage: Usd.Stage) -> dict[str, Interval]:
+    """LIMITS, and the ranges of the laws' parameters in units of the stage."""
+    meters, kilograms = (
+        UsdGeom.GetStageMetersPerUnit(stage),
+        UsdPhysics.GetStageKilogramsPerUnit(stage),
+    )
+    if not (meters > 0.0 and kilograms > 0.0):  # `stage-units` says so
+        return LIMITS
+    units = StageUnits(meters_per_unit=meters, kilograms_per_unit=kilograms)
+    own = {}
+    for p in law_parameters():
+        factor = units.factor(p.unit)
+        own[f"gaussianFlesh:{p.attribute}"] = Interval(p.low / factor, p.high / factor)
+    return LIMITS | own
+
+
 # other prims have attributes of these names too: a PointInstancer mirrors with negative scales
 FIELD_ONLY = frozenset(("opacities", "opacitiesh", "scales", "scalesh"))
 
 
 @rule("value-range", "opacities, sizes, masses and material numbers lie in their ranges")
 def value_range(stage: Usd.Stage) -> Iterator[Finding]:
+    ranges = limits(stage)
     for prim in prims(stage):
         field = prim.IsA(UsdVol.ParticleField)
-        for name, interval in LIMITS.items():
+        for name, interval in ranges.items():
             attribute = authored(prim, name)
             if attribute is None or (name in FIELD_ONLY and not field):
                 continue

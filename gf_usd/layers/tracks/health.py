@@ -47,6 +47,7 @@ FRAME: dict[str, tuple[Any, str, str]] = {
     "flyingBodies": (Types.Int, "flying", ""),
     "sleepingBodies": (Types.Int, "sleeping", ""),
 }
+FLOW = {"plasticDissipation": (Types.Double, "plastic_dissipation", "energy")}  # where a law flows
 
 # attribute -> (type, key of `HealthLog.summary`, unit)
 TOTAL: dict[str, tuple[Any, str, str]] = {
@@ -60,6 +61,7 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
     "dissipatedEnergy": (Types.Double, "dissipated_J", "energy"),
     "pinWork": (Types.Double, "work_of_pins_J", "energy"),
     "injectedEnergy": (Types.Double, "injected_J", "energy"),
+    "plasticDissipation": (Types.Double, "plastic_dissipation_J", "energy"),
     "momentumDrift": (Types.Float, "momentum_drift", ""),
     "angularMomentumDrift": (Types.Float, "angular_momentum_drift", ""),
     "minVolumeRatio": (Types.Float, "min_J", ""),
@@ -88,16 +90,20 @@ class HealthTrack:
 
     A field that no frame departs from zero with (clamps, pins) is written all the same: zero says
     that it was watched.
+
+    flows : a law among the materials flows.
     """
 
-    def __init__(self, cache: Usd.Stage, path: Sdf.Path, units: StageUnits) -> None:
+    def __init__(
+        self, cache: Usd.Stage, path: Sdf.Path, units: StageUnits, *, flows: bool = False
+    ) -> None:
         self._cache, self._layer = cache, None
         prim = cache.OverridePrim(path)
         prim.ApplyAPI(usd_schema.HEALTH_API)
         sizes = _sizes(units)
         self._rows = [
             (prim.CreateAttribute(PREFIX + name, kind, False), field, sizes[unit])
-            for name, (kind, field, unit) in FRAME.items()
+            for name, (kind, field, unit) in (FRAME | FLOW if flows else FRAME).items()
         ]
         self._paths = [attribute.GetPath() for attribute, _, _ in self._rows]
 

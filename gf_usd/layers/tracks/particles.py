@@ -16,6 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, Particles, spread
+from gf_usd.core.materials import law_parameters
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, Home, f32, quaternions
@@ -183,6 +184,10 @@ def _describe(
         ("youngsModulus", values["youngs_modulus"] / units.pressure),
         ("poissonsRatio", values["poissons_ratio"]),
         ("densities", density / units.density),
+        *(
+            (p.attribute, values[p.name] / units.factor(p.unit))
+            for p in law_parameters(m.law for m in info.materials)
+        ),
     ):
         made = prim.CreateAttribute(f"gaussianFlesh:{name}", Types.FloatArray, False, UNIFORM)
         made.Set(Vt.FloatArray.FromNumpy(f32(value)))

@@ -1,192 +1,203 @@
-"""Constitutive laws: one registry row each.
+"""The code of the laws whose rows stand in `gf_usd.core.materials.LAWS`, and the laws of a body.
 
-A law is an energy density psi(F) [J/m^3 of rest volume] and its gradient, the first Piola-Kirchhoff
-stress P = d psi / d F [Pa].  Both are defined for every F, inverted ones included, and are written
-on lanes (see `lanes`): F and P are lists of nine lane vectors, mu and lam lane vectors [Pa].
-The tests run over the registry, so that a new row is held to gradient, objectivity and rest state
-the moment it stands here.  A body of several laws is simulated with `MIXED`, which is none of them.
+The module that a row names holds, of an elastic deformation gradient F and the values
+q = (mu, lam, then the row's own parameters):
+
+    psi(F, q, converged)    energy density [J/m^3 of rest volume], Taichi
+    pk1(F, q, converged)    its gradient P = d psi / d F [Pa], Taichi
+    flow(F, q, a, dt)       only where the law flows, Taichi: the admissible F and internal
+                            variables a to which a trial state returns in dt [s] >= 0
+    stored(s, J, q)         psi of signed stretches s (N, 3) and their product J (N,), NumPy
+    moduli(s, J, q)         d^2 psi / dF^2 along the planes that keep J, and d^2 psi / dJ^2 [Pa]
+
+In Taichi F and P are lists of nine lane vectors (`simd3x3`), q and a lists of lane vectors, in
+NumPy q has rows (N,).  psi and pk1 are defined for every F, inverted ones included.  `flow` gives
+lanes that do not flow their F back to the bit.  The tests run over the registry, so that a new row
+is held to gradient, objectivity and rest state the moment it stands there.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import Any
 
 import numpy as np
-import taichi as ti
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import Material
-from gf_usd.physics.laws.simd3x3 import (
-    chosen,
-    cofactor,
-    combination,
-    determinant,
-    difference,
-    double_dot,
-    log,
-    rotation,
-)
+from gf_usd.core.materials import LAWS, LawSpec, Material, check_law
+from gf_usd.physics import taichi_arrays
 
-J_EXTENSION = 0.1  # below this J the logarithm is continued by its second-order Taylor polynomial
+MODULI = 2  # of the values of every law: mu, lam
+GRADIENT = 9  # numbers of a history that are a gradient: F_p^-1 (TL), F_e (UL)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Law:
+    """One constitutive law: its row, and the functions of its module."""
+
+    spec: LawSpec
+    psi: Callable
+    pk1: Callable
+    flow: Callable | None
+    stored: Callable
+    moduli: Callable
+
+
+@cache
+def load(spec: LawSpec) -> Law:
+    """The law of a row.  Raises ValueError where row and module disagree about whether it flows."""
+    module = import_module(spec.code, __package__)
+    flow = getattr(module, "flow", None)
+    if spec.flows != (flow is not None):
+        raise ValueError(f"the row of {spec.token} says flows={spec.flows}, {spec.code} otherwise")
+    return Law(
+        spec=spec, psi=module.psi, pk1=module.pk1, flow=flow, stored=module.stored,
+        moduli=module.moduli,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LawSet:
+    """The laws present in a body, numbered by their place: what kernels are compiled for."""
+
+    laws: tuple[Law, ...]
+
+    @property
+    def first(self) -> Law:
+        return self.laws[0]
+
+    @property
+    def several(self) -> int:
+        """1 where particles differ in their law, else 0."""
+        return int(len(self.laws) > 1)
+
+    @property
+    def values(self) -> int:
+        """Values q of a particle: the moduli, and room for the law that has most of its own."""
+        return MODULI + max(len(law.spec.parameters) for law in self.laws)
+
+    @property
+    def constants(self) -> int:
+        """Numbers of a particle that do not change: q, and which law it has where they differ."""
+        return self.values + self.several
+
+    @property
+    def which(self) -> int:
+        """Where among the constants the number of the law stands; any of them for a single law."""
+        return self.constants - 1
+
+    @property
+    def flows(self) -> bool:
+        """Whether any particle has a history."""
+        return any(law.flow is not None for law in self.laws)
+
+    @property
+    def internals(self) -> int:
+        """Internal variables of a particle: room for the law that has most."""
+        return max(len(law.spec.internal) for law in self.laws)
+
+    @property
+    def history(self) -> int:
+        """Numbers of a particle that change: a gradient, internals, and energy dissipated [J]."""
+        return GRADIENT + self.internals + 1 if self.flows else 0
+
+
+@cache
+def law_set(specs: tuple[LawSpec, ...]) -> LawSet:
+    """The same object for the same rows, so that kernels are compiled once for it."""
+    return LawSet(tuple(load(spec) for spec in specs))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law:
-    """One constitutive law."""
+class ParticleLaws:
+    """Which law each particle has, with its values."""
 
-    token: str  # the value of gaussianFlesh:law
-    psi: Callable  # (F, mu, lam, converged) -> energy density
-    pk1: Callable  # (F, mu, lam, converged) -> P
-    shear: Callable  # (mu) -> d^2 psi / dF^2 along the planes that keep J [Pa], in numpy
-    bulk: Callable  # (J, mu, lam) -> d^2 psi / dJ^2 [Pa], in numpy
-    stored: Callable  # (s, J, mu, lam) -> psi, in numpy; s (N, 3) signed stretches, their product J
-    source: str
+    set: LawSet
+    of: Ints  # (N,) into set.laws
+    q: Floats  # (set.values, N) mu, lam [Pa], then the parameters of the particle's own law
+    rest: Floats  # (set.internals, N) internal variables at rest
 
+    @property
+    def constants(self) -> Floats:
+        """(N, set.constants) as the kernels have them."""
+        number = [self.of] if self.set.several else []
+        return np.column_stack([*self.q, *number])
 
-@ti.func
-def corotated_psi(F, mu, lam, converged):
-    """psi = mu |F - R|^2 + lam/2 (J - 1)^2."""
-    R = rotation(F, converged)
-    J = determinant(F, cofactor(F))
-    D = difference(F, R)
-    return mu * double_dot(D, D) + 0.5 * lam * (J - 1.0) * (J - 1.0)
+    @property
+    def history(self) -> Floats:
+        """(N, set.history) at rest, as the kernels have it."""
+        n = len(self.of)
+        if not self.set.flows:
+            return np.zeros((n, 0))
+        return np.column_stack([np.tile(np.eye(3).ravel(), (n, 1)), *self.rest, np.zeros(n)])
 
+    def internal(self, history: Floats) -> dict[str, Floats]:
+        """(N,) of each internal variable by name, NaN where a particle's law has none such.
 
-@ti.func
-def corotated_pk1(F, mu, lam, converged):
-    """P = 2 mu (F - R) + lam (J - 1) cof F."""
-    R = rotation(F, converged)
-    cof = cofactor(F)
-    p = lam * (determinant(F, cof) - 1.0)
-    m = 2.0 * mu
-    return combination(m, difference(F, R), p, cof)
+        history : (N, set.history).
+        """
+        out: dict[str, Floats] = {}
+        for number, law in enumerate(self.set.laws):
+            mine = self.of == number
+            for k, variable in enumerate(law.spec.internal, GRADIENT):
+                column = out.setdefault(variable.name, np.full(len(self.of), np.nan))
+                column[mine] = history[mine, k]
+        return out
 
+    def stored(self, s: Floats, J: Floats) -> Floats:
+        """(N,) psi [J/m^3] of elastic stretches s (N, 3), signed, and their products J (N,)."""
+        return self._each(lambda law, mine: law.stored(s[mine], J[mine], self.q[:, mine]))
 
-@ti.func
-def log_extended(J):
-    """g(J) = ln J for J >= J0, its second-order Taylor polynomial about J0 below."""
-    t = (ti.min(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
-    return log(ti.max(J, J_EXTENSION)) + t - 0.5 * t * t
+    def moduli(self, s: Floats, J: Floats) -> tuple[Floats, Floats]:
+        """(N,) shear and bulk stiffness [Pa] at elastic stretches s (N, 3) and J (N,)."""
+        shear, bulk = self._each(
+            lambda law, mine: np.stack(law.moduli(s[mine], J[mine], self.q[:, mine]))
+        )
+        return shear, bulk
 
-
-@ti.func
-def log_extended_slope(J):
-    """dg/dJ of `log_extended`."""
-    t = (ti.min(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
-    return ti.select(J >= J_EXTENSION, 1.0 / ti.max(J, J_EXTENSION), (1.0 - t) / J_EXTENSION)
-
-
-@ti.func
-def neo_hookean_psi(F, mu, lam, converged):
-    """psi = mu/2 (|F|^2 - 3) - mu g(J) + lam/2 g(J)^2, g = ln J extended."""
-    g = log_extended(determinant(F, cofactor(F)))
-    return 0.5 * mu * (double_dot(F, F) - 3.0) - mu * g + 0.5 * lam * g * g
-
-
-@ti.func
-def neo_hookean_pk1(F, mu, lam, converged):
-    """P = mu F + (lam g - mu) g' cof F; for J >= J0 this is mu (F - F^-T) + lam ln J F^-T."""
-    cof = cofactor(F)
-    J = determinant(F, cof)
-    q = (lam * log_extended(J) - mu) * log_extended_slope(J)
-    return combination(mu, F, q, cof)
+    def _each(self, ask: Callable[[Law, Ints], Floats]) -> Floats:
+        if not self.set.several:
+            return ask(self.set.first, np.s_[:])
+        parts = [np.flatnonzero(self.of == k) for k in range(len(self.set.laws))]
+        values = [ask(law, mine) for law, mine in zip(self.set.laws, parts)]
+        out = np.empty((*values[0].shape[:-1], len(self.of)))
+        for mine, value in zip(parts, values):
+            out[..., mine] = value
+        return out
 
 
-def corotated_stored(s, J, mu, lam):
-    """psi of signed stretches: |F - R|^2 = sum (s_i - 1)^2."""
-    return mu * ((s - 1.0) ** 2).sum(1) + 0.5 * lam * (J - 1.0) ** 2
+def take_dissipated(laws: LawSet, array: Any) -> float:
+    """[J] that flow dissipated since this was last asked of a device's array of histories."""
+    seen = taichi_arrays.values(array)
+    rows = seen.reshape(-1, laws.history, *array.element_shape)
+    total = float(rows[:, -1].sum(dtype=float))
+    rows[:, -1] = 0.0
+    taichi_arrays.put(array, seen)
+    return total
 
 
-def neo_hookean_stored(s, J, mu, lam):
-    """psi of stretches: |F|^2 = sum s_i^2."""
-    t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
-    g = np.log(np.maximum(J, J_EXTENSION)) + t - 0.5 * t * t
-    return 0.5 * mu * ((s * s).sum(1) - 3.0) - mu * g + 0.5 * lam * g * g
+def particle_laws(
+    materials: Sequence[Material], material: Ints, per: dict[str, Floats]
+) -> ParticleLaws:
+    """The laws of particles whose materials these are.
 
-
-def corotated_bulk(J, mu, lam):
-    """d^2/dJ^2 of lam/2 (J - 1)^2."""
-    return lam * np.ones_like(J)
-
-
-def neo_hookean_bulk(J, mu, lam):
-    """d^2/dJ^2 of lam/2 g^2 - mu g: lam g'^2 + (lam g - mu) g''."""
-    t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
-    g = np.log(np.maximum(J, J_EXTENSION)) + t - 0.5 * t * t
-    slope = np.where(J >= J_EXTENSION, 1.0 / np.maximum(J, J_EXTENSION), (1.0 - t) / J_EXTENSION)
-    curvature = -1.0 / np.maximum(J, J_EXTENSION) ** 2
-    return lam * slope**2 + (lam * g - mu) * curvature
-
-
-@ti.func
-def mixed_psi(F, mu, lam, converged):
-    """Corotated where mu > 0, Neo-Hookean of -mu where mu < 0."""
-    shear = ti.max(mu, 0.0 - mu)
-    one = corotated_psi(F, shear, lam, converged)
-    return ti.select(mu > 0.0, one, neo_hookean_psi(F, shear, lam, converged))
-
-
-@ti.func
-def mixed_pk1(F, mu, lam, converged):
-    """P of `mixed_psi`."""
-    shear = ti.max(mu, 0.0 - mu)
-    P = corotated_pk1(F, shear, lam, converged)
-    other = neo_hookean_pk1(F, shear, lam, converged)
-    return chosen(mu > 0.0, P, other)
-
-
-LAWS: dict[str, Law] = {
-    law.token: law
-    for law in (
-        Law(
-            token="corotated",
-            psi=corotated_psi,
-            pk1=corotated_pk1,
-            shear=lambda mu: 2.0 * mu,
-            bulk=corotated_bulk,
-            stored=corotated_stored,
-            source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
-        ),
-        Law(
-            token="neoHookean",
-            psi=neo_hookean_psi,
-            pk1=neo_hookean_pk1,
-            shear=lambda mu: mu,
-            bulk=neo_hookean_bulk,
-            stored=neo_hookean_stored,
-            source="Bonet and Wood 2008, eq. 6.28",
-        ),
-    )
-}
-
-# Which law a particle has stands in the sign of its mu, so that the kernels need no more arrays.
-MIXED = Law(
-    token="mixed",
-    psi=mixed_psi,
-    pk1=mixed_pk1,
-    shear=lambda mu: np.where(mu > 0.0, 2.0 * mu, -mu),
-    bulk=lambda J, mu, lam: np.where(
-        mu > 0.0, corotated_bulk(J, mu, lam), neo_hookean_bulk(J, np.abs(mu), lam)
-    ),
-    stored=lambda s, J, mu, lam: np.where(
-        mu > 0.0, corotated_stored(s, J, mu, lam), neo_hookean_stored(s, J, np.abs(mu), lam)
-    ),
-    source="each particle's own",
-)
-
-
-def law_of(materials: Sequence[Material]) -> Law:
-    """The law that simulates all of these materials; ValueError where none does."""
-    tokens = {material.law for material in materials}
-    if len(tokens) == 1:
-        return LAWS[tokens.pop()]
-    if tokens != {"corotated", "neoHookean"}:
-        raise ValueError(f"no law simulates {', '.join(sorted(tokens))} together")
-    return MIXED
-
-
-def moduli(law: Law, materials: Sequence[Material], material: Ints, mu: Floats) -> Floats:
-    """mu (N,) [Pa] as the kernels of `law` want it; material : (N,) into materials."""
-    if law is not MIXED:
-        return mu
-    neo = np.array([one.law == "neoHookean" for one in materials])
-    return np.where(neo[material], -mu, mu)
+    material : (N,) into materials; per : (N,) of each value by name, as `frames.spread` has them.
+    Raises UsageError for a law that there is none of.
+    """
+    tokens = [check_law(one.law) for one in materials]
+    present = [token for token in LAWS if token in tokens]
+    laws = law_set(tuple(LAWS[token] for token in present))
+    of = np.array([present.index(token) for token in tokens])[np.asarray(material)]
+    q = np.zeros((laws.values, len(of)))
+    rest = np.zeros((laws.internals, len(of)))
+    q[:MODULI] = per["mu"], per["lam"]
+    for k, law in enumerate(laws.laws):
+        mine = of == k
+        for row, parameter in enumerate(law.spec.parameters, MODULI):
+            q[row, mine] = per[parameter.name][mine]
+        for row, variable in enumerate(law.spec.internal):
+            rest[row, mine] = variable.rest
+    return ParticleLaws(set=laws, of=of, q=q, rest=rest)

@@ -69,10 +69,11 @@ def difference(A, B):
 
 
 @unrolled
-def chosen(where, A, B):
-    """A in the lanes where it says so, else B."""
-    where = let(where)
-    return [ti.select(where, A[a], B[a]) for a in range(9)]
+def choose(A, where, B):
+    """A <- B in the lanes where it is above 0, in place; lists of lane vectors."""
+    where = let(where > 0.0)
+    for a, b in zip(A, B):
+        put(a, ti.select(where, b, a))
 
 
 @unrolled
@@ -169,6 +170,27 @@ def product(A, B):
         for a in range(3)
         for b in range(3)
     ]
+
+
+@unrolled
+def transposed(A):
+    """A^T."""
+    return [A[3 * b + a] for a in range(3) for b in range(3)]
+
+
+@ti.func
+def inverse(F):
+    """F^-1 = (cof F)^T / J, finite where F is flat: see `inverse_guarded`."""
+    cof = cofactor(F)
+    r = inverse_guarded(determinant(F, cof))
+    return scaled(r, transposed(cof))
+
+
+@unrolled
+def scaled(k, A):
+    """k A."""
+    k = let(k)
+    return let([k * a for a in A])
 
 
 @unrolled

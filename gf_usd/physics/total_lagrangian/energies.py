@@ -16,7 +16,7 @@ from gf_usd.physics.total_lagrangian.state import State, StateView
 
 
 def strain_energy(body: Body, stretch: Floats, J: Floats) -> float:
-    """sum_p V0 psi(F_p) [J] of singular values (N, 3), ascending, and determinants (N,).
+    """sum_p V0 psi(F_p) [J] of singular values (N, 3), ascending, and determinants (N,) of F_e.
 
     With a clamp it is that of the clipped F, of which the stress is taken.  No kernel: what a frame
     says of itself costs a small body more in launches and kernels than in arithmetic.
@@ -28,8 +28,7 @@ def strain_energy(body: Body, stretch: Floats, J: Floats) -> float:
     if clamp is not None:
         s = np.clip(s, *clamp)
         J = s.prod(1)
-    per = body.per
-    return float(per["V0"] @ body.law.stored(s, J, per["signed_mu"], per["lam"]))
+    return float(body.per["V0"] @ body.law.stored(s, J))
 
 
 def elastic_energy(body: Body, state: State) -> float:
@@ -59,19 +58,20 @@ def stored_energy(body: Body, now: StateView, stretch: Floats, J: Floats) -> flo
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
 
 
-def measure(body: Body, now: StateView, stretch: Floats, J: Floats, pairs: float) -> Health:
-    """Energies, momenta and stretches of one frame, in float64.
+def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
+    """Energies, momenta and stretches of frame `index`, in float64.
 
-    stretch, J : see `strain_energy`; pairs : [J] in the springs between bodies and with obstacles.
+    pairs : [J] in the springs between bodies and with obstacles.
 
     Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
     which the solver conserves; angular momentum is sum m_i x_i x v_i about the world's origin.
     """
     m, x, v = body.stencil.mass, now.x, now.v
+    stretch, J = now.strains(index)
     whole = m.sum()
     return Health(
         kinetic=float(0.5 * m @ (v * v).sum(1)),
-        elastic=strain_energy(body, stretch, J),
+        elastic=strain_energy(body, *now.elastic_strains(index)),
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),
@@ -83,6 +83,7 @@ def measure(body: Body, now: StateView, stretch: Floats, J: Floats, pairs: float
         min_stretch=float(stretch.min()),
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
+        plastic_dissipation=0.0 if body.law.set.flows else None,
     )
 
 

@@ -1,8 +1,9 @@
 """Arrays of a body in the order the kernels walk them.
 
 Cells stand side by side in groups of eight, one in each lane.  A batch holds one particle of each
-cell of a group; where a cell has run out of particles its lane repeats one with no volume and no
-mass, so that it adds nothing.  Cells of a group hold about as many particles as each other.
+cell of a group, all of one law; where a cell has run out of them its lane repeats a particle with
+no volume and no mass, so that it adds nothing.  Cells of a group hold about as many particles as
+each other.
 
 Arrays of a body for the plain kernels: particles in the order of their cells, one after another.
 
@@ -32,6 +33,7 @@ class Batches:
     batch: Ints  # (G + 1,) batches of each group
     source: Ints  # (B, 8) particle of each lane, in the user's order; fillers repeat one
     filled: Floats  # (B, 8) 1 for a particle, 0 for a filler
+    owner: Ints  # (B, 8) particle whose law a lane has: its own, but that of another for fillers
 
     @property
     def groups(self) -> int:
@@ -50,22 +52,40 @@ class Batches:
         }
 
 
-def batch_particles(stencil: Stencil) -> Batches:
-    """Group the cells, and split the particles of each group into batches."""
-    counts = np.diff(stencil.cell_start)
-    cell = np.arange(len(counts))
-    order = np.lexsort((cell, -counts, cell // WINDOW))
+def batch_particles(stencil: Stencil, law: Ints | None = None) -> Batches:
+    """Group the cells, and split the particles of each group into batches of one law.
+
+    law : (N,) number of each particle's law; None: all have the same.
+    """
+    cells = len(stencil.cell_nodes)
+    cell = np.repeat(np.arange(cells), np.diff(stencil.cell_start))
+    key = np.zeros(len(cell), np.int64) if law is None else law[stencil.order]
+    laws = int(key.max(initial=0)) + 1
+    key = cell * laws + key
+    sorted_, start = np.argsort(key, kind="stable"), np.zeros(cells * laws + 1, np.int64)
+    np.cumsum(np.bincount(key, minlength=cells * laws), out=start[1:])
+    counts = np.diff(start).reshape(cells, laws)
+    order = np.lexsort((np.arange(cells), -counts.sum(1), np.arange(cells) // WINDOW))
     missing = -len(order) % LANES
-    cells = np.append(order, np.full(missing, order[-1])).reshape(-1, LANES)
-    held = counts[cells]
-    held.ravel()[len(order) :] = 0
-    batch = np.append(0, np.cumsum(held.max(1)))
-    group = np.repeat(np.arange(len(cells)), np.diff(batch))
-    turn = np.arange(batch[-1]) - batch[group]
-    filled = turn[:, None] < held[group]
-    position = stencil.cell_start[cells[group]] + np.where(filled, turn[:, None], 0)
+    lanes = np.append(order, np.full(missing, order[-1])).reshape(-1, LANES)
+    held = counts[lanes]  # (G, 8, laws)
+    held.reshape(-1, laws)[len(order) :] = 0
+    runs = held.max(1)  # (G, laws) batches
+    run = np.repeat(np.arange(runs.size), runs.ravel())
+    group, which = np.divmod(run, laws)
+    turn = np.arange(len(run)) - np.append(0, np.cumsum(runs))[run]
+    mine = held[group, :, which]
+    filled = turn[:, None] < mine
+    # A lane without a particle of this law repeats any of its cell, with the law of another lane.
+    first = np.where(mine > 0, lanes[group] * laws + which[:, None], lanes[group] * laws)
+    source = stencil.order[sorted_[start[first] + np.where(filled, turn[:, None], 0)]]
+    some = source[np.arange(len(run)), filled.argmax(1)]
     return Batches(
-        cells=cells, batch=batch, source=stencil.order[position], filled=filled.astype(float)
+        cells=lanes,
+        batch=np.append(0, np.cumsum(runs.sum(1))),
+        source=source,
+        filled=filled.astype(float),
+        owner=np.where(mine > 0, source, some[:, None]),
     )
 
 
@@ -85,6 +105,16 @@ def from_lanes(batches: Batches, values: Floats) -> Floats:
     out = np.empty((int(filled.sum()), by_lane.shape[1]), values.dtype)
     out[batches.source.ravel()[filled]] = by_lane[filled]
     return out
+
+
+def law_lanes(batches: Batches, values: Floats) -> Floats:
+    """`lanes` of what belongs to a particle's law (N, k): fillers have that of their batch.
+
+    One lane vector of zeros where k is 0.
+    """
+    if not values.shape[1]:
+        return np.zeros((1, LANES))
+    return np.moveaxis(np.asarray(values, float)[batches.owner], 1, -1).reshape(-1, LANES)
 
 
 def group_nodes(stencil: Stencil, batches: Batches) -> Ints:
@@ -194,9 +224,11 @@ def single_particles(stencil: Stencil) -> Singles:
     count = len(stencil.order)
     place = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
     cell = np.repeat(np.arange(len(stencil.cell_nodes)), np.diff(stencil.cell_start))
+    source = stencil.order[place].reshape(-1, LANES)
     return Singles(
         cells=cell[place].reshape(-1, LANES),
         batch=stencil.cell_start,
-        source=stencil.order[place].reshape(-1, LANES),
+        source=source,
+        owner=source,
         filled=(np.arange(len(place)) < count).astype(float).reshape(-1, LANES),
     )

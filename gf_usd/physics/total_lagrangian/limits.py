@@ -85,7 +85,7 @@ def touched(
     ):
         out[name] = np.zeros(len(m), bool)
         if on:
-            # A filler repeats a neighbor, so that what it says is that particle's own.
-            out[name][batches.source.ravel()[bits & bit > 0]] = True
+            lanes = (bits & bit > 0) & (batches.filled.ravel() > 0.0)
+            out[name][batches.source.ravel()[lanes]] = True
             out[name] &= m > 0.0
     return out

@@ -19,6 +19,7 @@ from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import rider_rows
 from gf_usd.physics.grid.pins import Held, Holder, held_by
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import GATE
@@ -26,7 +27,6 @@ from gf_usd.physics.total_lagrangian.stages import GATE
 if TYPE_CHECKING:
     from types import SimpleNamespace
 
-    from gf_usd.physics.laws.registry import Law
 
 CELL_PER_LATTICE = 2.0  # h over the lattice's edge: eight strata, so eight particles, a full cell
 NO_FLOOR = -1e9  # [m] where no sample ever comes
@@ -54,7 +54,7 @@ class Body:
     step: StableStep
     layout: layout.Batches  # where cells and particles stand in the kernels' arrays
     options: limits.Options
-    law: Law
+    law: ParticleLaws
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -66,7 +66,8 @@ class Body:
     @property
     def internal(self) -> tuple[str, ...]:
         """Arrays of particles, in lanes, that are part of the state besides u and v."""
-        return ("F0",) if self.options.anchored else ()
+        anchored = ("F0",) if self.options.anchored else ()
+        return (*anchored, "history") if self.law.set.flows else anchored
 
     def constrained(self, name: str, rows: Rows, free: Pose, index: int, offset: Floats) -> Pose:
         """The pose of riders (or "", the particles) at a frame, with what pins hold in its place.
@@ -100,7 +101,6 @@ def build_body(
     """
     import taichi as ti
 
-    from gf_usd.physics.laws.registry import law_of
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
@@ -135,7 +135,8 @@ def build_body(
         encounters = None
     plain = settings.device != "cpu" if plain is None else plain
     options = limits.options_of(settings, encounters is not None, plain)
-    law, damped = law_of(materials), bool((per["damping_time"] > 0).any())
+    law = particle_laws(materials, particles.material, per)
+    damped = bool((per["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
     return Body(
         particles=particles,
@@ -156,10 +157,14 @@ def build_body(
         encounters=encounters,
         start=start,
         step=largest_step(particles, h, contact, settings, per),
-        layout=layout.single_particles(stencil) if plain else layout.batch_particles(stencil),
+        layout=(
+            layout.single_particles(stencil)
+            if plain
+            else layout.batch_particles(stencil, law.of if law.set.several else None)
+        ),
         options=options,
         law=law,
-        kernels=build(law, damped, kind, epoch(), options),
+        kernels=build(law.set, damped, kind, epoch(), options),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -169,15 +174,11 @@ def per_particle(
 ) -> dict[str, Floats]:
     """Material values spread over particles, (N,) each, and the rest volume that is simulated.
 
-    signed_mu is `laws.moduli`.
     held : (N,) pin of each particle, -1 for none; what a pin holds has no volume for the solver.
     """
-    from gf_usd.physics.laws.registry import law_of, moduli
-
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
-    signed = moduli(law_of(materials), materials, particles.material, per["mu"])
-    return {**per, "V0": particles.V0 * free, "signed_mu": signed}
+    return {**per, "V0": particles.V0 * free}
 
 
 def surface_contact(
@@ -280,8 +281,8 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "fx": layout.lanes(batches, fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
-        "mu": layout.lanes(batches, per["signed_mu"], fill=True),
-        "lam": layout.lanes(batches, per["lam"], fill=True),
+        "constants": layout.law_lanes(batches, body.law.constants),
+        "history": layout.law_lanes(batches, body.law.history),
         "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),

@@ -116,7 +116,7 @@ class ShapeCorrection:
         else:
             of_first = now.strains_beside(index, F)
         before = stored_energy(self._body, first, *of_first)
-        return clipped, stored_energy(self._body, now, *now.strains(index)) - before
+        return clipped, stored_energy(self._body, now, *now.elastic_strains(index)) - before
 
     def _correct(self, state: State) -> None:
         u, m = state.rows("u"), self._body.stencil.mass
@@ -129,7 +129,7 @@ class ShapeCorrection:
     ) -> tuple[Floats, tuple[Floats, Floats]]:
         """Put F anew where the kernels see it.
 
-        Which particles (N,) bool were clipped, and the strains of the F that was `first`.
+        Which particles (N,) bool were clipped, and the elastic strains of the F that was `first`.
         """
         assert self.gradient is not None
         assert state.rest is not None

@@ -37,7 +37,7 @@ class TotalLagrangian(Solver):
 
     Parameters
     ----------
-    particles, materials, settings : see `core`; every material must have the same law.
+    particles, materials, settings : see `core`; materials of any mix of laws.
     samples : surface points that feel the floor; None or no floor: no contact.
     riders : named points (n, 3) [m] that ride along; their poses come with every frame.
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
@@ -135,6 +135,7 @@ class TotalLagrangian(Solver):
             let_go=pairs.released if pairs else 0,
             clamped=int((limited["clamped"] | clipped).sum()),
             stress_capped=int(limited["stress_capped"].sum()),
+            plastic_dissipation=state.take_dissipated(),
         )
         if not active:
             return stats
@@ -149,8 +150,8 @@ class TotalLagrangian(Solver):
         body, state, pairs = self.body, self.state, self.pairs
         now, time = state.view(), state.time
         particles = now.pose(index)
-        stretch, J = now.strains(index, particles.F)
-        self.strained = strained_substeps(body, stretch, J, pairs, now, time)
+        now.strains(index, particles.F)
+        self.strained = strained_substeps(body, *now.elastic_strains(index), pairs, now, time)
         return Frame(
             index=index,
             time=time,
@@ -161,5 +162,5 @@ class TotalLagrangian(Solver):
                 for name, rows in body.riders.items()
             },
             stress=von_mises(body, state) if body.settings.stress else None,
-            health=measure(body, now, stretch, J, pairs.energy(now, time) if pairs else 0.0),
+            health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
         )  # fmt: skip

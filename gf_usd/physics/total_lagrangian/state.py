@@ -16,6 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.physics.grid.embedding import gradient, placed
+from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.setup import Body, arrays
@@ -78,7 +79,12 @@ class State(DeviceState):
 
     def put_particles(self, name: str, values: Floats) -> None:
         """Fill an internal array with what belongs to each particle, (N, k)."""
-        self.put(name, layout.lanes(self._body.layout, values, fill=True))
+        self.put(name, layout.law_lanes(self._body.layout, values))
+
+    def take_dissipated(self) -> float | None:
+        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        laws = self._body.law.set
+        return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
 
     def put_F0(self, F0: Floats) -> None:
         """Set F0 (N, 3, 3), here and for the kernels."""
@@ -143,6 +149,8 @@ class State(DeviceState):
     def view(self) -> StateView:
         """The present state, with what was found out about it so far."""
         names = ("u", "v") if self._body.holder is None else ("u", "v", "anchor", "anchor_rate")
+        if self._body.law.set.flows:
+            names = (*names, "history")
         given = (*(self.get(name) for name in names), self.offset.copy())
         if self._view is None or not self._view.is_of(given):
             self._view = StateView(self._body, self.rest, self.acceleration, given)
@@ -199,11 +207,28 @@ class StateView:
             self._strains = known = index, self._F0, strains(found)
         return known[2]
 
+    def elastic_strains(self, index: int) -> tuple[Floats, Floats]:
+        """The strains of F_e at frame `index`; those of F where no law flows."""
+        if not self._body.law.set.flows:
+            return self.strains(index)
+        from gf_usd.physics.per_particle import strains
+
+        return strains(self.elastic(self.gradients(index)))
+
+    def elastic(self, F: Floats) -> Floats:
+        """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles; F where no law flows."""
+        if not self._body.law.set.flows:
+            return F
+        history = layout.from_lanes(self._body.layout, self._given[-2])
+        return F @ history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
+
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
-        """Strains of another F (N, 3, 3), in the same call as those of F at `index`."""
+        """`elastic_strains` of another F, in the same call as those of F at `index`."""
         from gf_usd.physics.per_particle import strains
 
         n = len(other)
+        if self._body.law.set.flows:
+            return strains(self.elastic(other))
         s, J = strains(np.concatenate([other, self.gradients(index)]))
         self._strains = index, self._F0, (s[n:], J[n:])
         return s[:n], J[:n]

@@ -2,11 +2,11 @@
 
 How fast waves run through a strained body as the world's grid sees them.
 
-A wave with normal N in the rest body has k = shear mu + U''(J) J^2 |F^-T N|^2 (see `stiffening`),
+A wave with normal N in the rest body has k = shear + U''(J) J^2 |F^-T N|^2 (see `stiffening`),
 and its crests lie 1 / |F^-T N| as far apart in the world as at rest.  In the world its speed is
-that of rho c^2 = shear mu / |F^-T N|^2 + U''(J) J^2, at most
+that of rho c^2 = shear / |F^-T N|^2 + U''(J) J^2, at most
 
-    k = shear mu s_max^2 + U''(J) J^2,        s_max the largest singular value of F
+    k = shear s_max^2 + U''(J) J^2,        s_max the largest singular value of F
 
 rho of the rest body.  So stretch shortens the step here, and in the Total Lagrangian solver squash.
 """
@@ -22,7 +22,7 @@ from gf_usd.core.frames import Health, Pose, Settings
 from gf_usd.physics.time_step import wave_speed
 
 if TYPE_CHECKING:
-    from gf_usd.physics.laws.registry import Law
+    from gf_usd.physics.laws.registry import ParticleLaws
 
 
 def measure(
@@ -35,6 +35,7 @@ def measure(
     *,
     elastic: float,
     contact: float,
+    flows: bool = False,
 ) -> Health:
     """Energies, momenta and stretches in float64; C (N, 3, 3) [1/s], m (N,) [kg], h [m].
 
@@ -69,6 +70,7 @@ def measure(
         min_stretch=float(stretch.min()),
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
+        plastic_dissipation=0.0 if flows else None,
     )
 
 
@@ -76,10 +78,10 @@ def _triple(a: Floats) -> tuple[float, float, float]:
     return (float(a[0]), float(a[1]), float(a[2]))
 
 
-def world_stiffness(law: Law, stretch: Floats, J: Floats, mu: Floats, lam: Floats) -> Floats:
-    """k (N,) [Pa] of stretches (N, 3), ascending, and J (N,); mu as `laws.moduli`."""
-    bulk = np.maximum(law.bulk(J, mu, lam), 0.0)
-    return law.shear(mu) * stretch[:, 2] ** 2 + bulk * J**2
+def world_stiffness(law: ParticleLaws, stretch: Floats, J: Floats) -> Floats:
+    """k (N,) [Pa] of elastic stretches (N, 3), ascending, and J (N,)."""
+    shear, bulk = law.moduli(stretch, J)
+    return shear * stretch[:, 2] ** 2 + np.maximum(bulk, 0.0) * J**2
 
 
 def cells_now(cells: Floats) -> tuple[Ints, Ints]:

@@ -1,4 +1,4 @@
-"""The substeps of the Updated Lagrangian solver, put together for a law and a precision.
+"""The substeps of the Updated Lagrangian solver, put together for its laws and a precision.
 
 Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `ul_transfer_kernel`:
 
@@ -18,6 +18,7 @@ from types import SimpleNamespace
 import taichi as ti
 
 from gf_usd.physics.laws.simd3x3 import LANES, von_mises
+from gf_usd.physics.laws.stress import energy as energy_density
 from gf_usd.physics.updated_lagrangian.particle_kernels import (
     clamp_particle,
     drift_particle,
@@ -35,18 +36,20 @@ from gf_usd.physics.updated_lagrangian.sort_kernels import (
     widen_box,
 )
 from gf_usd.physics.updated_lagrangian.transfer_kernels import (
+    admissible,
     gather_cell,
     in_order,
-    matrix,
     pick,
     piola,
     scatter_cell,
+    trial,
+    values,
 )
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
 REALS = (
-    *("x", "v", "C", "L", "F", "m", "V0", "mu", "lam", "viscosity"),
+    *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
     *("push", "block", "node_v", "ride_weight", "ride_arm"),
     *("sample_stiffness", "sample_damping", "sample_friction", "sample_mass"),
     *("sample_force", "sample_depth"),
@@ -66,8 +69,11 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> SimpleNamespace:
-    """The kernels for one law, with or without viscosity, clamp and stress cap, in f32 or f64."""
+def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> SimpleNamespace:
+    """The kernels for a set of laws, with or without viscosity, clamp and stress cap.
+
+    laws : `registry.LawSet`; real : f32 or f64.
+    """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
 
@@ -82,7 +88,7 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
         for s in range(substeps):
             if s == 0:
                 for p in range(n):
-                    drift_particle(body, p, 0.5 * dt)
+                    drift_particle(body, p, laws, 0.5 * dt)
             drift = dt
             if s == substeps - 1:
                 drift = 0.5 * dt
@@ -103,14 +109,16 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
                 for p in range(n):
                     push_particle(body, p)
             for cell in range(body.box[7]):
-                scatter_cell(body, cell, law, damped, capped, cap, active, dt, ih, phase, converged)
+                scatter_cell(
+                    body, cell, laws, damped, capped, cap, active, dt, ih, phase, converged
+                )
             for node in range(body.box[6]):
                 move_node(body, node, g, dt, keep)
             for cell in range(body.box[7]):
-                gather_cell(body, cell, drift, ih, phase)
+                gather_cell(body, cell, laws, drift, ih, phase)
             if ti.static(clamp):
                 for p in range(n):
-                    clamp_particle(body, p, low, high)
+                    clamp_particle(body, p, laws, low, high)
 
     @ti.kernel
     def parallel(
@@ -145,30 +153,30 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
         for z in range(body.box[7] * STRIDE):
             if z % STRIDE == 0:
                 scatter_cell(
-                    body, z // STRIDE, law, damped, capped, cap, active, dt, ih, phase, converged
+                    body, z // STRIDE, laws, damped, capped, cap, active, dt, ih, phase, converged
                 )
         for node in range(body.box[6]):
             move_node(body, node, g, dt, keep)
         for z in range(body.box[7] * STRIDE):
             if z % STRIDE == 0:
-                gather_cell(body, z // STRIDE, drift, ih, phase)
+                gather_cell(body, z // STRIDE, laws, drift, ih, phase)
         for p in range(n):
             if ti.static(clamp):
-                clamp_particle(body, p, low, high)
+                clamp_particle(body, p, laws, low, high)
 
     @ti.kernel
     def start(body: Body, n: ti.i32, drift: real):
         """The half step that opens a frame of `parallel` substeps."""
         for p in range(n):
-            drift_particle(body, p, drift)
+            drift_particle(body, p, laws, drift)
 
     @ti.kernel
     def energy(body: Body, n: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1), converged: real):
         """out[p] = V0 psi(F_p)."""
         for b in range((n + LANES - 1) // LANES):
             ids = in_order(b, n)
-            strain = matrix(body.F, ids)
-            psi = law.psi(strain, pick(body.mu, ids, 1, 0), pick(body.lam, ids, 1, 0), converged)
+            q, which = values(body, ids, laws)
+            psi = energy_density(laws, which, trial(body, ids, laws), q, converged)
             psi = psi * pick(body.V0, ids, 1, 0)
             for lane in ti.static(range(LANES)):
                 out[ids[lane]] = psi[lane]
@@ -180,8 +188,8 @@ def build(law, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Sim
         """out[p] = von Mises of the Cauchy stress P F^T / J, viscosity left out."""
         for b in range((n + LANES - 1) // LANES):
             ids = in_order(b, n)
-            strain = matrix(body.F, ids)
-            P = piola(body, ids, strain, law, False, capped, cap, converged)
+            strain = admissible(body, ids, laws, 0.0 * converged, converged, False)
+            P = piola(body, ids, strain, laws, False, capped, cap, converged)
             value = von_mises(P, strain)
             for lane in ti.static(range(LANES)):
                 out[ids[lane]] = value[lane]

@@ -24,23 +24,41 @@ def turned(A: ti.template(), p, d):
 
 
 @ti.func
-def drift_particle(body: ti.template(), p, dt):
+def drift_particle(body: ti.template(), p, laws: ti.template(), dt):
     """x += dt v, F += dt L F: the half step that opens a frame."""
     for d in ti.static(range(3)):
         body.x[3 * p + d] = body.x[3 * p + d] + dt * body.v[3 * p + d]
-    for a in ti.static(range(3)):
-        column = ti.Vector([body.F[9 * p + a], body.F[9 * p + 3 + a], body.F[9 * p + 6 + a]])
-        rate = turned(body.L, p, column)
-        for d in ti.static(range(3)):
-            body.F[9 * p + 3 * d + a] = column[d] + dt * rate[d]
+    drift_gradient(body, p, body.F, 9 * p, dt)
+    if ti.static(laws.flows):
+        drift_gradient(body, p, body.history, laws.history * p, dt)
 
 
 @ti.func
-def clamp_particle(body: ti.template(), p, low, high):
-    """Clip the singular values of F to [low, high]; where J < 0 the smallest counts as negative."""
-    F = ti.Matrix.rows(
-        [vector(body.F, 9 * p), vector(body.F, 9 * p + 3), vector(body.F, 9 * p + 6)]
-    )
+def drift_gradient(body: ti.template(), p, F: ti.template(), o, dt):
+    """F += dt L F of particle p, whose F begins at o."""
+    for a in ti.static(range(3)):
+        column = ti.Vector([F[o + a], F[o + 3 + a], F[o + 6 + a]])
+        rate = turned(body.L, p, column)
+        for d in ti.static(range(3)):
+            F[o + 3 * d + a] = column[d] + dt * rate[d]
+
+
+@ti.func
+def clamp_particle(body: ti.template(), p, laws: ti.template(), low, high):
+    """Clip the singular values of the gradient that the stress is taken of to [low, high]."""
+    if ti.static(laws.flows):
+        clamp_gradient(body, p, body.history, laws.history * p, low, high)
+    else:
+        clamp_gradient(body, p, body.F, 9 * p, low, high)
+
+
+@ti.func
+def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, high):
+    """Clip the singular values of the F that begins at o to [low, high].
+
+    Where J < 0 the smallest counts as negative.
+    """
+    F = ti.Matrix.rows([vector(gradients, o), vector(gradients, o + 3), vector(gradients, o + 6)])
     square = F.norm_sqr()
     # s1 s2 <= |F|^2 / 2, so that s3 = J / (s1 s2) >= 2 J / |F|^2: most need no decomposition.
     if square > high * high or 2.0 * F.determinant() < low * square:
@@ -56,7 +74,7 @@ def clamp_particle(body: ti.template(), p, low, high):
             G = U @ S @ V.transpose()
             for a in ti.static(range(3)):
                 for b in ti.static(range(3)):
-                    body.F[9 * p + 3 * a + b] = G[a, b]
+                    gradients[o + 3 * a + b] = G[a, b]
 
 
 @ti.func

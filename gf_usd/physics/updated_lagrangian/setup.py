@@ -15,6 +15,7 @@ from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.contact.floor import FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
 from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup import (
     CELL_PER_LATTICE,
@@ -26,8 +27,6 @@ from gf_usd.physics.updated_lagrangian.riding import CARRIERS, Ride, board
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
-
-    from gf_usd.physics.laws.registry import Law
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,7 @@ class Body:
     contact: FloorContact | None
     ride: Ride | None  # of the contact samples
     step: StableStep
-    law: Law
+    law: ParticleLaws
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -71,7 +70,6 @@ def build_body(
     """The body of these; parameters as of `UpdatedLagrangian`.  Taichi must run."""
     import taichi as ti
 
-    from gf_usd.physics.laws.registry import law_of
     from gf_usd.physics.updated_lagrangian.kernels import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
@@ -82,7 +80,8 @@ def build_body(
     rows = at_rest.rows(particles.X)
     contact, ride = floor_contact(samples, particles, at_rest, rows, settings, per)
     centre = m @ particles.X / m.sum()
-    law, damped = law_of(materials), bool((per["damping_time"] > 0).any())
+    law = particle_laws(materials, particles.material, per)
+    damped = bool((per["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
     kind = ti.f64 if real is np.float64 else ti.f32
     return Body(
@@ -100,7 +99,7 @@ def build_body(
         ride=ride,
         step=largest_step(particles, h, contact, settings, per),
         law=law,
-        kernels=build(law, damped, clamp, cap, kind, epoch()),
+        kernels=build(law.set, damped, clamp, cap, kind, epoch()),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -172,8 +171,8 @@ def arrays(body: Body) -> dict[str, Floats]:
         "F": np.tile(np.eye(3).ravel(), n),
         "m": per["density"] * per["V0"],
         "V0": per["V0"],
-        "mu": per["signed_mu"],
-        "lam": per["lam"],
+        "constants": body.law.constants.ravel(),
+        "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
         "viscosity": 2.0 * per["mu"] * per["damping_time"],
         "push": np.zeros(12 * n),
         "box": np.zeros(9, int),

@@ -12,6 +12,7 @@ fall costs them no digits and the grid stays where it is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,13 +81,17 @@ class UpdatedLagrangian(Solver):
         state.done += substeps
         state.time += substeps * (self.frame_time / substeps)
         state.recentre()
-        count = {name: int(state.get(name).sum()) for name in ("clamped", "stress_capped")}
+        stats = FrameStats(
+            clamped=int(state.get("clamped").sum()),
+            stress_capped=int(state.get("stress_capped").sum()),
+            plastic_dissipation=state.take_dissipated(),
+        )
         if not active:
-            return FrameStats(**count)
-        return FrameStats(
+            return stats
+        return replace(
+            stats,
             friction_capped=int(state.get("sample_capped").sum()),
             penetration=float(state.get("sample_depth").max()),
-            **count,
         )
 
     def _launch(self, substeps: int) -> int:
@@ -125,7 +130,9 @@ class UpdatedLagrangian(Solver):
         x = x + state.offset
         pose = Pose(x=x, v=v, F=F)
         stretch, J = strains(pose.F)
-        self.strained = self._strained(stretch, J, cells)
+        flows = body.law.set.flows
+        elastic_strains = strains(state.elastic) if flows else (stretch, J)
+        self.strained = self._strained(*elastic_strains, cells)
         C = state.rows("C", 9).reshape(-1, 3, 3)
         body.kernels.energy(state.pack, len(x), state.value, body.converged)
         elastic = float(taichi_arrays.values(state.value).astype(float).sum())
@@ -137,7 +144,7 @@ class UpdatedLagrangian(Solver):
             stress=self.von_mises() if s.stress else None,
             health=measure(
                 pose, (stretch, J), C, body.m, body.h, s,
-                elastic=elastic, contact=state.contact_energy(),
+                elastic=elastic, contact=state.contact_energy(), flows=flows,
             ),
         )  # fmt: skip
 
@@ -146,7 +153,7 @@ class UpdatedLagrangian(Solver):
         if self.settings.substeps:
             return 1
         body = self.body
-        k = world_stiffness(body.law, stretch, J, body.per["signed_mu"], body.per["lam"])
+        k = world_stiffness(body.law, stretch, J)
         speed = strained_speed(k, body.per["density"], cells)
         dt = strained_step(body.step, speed, body.h, per_cell(self.particles, body.h))
         return int(np.ceil(self.frame_time / dt))

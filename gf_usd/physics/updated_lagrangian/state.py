@@ -7,6 +7,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.frame_loop import first_bad
+from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
 
@@ -17,13 +18,14 @@ NO_ROOM = 2
 
 
 class State(DeviceState):
-    """x (without the offset), v, C, F and L of the particles."""
+    """x (without the offset), v, C, F and L of the particles, and their history."""
 
     def __init__(self, body: Body) -> None:
         import taichi as ti
 
         lift = np.asarray(body.settings.lift, float)
-        super().__init__(arrays(body), body.real, PARTICLES, lift + body.centre)
+        saved = (*PARTICLES, "history") if body.law.set.flows else PARTICLES
+        super().__init__(arrays(body), body.real, saved, lift + body.centre)
         self._body = body
         self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
         self.node_room = self.cell_room = 0
@@ -55,7 +57,7 @@ class State(DeviceState):
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
-        for name in PARTICLES:
+        for name in self.saved:
             bad = first_bad(self.get(name).reshape(len(self._body.m), -1))
             if bad >= 0:
                 X = self._body.particles.X[bad].round(4).tolist()
@@ -83,6 +85,19 @@ class State(DeviceState):
         """x without the offset, v (N, 3), F and L (N, 3, 3), float64."""
         F, L = (self.rows(name, 9).reshape(-1, 3, 3) for name in "FL")
         return self.rows("x"), self.rows("v"), F, L
+
+    @property
+    def elastic(self) -> Floats:
+        """(N, 3, 3) the gradients that the stress is taken of, float64."""
+        laws = self._body.law.set
+        if not laws.flows:
+            return self.rows("F", 9).reshape(-1, 3, 3)
+        return self.rows("history", laws.history)[:, :GRADIENT].reshape(-1, 3, 3)
+
+    def take_dissipated(self) -> float | None:
+        """[J] that flow dissipated since this was last asked; None where no law flows."""
+        laws = self._body.law.set
+        return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
 
     def watch_floor(self, lift: float) -> int:
         """List the samples that may meet the floor in a frame, clear what they noticed; how many.

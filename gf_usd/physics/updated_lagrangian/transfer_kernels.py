@@ -12,6 +12,10 @@ f_p and M_p are what the floor does to a particle and about it (`ul_particle_ker
     L_p = sum_i v_i (x) grad w_ip
     x_p <- x_p + dt v_p,    F_p <- (I + dt L_p) F_p
 
+A law that flows has an elastic gradient of its own, in the particle's history: it moves as F does,
+is returned to what is admissible before the stress is taken of it, and stands in for F wherever
+stress is meant.
+
 L is the gradient that the stress is the adjoint of, so that what the stress takes from the motion
 is what the strain gains; C stands in for it in Hu et al. 2018, where the force has 4/h^2 w (x_i -
 x_p) in place of grad w.  A cell writes to a block of its own, 27 nodes x 4, so cells never race.
@@ -24,17 +28,61 @@ it writes back to its particle is what that particle's own lane writes.
 
 import taichi as ti
 
-from gf_usd.physics.laws.simd3x3 import LANES, double_dot
+from gf_usd.physics.laws import stress
+from gf_usd.physics.laws.registry import GRADIENT
+from gf_usd.physics.laws.simd3x3 import LANES, double_dot, product
 from gf_usd.physics.total_lagrangian.kernels.simd import lane_sum
 
 
 @ti.func
+def values(body: ti.template(), ids: ti.template(), laws: ti.template()):
+    """The values q of eight particles' laws, and which law each has."""
+    q = [pick(body.constants, ids, laws.constants, k) for k in ti.static(range(laws.values))]
+    return q, pick(body.constants, ids, laws.constants, laws.which)
+
+
+@ti.func
+def trial(body: ti.template(), ids: ti.template(), laws: ti.template()):
+    """The gradients that the stress is taken of, before what is due to flow has flowed."""
+    if ti.static(laws.flows):
+        return [pick(body.history, ids, laws.history, k) for k in ti.static(range(GRADIENT))]
+    return matrix(body.F, ids)
+
+
+@ti.func
+def admissible(
+    body: ti.template(), ids: ti.template(), laws: ti.template(), dt, converged,
+    acts: ti.template(),
+):  # fmt: skip
+    """`trial` after it has flowed.  acts : what flows stays; else it is looked at only."""
+    F = trial(body, ids, laws)
+    if ti.static(not laws.flows):
+        return F
+    q, which = values(body, ids, laws)
+    a = [
+        pick(body.history, ids, laws.history, GRADIENT + k)
+        for k in ti.static(range(laws.internals))
+    ]
+    E, A, _moved, loss = stress.flowed(laws, which, F, q, a, dt, converged)
+    if ti.static(acts):
+        for k in ti.static(range(GRADIENT)):
+            put(body.history, ids, laws.history, k, E[k])
+        for k in ti.static(range(laws.internals)):
+            put(body.history, ids, laws.history, GRADIENT + k, A[k])
+        last = laws.history - 1
+        lost = pick(body.history, ids, laws.history, last) + pick(body.V0, ids, 1, 0) * loss
+        put(body.history, ids, laws.history, last, lost)
+    return E
+
+
+@ti.func
 def piola(
-    body: ti.template(), ids: ti.template(), F: ti.template(), law: ti.template(),
+    body: ti.template(), ids: ti.template(), F: ti.template(), laws: ti.template(),
     damped: ti.template(), capped: ti.template(), cap, converged,
 ):  # fmt: skip
     """P of eight particles, with the viscous part, cut to |P| <= cap where that is asked for."""
-    P = law.pk1(F, pick(body.mu, ids, 1, 0), pick(body.lam, ids, 1, 0), converged)
+    q, which = values(body, ids, laws)
+    P = stress.piola(laws, which, F, q, converged)
     if ti.static(damped):
         # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), dF/dt = L F.
         L = matrix(body.L, ids)
@@ -60,7 +108,7 @@ def piola(
 
 @ti.func
 def scatter_cell(
-    body: ti.template(), cell, law: ti.template(), damped: ti.template(), capped: ti.template(),
+    body: ti.template(), cell, laws: ti.template(), damped: ti.template(), capped: ti.template(),
     cap, contact, dt, ih, phase, converged,
 ):  # fmt: skip
     """Mass and momentum of one cell's particles into the cell's block."""
@@ -73,8 +121,8 @@ def scatter_cell(
         w2, z2, d2 = stencil(body, ids, 2, corner, ih, phase)
         m = live(body, cell, b, pick(body.m, ids, 1, 0))
         volume = live(body, cell, b, pick(body.V0, ids, 1, 0))
-        F = matrix(body.F, ids)
-        P = piola(body, ids, F, law, damped, capped, cap, converged)
+        F = admissible(body, ids, laws, dt, converged, True)
+        P = piola(body, ids, F, laws, damped, capped, cap, converged)
         for i in ti.static(range(3)):
             for j in ti.static(range(3)):
                 for k in ti.static(range(3)):
@@ -120,7 +168,7 @@ def deposit(body: ti.template(), o, x, batch):
 
 
 @ti.func
-def gather_cell(body: ti.template(), cell, drift, ih, phase):
+def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase):
     """Motion of the nodes back to one cell's particles, which move by `drift` seconds."""
     corner, key = cell_corner(body, cell)
     ny = body.box[4] - body.box[1] + 3
@@ -132,6 +180,7 @@ def gather_cell(body: ti.template(), cell, drift, ih, phase):
         w1, z1, d1 = stencil(body, ids, 1, corner, ih, phase)
         w2, z2, d2 = stencil(body, ids, 2, corner, ih, phase)
         F = matrix(body.F, ids)
+        E = trial(body, ids, laws)
         zero = F[0] * 0.0
         for d in ti.static(range(3)):
             v = zero
@@ -180,6 +229,9 @@ def gather_cell(body: ti.template(), cell, drift, ih, phase):
             for a in ti.static(range(3)):
                 f = F[3 * d + a] + drift * (l0 * F[a] + l1 * F[3 + a] + l2 * F[6 + a])
                 put(body.F, ids, 9, 3 * d + a, f)
+                if ti.static(laws.flows):
+                    e = E[3 * d + a] + drift * (l0 * E[a] + l1 * E[3 + a] + l2 * E[6 + a])
+                    put(body.history, ids, laws.history, 3 * d + a, e)
             put(body.x, ids, 3, d, x + drift * v)
 
 
@@ -256,21 +308,6 @@ def matrix(A: ti.template(), ids: ti.template()):
     a7 = pick(A, ids, 9, 7)
     a8 = pick(A, ids, 9, 8)
     return [a0, a1, a2, a3, a4, a5, a6, a7, a8]
-
-
-@ti.func
-def product(A, B):
-    """A B of matrices in lanes."""
-    c0 = A[0] * B[0] + A[1] * B[3] + A[2] * B[6]
-    c1 = A[0] * B[1] + A[1] * B[4] + A[2] * B[7]
-    c2 = A[0] * B[2] + A[1] * B[5] + A[2] * B[8]
-    c3 = A[3] * B[0] + A[4] * B[3] + A[5] * B[6]
-    c4 = A[3] * B[1] + A[4] * B[4] + A[5] * B[7]
-    c5 = A[3] * B[2] + A[4] * B[5] + A[5] * B[8]
-    c6 = A[6] * B[0] + A[7] * B[3] + A[8] * B[6]
-    c7 = A[6] * B[1] + A[7] * B[4] + A[8] * B[7]
-    c8 = A[6] * B[2] + A[7] * B[5] + A[8] * B[8]
-    return [c0, c1, c2, c3, c4, c5, c6, c7, c8]
 
 
 @ti.func

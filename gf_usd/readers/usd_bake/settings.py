@@ -17,7 +17,7 @@ from pxr import Usd, UsdGeom, UsdSemantics, UsdShade
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import presets
+from gf_usd.core.materials import law_parameters, presets
 from gf_usd.core.stage import PrimBake, Subject
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
@@ -177,7 +177,7 @@ KNOWN = {
 def read_painted(
     file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
 ) -> dict[str, dict[str, Floats]]:
-    """By prim path and field (youngs_modulus [Pa], poissons_ratio, density [kg/m^3]) the painted
+    """By prim path and field (youngs_modulus [Pa], density [kg/m^3], a law's own, ...) the painted
     value (C,) at each corner of each face, in the order of Surface.face_indices.
 
     A constant one is inherited, as primvars are.  rest : time code of the rest pose.
@@ -185,13 +185,18 @@ def read_painted(
     Raises InputError for values that are no number, out of range, or not one for each element.
     """
     scales = {YOUNG: facts.units.pressure, NU: 1.0, DENSITY: facts.units.density}
+    known = dict(KNOWN)
+    for p in law_parameters():
+        name, factor = f"gaussianFlesh:{p.attribute}", facts.units.factor(p.unit)
+        known[name] = (p.name, np.nextafter(p.low / factor, -np.inf), p.high / factor)
+        scales[name] = factor
     out: dict[str, dict[str, Floats]] = {}
     with reading(file):
         stage = open_stage(file)
         time = Usd.TimeCode(first_time_code(facts, rest))
         for surface in surfaces:
             api = UsdGeom.PrimvarsAPI(named_prim(stage, facts.path, surface.path))
-            for name, (field, least, most) in KNOWN.items():
+            for name, (field, least, most) in known.items():
                 primvar = api.FindPrimvarWithInheritance(name)
                 if not (primvar and primvar.HasValue()):
                     continue

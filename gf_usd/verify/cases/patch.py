@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import LAW_TOKENS
+from gf_usd.core.materials import LAWS
 from gf_usd.geometry.skinning import make_skin
 from gf_usd.physics.total_lagrangian import energies
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -19,13 +19,32 @@ SHIFT = np.array([0.3, -0.2, 0.1])  # [m]
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def stress(token: str, F: Floats, mu: float, lam: float) -> Floats:
-    """P(F) by the formulas of the laws, with an SVD for the rotation."""
-    J, inverse = np.linalg.det(F), np.linalg.inv(F).T
-    if token == "neoHookean":
-        return mu * (F - inverse) + lam * np.log(J) * inverse
+def corotated(F: Floats, mu: float, lam: float) -> Floats:
+    """P = 2 mu (F - R) + lam (J - 1) J F^-T, with an SVD for the rotation."""
+    J = np.linalg.det(F)
     U, _, Vt = np.linalg.svd(F)
-    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * inverse
+    return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).T
+
+
+def neo_hookean(F: Floats, mu: float, lam: float) -> Floats:
+    """P = mu (F - F^-T) + lam ln(J) F^-T."""
+    inverse = np.linalg.inv(F).T
+    return mu * (F - inverse) + lam * np.log(np.linalg.det(F)) * inverse
+
+
+# P(F) of each law as its source has it, with parameters of its own at their defaults: independent
+# of the kernels.  A law without a row here is an error, not another law.
+REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
+    "corotated": corotated,
+    "neoHookean": neo_hookean,
+}
+
+
+def stress(token: str, F: Floats, mu: float, lam: float) -> Floats:
+    """P(F) by the law's reference formula.  Raises ValueError where there is none."""
+    if token not in REFERENCE:
+        raise ValueError(f"the law {token} has no reference formula in {__name__}.REFERENCE")
+    return REFERENCE[token](F, mu, lam)
 
 
 def von_mises(P: Floats, F: Floats) -> float:
@@ -39,7 +58,7 @@ def patch(real: type, bound: float) -> Callable[[str], Iterator[Measure]]:
     """The affine patch test in one precision."""
 
     def run(device: str) -> Iterator[Measure]:
-        for token in LAW_TOKENS:
+        for token in LAWS:
             body, _ = ball(500)
             made = look("rubber", body, law=token, damping_time=0.0)
             s = settings(device, fps=1e6, substeps=1, followers=False)

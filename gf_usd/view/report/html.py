@@ -13,7 +13,7 @@ from html import escape
 from typing import Any
 
 from gf_usd.view.report.record import Record
-from gf_usd.view.report.words import FACTS, MATERIAL, SETTINGS, Line, health_rows, named_rows
+from gf_usd.view.report.words import FACTS, SETTINGS, Line, health_rows, material_labels, named_rows
 
 VOID = {"input", "img", "meta", "link"}  # elements without an end
 
@@ -254,7 +254,7 @@ def _health_table(rows: Sequence[Line]) -> Html:
 def _material(material: Any) -> list[tuple[str, str]]:
     name = str(material.get("name", ""))
     rest = {key: value for key, value in material.items() if key != "name"}
-    return [("Name", name), *named_rows(rest, MATERIAL)]
+    return [("Name", name), *named_rows(rest, material_labels())]
 
 
 def _finding(finding: Any) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from gf_usd.core.materials import law_parameters
+
 
 @dataclass(frozen=True)
 class Row:
@@ -69,6 +71,7 @@ ROWS: tuple[Row, ...] = (
     Row("dissipated_J", "Energy lost", "J", "to damping, friction, drag and the filter"),
     Row("work_of_pins_J", "Work of pins", "J", "and of moving obstacles, done on the bodies"),
     Row("injected_J", "Work of corrections", "J", "of the shape, and of new contact planes"),
+    Row("plastic_dissipation_J", "Energy lost to flow", "J", "permanent deformation"),
     Row("momentum_end", "Momentum at the end", "kg m/s", ""),
     Row("angular_momentum_end", "Angular momentum", "kg m²/s", "at the end, about the origin"),
     Row("free_flight_frames", "Free flight", "", "frames before the first touch"),
@@ -150,6 +153,11 @@ MATERIAL: dict[str, tuple[str, str]] = {
     "friction": ("Friction", ""),
     "restitution": ("Restitution", ""),
 }
+
+
+def material_labels() -> dict[str, tuple[str, str]]:
+    """MATERIAL, and the parameters of the laws."""
+    return MATERIAL | {p.name: (p.label, p.unit) for p in law_parameters()}
 
 
 def number(value: Any) -> str:

@@ -9,35 +9,36 @@ Smith, de Goes and Kim (2018), without the term for degenerate elements, as newt
 import numpy as np
 import taichi as ti
 
-from gf_usd.physics.laws.registry import LAWS, Law
+from gf_usd.core.materials import LAWS, LawSpec
 from gf_usd.physics.laws.simd3x3 import cofactor, combination, determinant, double_dot
 
 
 @ti.func
-def psi(F, mu, lam, converged):
+def psi(F, q, converged):
+    mu = q[0]
     e = determinant(F, cofactor(F)) - 1.0
-    return 0.5 * mu * (double_dot(F, F) - 3.0) - mu * e + 0.5 * (lam + mu) * e * e
+    return 0.5 * mu * (double_dot(F, F) - 3.0) - mu * e + 0.5 * (q[1] + mu) * e * e
 
 
 @ti.func
-def pk1(F, mu, lam, converged):
+def pk1(F, q, converged):
     cof = cofactor(F)
-    q = (lam + mu) * (determinant(F, cof) - 1.0) - mu
-    return combination(mu, F, q, cof)
+    p = (q[1] + q[0]) * (determinant(F, cof) - 1.0) - q[0]
+    return combination(q[0], F, p, cof)
 
 
-def bulk(J, mu, lam):
-    """d^2 psi / dJ^2."""
-    return (lam + mu) * np.ones_like(J)
-
-
-def stored(s, J, mu, lam):
+def stored(s, J, q):
     """psi of signed stretches (n, 3) and their product J (n,)."""
     e = J - 1.0
-    return 0.5 * mu * ((s * s).sum(1) - 3.0) - mu * e + 0.5 * (lam + mu) * e * e
+    return 0.5 * q[0] * ((s * s).sum(1) - 3.0) - q[0] * e + 0.5 * (q[1] + q[0]) * e * e
 
 
-LAWS["stableNeoHookean"] = Law(
-    token="stableNeoHookean", psi=psi, pk1=pk1, shear=lambda mu: mu, bulk=bulk, stored=stored,
-    source="Smith, de Goes and Kim 2018, eq. 13",
-)  # fmt: skip
+def moduli(s, J, q):
+    """mu, and d^2 psi / dJ^2."""
+    del s
+    return q[0], (q[1] + q[0]) * np.ones_like(J)
+
+
+LAWS["stableNeoHookean"] = LawSpec(
+    token="stableNeoHookean", code=__name__, source="Smith, de Goes and Kim 2018, eq. 13"
+)

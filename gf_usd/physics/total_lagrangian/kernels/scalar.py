@@ -14,6 +14,8 @@ vectors of one lane.
 
 import taichi as ti
 
+from gf_usd.physics.laws import stress
+from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES, von_mises
 from gf_usd.physics.total_lagrangian.kernels.limits import clipped_matrix, touch
 from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, HIGH, LOW, STRESS_CAPPED
@@ -79,7 +81,7 @@ def field_gradient(body: ti.template(), field: ti.template(), p, ih):
 
 @ti.func
 def particle_strain(body: ti.template(), p, ih, options: ti.template()):
-    """F, as the stress is taken of."""
+    """F = F0 + sum_i u_i (x) G_ip."""
     F = field_gradient(body, body.u, p, ih)
     for a in ti.static(range(3)):
         if ti.static(options.anchored):
@@ -87,10 +89,6 @@ def particle_strain(body: ti.template(), p, ih, options: ti.template()):
                 F[a, c] += number(body.F0, 0, 9, p, 3 * a + c)
         else:
             F[a, a] += 1.0
-    if ti.static(options.clamped):
-        F, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
-        if outside > 0:
-            touch(body, p, CLAMPED)
     return F
 
 
@@ -101,21 +99,72 @@ def listed(F):
 
 
 @ti.func
-def moduli(body: ti.template(), p):
-    """mu and lam, one lane each."""
-    return ti.Vector([number(body.mu, 0, 1, p, 0)]), ti.Vector([number(body.lam, 0, 1, p, 0)])
+def matrix(A):
+    """Nine vectors of one lane as a matrix."""
+    return ti.Matrix([[A[3 * a + c][0] for c in ti.static(range(3))] for a in ti.static(range(3))])
 
 
 @ti.func
-def particle_pk1(body: ti.template(), p, F, law: ti.template(), converged):
+def lane(field: ti.template(), per: ti.template(), p, first: ti.template(), count: ti.template()):
+    """`count` of the `per` numbers of particle p, from the first on, each a vector of one lane."""
+    return [ti.Vector([number(field, 0, per, p, first + k)]) for k in ti.static(range(count))]
+
+
+@ti.func
+def constants(body: ti.template(), p, laws: ti.template()):
+    """The values q of the particle's law, and which it has, each in one lane."""
+    q = lane(body.constants, laws.constants, p, 0, laws.values)
+    return q, ti.Vector([number(body.constants, 0, laws.constants, p, laws.which)])
+
+
+@ti.func
+def clip_matrix(body: ti.template(), p, F):
+    """F with its singular values in the limits."""
+    clipped, outside = clipped_matrix(F, body.numbers[LOW], body.numbers[HIGH])
+    if outside > 0:
+        touch(body, p, CLAMPED)
+    return clipped
+
+
+@ti.func
+def elastic(
+    body: ti.template(), p, F, laws: ti.template(), dt, converged, options: ti.template(),
+    acts: ti.template(),
+):  # fmt: skip
+    """The elastic gradient that the stress is taken of, and F_p^-1.
+
+    acts : what flows stays; else it is looked at only.
+    """
+    if ti.static(not laws.flows):
+        E = F
+        if ti.static(options.clamped):
+            E = clip_matrix(body, p, F)
+        return E, E
+    Pi = lane(body.history, laws.history, p, 0, GRADIENT)
+    trial = F @ matrix(Pi)
+    if ti.static(options.clamped):
+        trial = clip_matrix(body, p, trial)
+    a = lane(body.history, laws.history, p, GRADIENT, laws.internals)
+    q, which = constants(body, p, laws)
+    E, A, moved, loss = stress.flowed(laws, which, listed(trial), q, a, dt, converged)
+    stress.compensate(Pi, listed(trial), E, moved)
+    if ti.static(acts):
+        last = laws.history - 1
+        lost = number(body.history, 0, laws.history, p, last)
+        lost += number(body.V0, 0, 1, p, 0) * loss[0]
+        set_number(body.history, 0, laws.history, p, last, lost)
+        for k in ti.static(range(GRADIENT)):
+            set_number(body.history, 0, laws.history, p, k, Pi[k][0])
+        for k in ti.static(range(laws.internals)):
+            set_number(body.history, 0, laws.history, p, GRADIENT + k, A[k][0])
+    return matrix(E), matrix(Pi)
+
+
+@ti.func
+def particle_pk1(body: ti.template(), p, F, laws: ti.template(), converged):
     """P(F) as a matrix."""
-    mu, lam = moduli(body, p)
-    flat = law.pk1(listed(F), mu, lam, converged)
-    P = ti.Matrix.zero(float, 3, 3)
-    for a in ti.static(range(3)):
-        for c in ti.static(range(3)):
-            P[a, c] = flat[3 * a + c][0]
-    return P
+    q, which = constants(body, p, laws)
+    return matrix(stress.piola(laws, which, listed(F), q, converged))
 
 
 @ti.func
@@ -130,17 +179,24 @@ def cut_matrix(body: ti.template(), p, P):
 
 @ti.func
 def particle_stress(
-    body: ti.template(), p, nodes, law: ti.template(), damped: ti.template(), ih, converged,
+    body: ti.template(), p, nodes, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
     """T_p = V0 P(F_p), with Kelvin-Voigt's 2 mu tau F sym(F^T dF/dt) where bodies are damped."""
-    F = particle_strain(body, p, ih, options)
-    P = particle_pk1(body, p, F, law, converged)
+    F, Pi = elastic(
+        body, p, particle_strain(body, p, ih, options), laws, dt, converged, options, True
+    )
+    P = particle_pk1(body, p, F, laws, converged)
     if ti.static(damped):
-        E = F.transpose() @ field_gradient(body, body.v, p, ih)
+        D = field_gradient(body, body.v, p, ih)
+        if ti.static(laws.flows):
+            D = D @ Pi
+        E = F.transpose() @ D
         P += (0.5 * number(body.viscosity, 0, 1, p, 0)) * (F @ (E + E.transpose()))
     if ti.static(options.capped):
         P = cut_matrix(body, p, P)
+    if ti.static(laws.flows):
+        P = P @ Pi.transpose()
     V0 = number(body.V0, 0, 1, p, 0)
     for a in ti.static(range(3)):
         for c in ti.static(range(3)):
@@ -204,21 +260,27 @@ def node_momentum(body: ti.template(), node, nodes):
 
 @ti.func
 def particle_energy(
-    body: ti.template(), p, law: ti.template(), ih, converged, options: ti.template()
+    body: ti.template(), p, laws: ti.template(), ih, converged, options: ti.template()
 ):
-    """V0 psi(F)."""
+    """V0 psi(F), before what is due to flow has flowed."""
     F = particle_strain(body, p, ih, options)
-    mu, lam = moduli(body, p)
-    return number(body.V0, 0, 1, p, 0) * law.psi(listed(F), mu, lam, converged)[0]
+    if ti.static(laws.flows):
+        F = F @ matrix(lane(body.history, laws.history, p, 0, GRADIENT))
+    if ti.static(options.clamped):
+        F = clip_matrix(body, p, F)
+    q, which = constants(body, p, laws)
+    psi = stress.energy(laws, which, listed(F), q, converged)
+    return number(body.V0, 0, 1, p, 0) * psi[0]
 
 
 @ti.func
 def particle_von_mises(
-    body: ti.template(), p, law: ti.template(), ih, converged, options: ti.template()
+    body: ti.template(), p, laws: ti.template(), ih, converged, options: ti.template()
 ):
     """Of the Cauchy stress P F^T / J, viscosity left out."""
-    F = particle_strain(body, p, ih, options)
-    P = particle_pk1(body, p, F, law, converged)
+    trial = particle_strain(body, p, ih, options)
+    F, _ = elastic(body, p, trial, laws, 0.0 * ih, converged, options, False)
+    P = particle_pk1(body, p, F, laws, converged)
     if ti.static(options.capped):
         P = cut_matrix(body, p, P)
     return von_mises(listed(P), listed(F))[0]

@@ -19,7 +19,19 @@ Forces go the same way back: moments about the middle of the cell, then the tran
 
 import taichi as ti
 
-from gf_usd.physics.laws.simd3x3 import LANES, at, let, put, unrolled, von_mises
+from gf_usd.physics.laws import stress
+from gf_usd.physics.laws.registry import GRADIENT
+from gf_usd.physics.laws.simd3x3 import (
+    LANES,
+    at,
+    let,
+    product,
+    put,
+    scaled,
+    transposed,
+    unrolled,
+    von_mises,
+)
 from gf_usd.physics.total_lagrangian.kernels.limits import clip, cut
 
 
@@ -43,9 +55,60 @@ def add_anchor(F, F0, b):
         put(F[a], F[a] + at(F0, 9 * b + a))
 
 
+@unrolled
+def rows(array, first, count):
+    """`count` lane vectors from the first on."""
+    return [at(array, first + k) for k in range(count)]
+
+
+@unrolled
+def put_rows(array, first, values):
+    """A list of lane vectors from the first on."""
+    for k, value in enumerate(values):
+        put(at(array, first + k), value)
+
+
+@ti.func
+def elastic(
+    body: ti.template(), b, F: ti.template(), q, laws: ti.template(), dt, converged,
+    options: ti.template(), acts: ti.template(),
+):  # fmt: skip
+    """F to the elastic gradient that the stress of batch b is taken of, in place; F_p^-1.
+
+    acts : what flows stays; else it is looked at only.
+    """
+    if ti.static(not laws.flows):
+        if ti.static(options.clamped):
+            clip(body, b, F, acts)
+        return F
+    o = laws.history * b
+    Pi = rows(body.history, o, GRADIENT)
+    assign(F, product(F, Pi))
+    if ti.static(options.clamped):
+        clip(body, b, F, acts)
+    a = rows(body.history, o + GRADIENT, laws.internals)
+    which = body.constants[laws.constants * b + laws.which]
+    E, A, moved, loss = stress.flowed(laws, which, F, q, a, dt, converged)
+    stress.compensate(Pi, F, E, moved)
+    assign(F, E)
+    if ti.static(acts):
+        put_rows(body.history, o, Pi)
+        put_rows(body.history, o + GRADIENT, A)
+        lost = o + laws.history - 1
+        body.history[lost] = body.history[lost] + body.V0[b] * loss
+    return Pi
+
+
+@unrolled
+def assign(A, B):
+    """A <- B, in place."""
+    for a, b in zip(A, let(B)):
+        put(a, b)
+
+
 @ti.func
 def stress_group(
-    body: ti.template(), group, law: ti.template(), damped: ti.template(), ih, converged,
+    body: ti.template(), group, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
     """-V0 P G of the particles of eight cells into their block."""
@@ -58,16 +121,21 @@ def stress_group(
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
         F = strain(body, b, u, s, h, ih, options)
-        if ti.static(options.clamped):
-            clip(body, b, F, True)
-        P = law.pk1(F, body.mu[b], body.lam[b], converged)
+        q = rows(body.constants, laws.constants * b, laws.values)
+        Pi = elastic(body, b, F, q, laws, dt, converged, options, True)
+        which = body.constants[laws.constants * b + laws.which]
+        P = stress.piola(laws, which, F, q, converged)
         if ti.static(damped):
             # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), objective.
             D = gradient(rate, s, h)
+            if ti.static(laws.flows):
+                D = product(D, Pi)
             k = body.viscosity[b] * (0.25 * ih)
             add_viscous(P, k, F, D)
         if ti.static(options.capped):
             cut(body, b, P, True)
+        if ti.static(laws.flows):
+            assign(P, product(P, transposed(Pi)))
         k = (0.0 - 0.5 * ih) * body.V0[b]
         spread(scaled(k, P), s, h, out)
     differences_transposed(out)
@@ -79,13 +147,6 @@ def zeros(like):
     """As many lane vectors of zeros."""
     zero = let(like[0] * 0.0)
     return [zero] * len(like)
-
-
-@unrolled
-def scaled(k, A):
-    """k A."""
-    k = let(k)
-    return let([k * a for a in A])
 
 
 @unrolled
@@ -152,37 +213,43 @@ def dot(a, b):
 
 @ti.func
 def group_energy(
-    body: ti.template(), group, out: ti.template(), law: ti.template(), ih, converged,
+    body: ti.template(), group, out: ti.template(), laws: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """out[8 group + lane] = sum_p V0 psi(F_p) of a cell."""
+    """out[8 group + lane] = sum_p V0 psi(F_p) of a cell, before what is due to flow has flowed."""
     q = gather(body, body.u, group)
     differences(q)
     total = q[0] * 0.0
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
         F = strain(body, b, q, s, h, ih, options)
+        if ti.static(laws.flows):
+            assign(F, product(F, rows(body.history, laws.history * b, GRADIENT)))
         if ti.static(options.clamped):
             clip(body, b, F, False)
-        total += body.V0[b] * law.psi(F, body.mu[b], body.lam[b], converged)
+        values = rows(body.constants, laws.constants * b, laws.values)
+        which = body.constants[laws.constants * b + laws.which]
+        psi = stress.energy(laws, which, F, values, converged)
+        total += body.V0[b] * psi
     for lane in ti.static(range(LANES)):
         out[group * LANES + lane] = total[lane]
 
 
 @ti.func
 def group_von_mises(
-    body: ti.template(), group, out: ti.template(), law: ti.template(), ih, converged,
+    body: ti.template(), group, out: ti.template(), laws: ti.template(), ih, converged,
     options: ti.template(),
 ):  # fmt: skip
     """out[8 b + lane] = von Mises of each particle of eight cells."""
-    q = gather(body, body.u, group)
-    differences(q)
+    u = gather(body, body.u, group)
+    differences(u)
     for b in range(body.group_batch[group], body.group_batch[group + 1]):
         s, h = middle(body, b)
-        F = strain(body, b, q, s, h, ih, options)
-        if ti.static(options.clamped):
-            clip(body, b, F, False)
-        P = law.pk1(F, body.mu[b], body.lam[b], converged)
+        F = strain(body, b, u, s, h, ih, options)
+        q = rows(body.constants, laws.constants * b, laws.values)
+        elastic(body, b, F, q, laws, 0.0 * ih, converged, options, False)
+        which = body.constants[laws.constants * b + laws.which]
+        P = stress.piola(laws, which, F, q, converged)
         if ti.static(options.capped):
             cut(body, b, P, False)
         value = von_mises(P, F)

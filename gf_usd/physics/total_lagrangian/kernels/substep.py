@@ -1,4 +1,4 @@
-"""The substeps, put together for a law and a precision.
+"""The substeps, put together for the laws of a body and a precision.
 
 Per substep of length dt, with everything but u and v constant (docs/physics.md):
 
@@ -74,7 +74,7 @@ def pack_type(real, epoch: int):
 
     epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
     """
-    lanes = ("fx", "V0", "m", "mu", "lam", "viscosity", "block", "F0", "clip_room")
+    lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_room"),)
     reals = (
         *("u", "v", "inverse_mass", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
@@ -98,8 +98,11 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(law, damped: bool, real, epoch: int, options: Options = DEFAULT) -> SimpleNamespace:
-    """The kernels for one law, with or without viscosity and the paper's options, in f32 or f64."""
+def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> SimpleNamespace:
+    """The kernels for a set of laws, with or without viscosity and the paper's options.
+
+    laws : `registry.LawSet`; real : f32 or f64.
+    """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets)
@@ -153,9 +156,9 @@ def build(law, damped: bool, real, epoch: int, options: Options = DEFAULT) -> Si
         elif ti.static(part.name == "filtered followers"):
             follow(body, n, free, 0.0 * dt)
         elif ti.static(part.name == "stress" and options.plain):
-            particle_stress(body, n, nodes, law, damped, ih, converged, options)
+            particle_stress(body, n, nodes, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "stress"):
-            stress_group(body, n, law, damped, ih, converged, options)
+            stress_group(body, n, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "node force"):
             node_force(body, n, nodes, ih)
         elif ti.static(part.name == "sample motion"):
@@ -235,11 +238,11 @@ def build(law, damped: bool, real, epoch: int, options: Options = DEFAULT) -> Si
         converged = body.numbers[CONVERGED]
         if ti.static(options.plain):
             for p in range(groups):
-                out[p] = particle_energy(body, p, law, ih, converged, options)
+                out[p] = particle_energy(body, p, laws, ih, converged, options)
         else:
             for z in range(groups * STRIDE):
                 if z % STRIDE == 0:
-                    group_energy(body, z // STRIDE, out, law, ih, converged, options)
+                    group_energy(body, z // STRIDE, out, laws, ih, converged, options)
 
     @ti.kernel
     def stress(body: Body, groups: ti.i32, out: ti.types.ndarray(dtype=real, ndim=1)):
@@ -248,10 +251,10 @@ def build(law, damped: bool, real, epoch: int, options: Options = DEFAULT) -> Si
         converged = body.numbers[CONVERGED]
         if ti.static(options.plain):
             for p in range(groups):
-                out[p] = particle_von_mises(body, p, law, ih, converged, options)
+                out[p] = particle_von_mises(body, p, laws, ih, converged, options)
         else:
             for z in range(groups * STRIDE):
                 if z % STRIDE == 0:
-                    group_von_mises(body, z // STRIDE, out, law, ih, converged, options)
+                    group_von_mises(body, z // STRIDE, out, laws, ih, converged, options)
 
     return SimpleNamespace(relay=relay, parallel=parallel, energy=energy, stress=stress)

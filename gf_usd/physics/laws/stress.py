@@ -1,0 +1,95 @@
+"""How a law is called: the one place for the kernels of every solver.
+
+A kernel hands over lane vectors, wherever it keeps them: F, the values q of
+`registry.particle_laws` and, of a body of several laws, `which` of them a lane has.  A law is
+evaluated where a lane has it; the Total Lagrangian solver sorts its particles so that all lanes of
+a batch have the same.
+
+A law that flows has an elastic gradient of its own, F = F_e F_p [Simo 1992]: the stress is that of
+F_e, and before each evaluation F_e and the internal variables a return to what is admissible.  The
+flow dissipates psi(trial F_e) - psi(F_e).
+"""
+
+import taichi as ti
+
+from gf_usd.physics.laws.simd3x3 import (
+    choose,
+    difference,
+    double_dot,
+    inverse,
+    product,
+)
+
+
+@ti.func
+def lanes_of(which, number: ti.template()):
+    """1 in the lanes whose law has this number, else 0."""
+    here = (which > number - 0.5) & (which < number + 0.5)
+    return ti.select(here, which * 0.0 + 1.0, which * 0.0)
+
+
+@ti.func
+def energy(laws: ti.template(), which, F, q, converged):
+    """psi [J/m^3] of elastic gradients F."""
+    if ti.static(not laws.several):
+        return laws.first.psi(F, q, converged)
+    psi = F[0] * 0.0
+    for number, law in ti.static(enumerate(laws.laws)):
+        mine = lanes_of(which, number)
+        if mine.max() > 0.0:
+            psi = ti.select(mine > 0.0, law.psi(F, q, converged), psi)
+    return psi
+
+
+@ti.func
+def piola(laws: ti.template(), which, F, q, converged):
+    """P = d psi / d F [Pa] of elastic gradients F."""
+    if ti.static(not laws.several):
+        return laws.first.pk1(F, q, converged)
+    P = F
+    for number, law in ti.static(enumerate(laws.laws)):
+        mine = lanes_of(which, number)
+        if mine.max() > 0.0:
+            choose(P, mine, law.pk1(F, q, converged))
+    return P
+
+
+@ti.func
+def returned(laws: ti.template(), which, F, q, a, dt):
+    """The admissible elastic gradient and internal variables of trial ones, after dt [s]."""
+    E = F
+    A = a
+    for number, law in ti.static(enumerate(laws.laws)):
+        if ti.static(law.flow is not None):
+            mine = F[0] * 0.0 + 1.0
+            if ti.static(laws.several):
+                mine = lanes_of(which, number)
+            if mine.max() > 0.0:
+                G, b = law.flow(F, q, a, dt)
+                choose(E, mine, G)
+                choose(A, mine, b)
+    return E, A
+
+
+@ti.func
+def flowed(laws: ti.template(), which, F, q, a, dt, converged):
+    """As `returned`, with 1 in the lanes that flowed and the energy density [J/m^3] they lost.
+
+    A loss is never negative; its rounding, where the flow is least, may be.
+    """
+    E, A = returned(laws, which, F, q, a, dt)
+    D = difference(E, F)
+    moved = double_dot(D, D)
+    loss = moved * 0.0
+    if moved.max() > 0.0:
+        before = energy(laws, which, F, q, converged)
+        drop = ti.max(before - energy(laws, which, E, q, converged), 0.0)
+        loss = ti.select(moved > 0.0, drop, loss)
+    return E, A, moved, loss
+
+
+@ti.func
+def compensate(Pi: ti.template(), F, E, moved):
+    """Pi = F_p^-1 <- Pi F^-1 E where trial gradients F = (F_e F_p) Pi flowed to E, in place."""
+    if moved.max() > 0.0:
+        choose(Pi, moved, product(Pi, product(inverse(F), E)))
