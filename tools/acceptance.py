@@ -72,7 +72,7 @@ def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
         raise SystemExit(f"tools/endurance.py printed nothing, exit status {done.returncode}")
     runs = json.loads(done.stdout.splitlines()[-1])["runs"]
     bad = [r["name"] for r in runs if not r["sound"]]
-    head = ("run", "frames", "redone", "inside out", "farthest [r]", "motion at the end", "verdict")
+    head = ("run", "frames", "repeated", "inverted", "farthest [r]", "motion at the end", "verdict")
     rows = [
         (
             r["name"],
@@ -123,7 +123,7 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
     for phase, words in (
         ("start", "before the first clip"),
         ("clips", "after a clip, before the last one"),
-        ("results", "after the last clip, while the results get their names"),
+        ("results", "after the last clip, while the results are renamed"),
     ):
         of = [k for k in kills if k["target"]["phase"] == phase]
         clips = [k["clips"] for k in of]
@@ -186,7 +186,7 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
     return Outcome(
         passed=done.returncode == 0 and not bad,
         summary=f"{len(tree['runs']) - len(bad)} of {len(tree['runs'])} jittered bakes were"
-        " without a finding of check, and without a warning that the scene as it is has not",
+        " without a finding of check, and without a warning that the original scene does not have",
         table=(head, *rows),
         data=tree,
     )
@@ -194,12 +194,12 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
 
 SECTIONS: dict[str, Section] = {
     "batch": Section(
-        title="A batch through a bad night",
+        title="A batch with injected failures",
         command=("python", "tools/batch_acceptance.py", "--json"),
         read=read_batch,
     ),
     "jitter": Section(
-        title="Samples, jittered",
+        title="Randomized samples",
         command=("python", "tools/jitter.py", "--json"),
         read=read_jitter,
     ),

@@ -109,7 +109,7 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
 
     second = session(bundle, kill)
     wrong = set(first.jobs("done")) & set(second.begun)
-    claim("the second run baked none that was done", sorted(wrong), not wrong)
+    claim("the second run baked no finished job again", sorted(wrong), not wrong)
     twice = sorted({job for job in second.begun if second.begun.count(job) > 1})
     claim(
         "a bake that was killed was baked again",
@@ -117,11 +117,11 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
         bool(done.get("killed")) and len(twice) == 1,
     )
     failed = [line for line in second.lines if "openjd_fail: " in line]
-    claim("a damaged asset failed its task, in words", failed[-1:] and failed[-1][-120:],
+    claim("a damaged asset failed its task with a message", failed[-1:] and failed[-1][-120:],
           len(failed) == 1 and second.jobs("refused") == ["corrupt.rubber"])  # fmt: skip
     claim(f"results of {good + 1} jobs", len(results(out)), len(results(out)) == good)
     third = session(bundle)
-    claim("a run after all is done bakes only what cannot be", sorted(third.begun),
+    claim("a final run attempts only the damaged jobs", sorted(third.begun),
           third.begun == ["corrupt.rubber"])  # fmt: skip
     faults = broken(out)
     claim(f"check of {good} results", faults or "no errors", not faults)
