@@ -312,3 +312,23 @@ def test_a_small_bake_loads_no_more_than_it_needs(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().splitlines()[-1] == "[]"
+
+
+def test_tests_share_by_their_helpers_alone() -> None:
+    """A test module imports no other: what two of them need lies in tests/helpers."""
+    tests = ROOT / "tests"
+    other = re.compile(r"tests(\..*)?|(.*\.)?test_\w+|conftest")
+    found = [
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in sorted(tests.rglob("*.py"))
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        for name in (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module or ""]
+            if isinstance(node, ast.ImportFrom)
+            else []
+        )
+        if other.fullmatch(name)
+    ]
+    assert found == []

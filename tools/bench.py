@@ -20,12 +20,10 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-import bench_equal_error
-import bench_report
-import bench_speed
-from bench_commands import command_table
-from bench_limits import limits
-from bench_peer_runs import PEERS, interpreters
+from tools.bench import equal_error, speed, tables
+from tools.bench.commands import command_table
+from tools.bench.limits import limits
+from tools.bench.processes import PEERS, interpreters
 
 ROOT = Path(__file__).resolve().parent.parent
 REPORT = ROOT / "BENCHMARKS.md"
@@ -55,27 +53,27 @@ def main() -> None:
     cores = every[: options.cores]
     pythons = interpreters(names, options.into)
     own = {p: version(p) for p in ("gf-usd", "taichi", "usd-core", "numpy")}
-    stamp = f"{bench_report.machine(own)} {bench_report.load()}"
+    stamp = f"{tables.machine(own)} {tables.load()}"
 
     def peers(seconds: float) -> list[str]:
-        found = bench_speed.peers(pythons, cores, options.runs, seconds, options.seconds)
+        found = speed.peers(pythons, cores, options.runs, seconds, options.seconds)
         seen = [r["versions"] for runs in found.values() for r in runs if "versions" in r]
         versions = {name: number for one in seen for name, number in one.items()}
         return [
             f"Held to {len(cores)} core(s). Versions: "
             + ", ".join(f"{name} {number}" for name, number in versions.items())
-            + f". A process has {bench_speed.LIMIT:.0f} s, with a million particles twice that.",
+            + f". A process has {speed.LIMIT:.0f} s, with a million particles twice that.",
             "",
-            *bench_speed.remarks(),
+            *speed.remarks(),
             "",
-            *bench_speed.peer_tables(found),
-            bench_speed.size_ratio(found),
+            *speed.peer_tables(found),
+            speed.size_ratio(found),
         ]
 
     def solver(seconds: float) -> list[str]:
         # Linux counts the memory of the process that forked into a child's peak: this one has to
         # stay small until the commands are done.
-        from bench_solver import solver_table
+        from tools.bench.solver import solver_table
 
         return solver_table(options.runs, seconds)
 
@@ -84,10 +82,10 @@ def main() -> None:
             f"{len(held)} core(s): {limits(held)['text']}.  " for held in (cores, every)
         ],
         "peers": peers,
-        "threads": lambda seconds: bench_speed.thread_scaling(
+        "threads": lambda seconds: speed.thread_scaling(
             sys.executable, every, options.runs, seconds
         ),
-        "error": lambda seconds: bench_equal_error.table(pythons, cores, seconds),
+        "error": lambda seconds: equal_error.table(pythons, cores, seconds),
         "commands": lambda seconds: command_table(options.runs, seconds),
         "solver": solver,
     }
@@ -99,7 +97,7 @@ def main() -> None:
         lines = jobs[section](seconds)
         text = "\n".join([stamp, "", *lines])
         if options.write:
-            bench_report.write(REPORT, section, text)
+            tables.write(REPORT, section, text)
         print(f"{text}\n", flush=True)
     print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)
 

@@ -2,8 +2,8 @@
 
     python tools/make_samples.py [--out FOLDER]
 
-The shapes are this project's own work, computed from the formulas in samples_duck.py,
-samples_sphere.py and samples_bowl.py; running it again gives the same bytes.
+The shapes are this project's own work, computed from the formulas in samples/duck.py,
+sphere.py and bowl.py beside this file; running it again gives the same bytes.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from samples_duck import MATERIAL_OF, duck, duck_atlas, duck_quads
-from samples_implicit import unit_normals
-from samples_quads import Quads
-from samples_sphere import deformed, level, sphere_atlas, sphere_quads
-from samples_ten_ducks import write_ten_ducks
-from samples_usd import Look, Sample, file_name, write_sample
+
+from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
+from tools.samples.implicit import unit_normals
+from tools.samples.quads import Quads
+from tools.samples.sphere import deformed, level, sphere_atlas, sphere_quads
+from tools.samples.ten_ducks import write_ten_ducks
+from tools.samples.usd import Look, Sample, file_name, write_sample
 
 SAMPLES = Path(__file__).resolve().parent.parent / "samples"
 

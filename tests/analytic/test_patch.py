@@ -4,29 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from law_references import A, reference_stress, von_mises
 from solids import ball, look, settings
 
 from gf_usd.physics.laws.registry import LAWS
 from gf_usd.physics.total_lagrangian import energies
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
-A = np.array([[1.10, 0.06, -0.03], [0.02, 0.92, 0.05], [-0.04, 0.03, 1.05]])
 SHIFT = np.array([0.3, -0.2, 0.1])
-
-
-def reference_stress(token: str, mu: float, lam: float) -> np.ndarray:
-    """P(A) in numpy float64, by the formulas of the laws and an SVD."""
-    J, inverse = np.linalg.det(A), np.linalg.inv(A).T
-    if token == "neoHookean":
-        return mu * (A - inverse) + lam * np.log(J) * inverse
-    U, _, Vt = np.linalg.svd(A)
-    return 2.0 * mu * (A - U @ Vt) + lam * (J - 1.0) * J * inverse
-
-
-def von_mises(P: np.ndarray) -> float:
-    sigma = P @ A.T / np.linalg.det(A)
-    s = sigma - np.trace(sigma) / 3.0 * np.eye(3)
-    return float(np.sqrt(1.5 * (s * s).sum()))
 
 
 @pytest.mark.parametrize("token", LAWS)

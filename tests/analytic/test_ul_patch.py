@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from law_references import A, reference_stress, von_mises
 from solids import ball, look, settings
 
 from gf_usd.physics.laws.registry import LAWS
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from tests.analytic.test_patch import A, reference_stress, von_mises
 
 
 def strained(token: str, real: type, **changes):

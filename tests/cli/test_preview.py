@@ -4,41 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import typer
 from PIL import Image
-from typer.testing import CliRunner
+from previews import FALLING_BOX
+from previews import preview as run
 
-from gf_usd.cli.preview import preview
 from gf_usd.cli.preview_options import parse_size
 from gf_usd.core.errors import UsageError
-
-STAGE = """#usda 1.0
-(
-    metersPerUnit = 1
-    upAxis = "Z"
-    startTimeCode = 1
-    endTimeCode = 3
-)
-def Cube "box" {
-    double size = 2
-    color3f[] primvars:displayColor = [(0.8, 0.05, 0.05)]
-    double3 xformOp:translate.timeSamples = { 1: (0, 0, 4), 3: (0, 0, 1) }
-    uniform token[] xformOpOrder = ["xformOp:translate"]
-}
-"""
 
 
 @pytest.fixture
 def stage(tmp_path):
     path = tmp_path / "box.usda"
-    path.write_text(STAGE, encoding="utf-8")
+    path.write_text(FALLING_BOX, encoding="utf-8")
     return path
-
-
-def run(*arguments):
-    app = typer.Typer()
-    app.command()(preview)
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def red_rows(path) -> np.ndarray:

@@ -6,14 +6,15 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
+from previews import FALLING_BOX
+from previews import preview as run
 
 import gf_usd.system.usd_schema  # noqa: F401  (before any test here opens a stage: one of them bakes)
 from gf_usd.cli.preview_options import Span, parse_limits, parse_span, time_codes
 from gf_usd.core.errors import InputError, UsageError
-from tests.cli.test_preview import STAGE, run
 
 # 24 frames a second, from time code 1 to 3: three frames
-BOX = STAGE.replace("endTimeCode = 3", "endTimeCode = 3\n timeCodesPerSecond = 24")
+BOX = FALLING_BOX.replace("endTimeCode = 3", "endTimeCode = 3\n timeCodesPerSecond = 24")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The add-on of tools/blender: installed as a package, and driven without a window."""
+"""The add-on of integrations/blender: installed as a package, and driven without a window."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pxr import Usd, UsdGeom
 
 pytestmark = [pytest.mark.clients, needs("blender")]
 
-ADDON = Path(__file__).resolve().parents[2] / "tools" / "blender" / "gf_usd_bake"
+ADDON = Path(__file__).resolve().parents[2] / "integrations" / "blender" / "gf_usd_bake"
 FRAMES = 5
 NEAR = 1e-5  # of the size of the scene: positions and matrices are single precision in Blender
 TOOL = "import bpy; print(bpy.utils.system_resource('SCRIPTS'))"

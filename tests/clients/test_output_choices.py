@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from client_runs import needs
+from client_runs import findings, needs
 
 import gf_usd
-from tests.clients.test_usd_validation import findings
 
 pytestmark = [pytest.mark.clients, needs("validation")]
 

@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from client_assets import Baked
-from client_runs import needs, programs, run
+from client_runs import findings, needs
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 pytestmark = [pytest.mark.clients, needs("validation")]
 
 # A cache is a payload: its prims are overs, which have a type only where the source is below them
 NOT_ALONE = {"TypeChecker", "DefaultPrimChecker"}
-
-
-def findings(stage: Path, folder: Path) -> set[tuple[str, str, str]]:
-    """(severity, rule, message) of all but warnings, over every variant."""
-    said = folder / f"{stage.stem}.json"
-    # it exits 1 on a warning too: only the JSON tells
-    run(
-        [programs("validation") / "nvidia_usd_validate", stage, "--json-output", said],
-        status=(0, 1),
-    )
-    return {
-        (issue["severity"], row["rule"]["name"], issue["message"])
-        for row in json.loads(said.read_text())["rules"]
-        for issue in row.get("issues", [])
-        if issue["severity"] not in {"WARNING", "INFO"}
-    }
 
 
 @pytest.mark.parametrize("asset", ["duck", "blocks", "obj", "apart"])

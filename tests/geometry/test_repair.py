@@ -7,8 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from broken import around, turned, volume, without
-from solids import CUBE_POINTS, CUBE_TRIANGLES, asset, sphere, surface
+from solids import (
+    CUBE_POINTS,
+    CUBE_TRIANGLES,
+    around,
+    asset,
+    sphere,
+    surface,
+    turned,
+    volume,
+    without,
+)
 
 from gf_usd.core.errors import InputError
 from gf_usd.geometry.diagnosis import HOLE_LIMIT, diagnose

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from broken import joined, turned, volume
-from solids import CUBE_POINTS, asset, cube, surface
+from solids import CUBE_POINTS, asset, cube, joined, surface, turned, volume
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.mesh import triangulate

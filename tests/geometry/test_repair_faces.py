@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from broken import joined, turned, volume
-from solids import CUBE_POINTS, CUBE_TRIANGLES, asset, cube, sphere, surface
+from solids import CUBE_POINTS, CUBE_TRIANGLES, asset, cube, joined, sphere, surface, turned, volume
 
 from gf_usd.core.errors import InputError
 from gf_usd.geometry.diagnosis import diagnose

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from broken import joined
-from solids import asset, cube, sphere, surface
+from solids import asset, cube, joined, sphere, surface
 
 from gf_usd.core.mesh import boundary_edges
 from gf_usd.geometry.repair import repair_asset

@@ -52,3 +52,22 @@ def in_blender(stage: Path, folder: Path) -> tuple[dict[str, np.ndarray], dict[s
     run([python, PROBES / "blender_import.py", stage, target, times[0], times[-1]])
     with np.load(target) as arrays:
         return dict(arrays), json.loads(target.with_suffix(".json").read_text())
+
+
+def findings(stage: Path, folder: Path) -> set[tuple[str, str, str]]:
+    """(severity, rule, message) of all that NVIDIA's usd-validation says, over every variant.
+
+    Warnings are left out.
+    """
+    said = folder / f"{stage.stem}.json"
+    # it exits 1 on a warning too: only the JSON tells
+    run(
+        [programs("validation") / "nvidia_usd_validate", stage, "--json-output", said],
+        status=(0, 1),
+    )
+    return {
+        (issue["severity"], row["rule"]["name"], issue["message"])
+        for row in json.loads(said.read_text())["rules"]
+        for issue in row.get("issues", [])
+        if issue["severity"] not in {"WARNING", "INFO"}
+    }

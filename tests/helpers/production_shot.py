@@ -1,11 +1,309 @@
-"""The layers of the shot itself; see production_layers.py."""
+"""A shot as a production has it: seven layers, and every way that USD has to put them together.
+
+    shot.usda            root: sublayers, variant selections, overrides, cameras and lights
+      anim.usda          sublayer with an offset of 100: animated transforms and visibility
+      set.usda           sublayer: the hierarchy
+        props/crate.usda reference: metres, Z up, 48 time codes a second; a subdivision cage
+        props/ball.usdc  payload: inches; points only in time samples
+        props/chair.usda instances of it, with an instance inside
+        props/rock.usda  prototype of a PointInstancer
+
+The shot is in centimetres, Y up, 24 time codes a second, from 101 to 104; the animation begins at
+91.  Sizes in the world are about 20 cm.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from production_layers import SHOT, mesh
-from production_props import write_props
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf
+
+Floats = NDArray[np.float64]
+START = 101.0
+SHOT = """defaultPrim = "World"
+    metersPerUnit = 0.01
+    upAxis = "Y"
+    timeCodesPerSecond = 24
+    startTimeCode = 101
+    endTimeCode = 104"""
+
+
+def box(size: float, cells: int = 2, turn: float = 0.0) -> tuple[Floats, list[int], list[int]]:
+    """A closed box about the origin: points (V, 3), counts and indices of quads, outward.
+
+    turn : [rad] about Z.
+    """
+    index: dict[tuple[int, int, int], int] = {}
+    faces: list[int] = []
+    for axis in range(3):
+        for side in (0, cells):
+            for i in range(cells):
+                for j in range(cells):
+                    ring = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                    for a, b in ring if side else ring[::-1]:
+                        x, y, z = ((side, a, b), (b, side, a), (a, b, side))[axis]
+                        faces.append(index.setdefault((x, y, z), len(index)))
+    points = (np.array(list(index)) / cells - 0.5) * size
+    c, s = np.cos(turn), np.sin(turn)
+    points = points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return points, [4] * (len(faces) // 4), faces
+
+
+def tuples(values: Floats) -> str:
+    """An array of vectors in usda."""
+    return "[" + ", ".join("(" + ", ".join(f"{v:.7g}" for v in row) + ")" for row in values) + "]"
+
+
+def topology(counts: list[int], indices: list[int]) -> str:
+    return f"int[] faceVertexCounts = {counts}\nint[] faceVertexIndices = {indices}\n"
+
+
+def mesh(size: float, cells: int = 2) -> str:
+    """The body of a plain Mesh prim."""
+    points, counts, indices = box(size, cells)
+    return (
+        f"point3f[] points = {tuples(points)}\n{topology(counts, indices)}"
+        f"float3[] extent = {tuples(np.stack([points.min(axis=0), points.max(axis=0)]))}\n"
+        'uniform token subdivisionScheme = "none"\n'
+    )
+
+
+def ball() -> str:
+    """Inches, a payload: its points are in time samples alone, from before the start on."""
+    samples, normals, speeds = [], [], []
+    for code in (-9.0, 0.0, 1.0, 4.0):
+        points, counts, indices = box(8.0, 2, 0.02 * code)
+        points = points + (0.0, 0.0, 0.25 * code)
+        samples.append(f"{code:g}: {tuples(points)},")
+        normals.append(f"{code:g}: {tuples(points / np.linalg.norm(points, axis=1)[:, None])},")
+        speeds.append(f"{code:g}: {tuples(np.full_like(points, 0.5))},")
+    lines = "\n".join
+    clockwise = np.array(indices).reshape(-1, 4)[:, ::-1].ravel().tolist()
+    return f"""#usda 1.0
+(
+    defaultPrim = "Ball"
+    metersPerUnit = 0.0254
+    upAxis = "Y"
+    timeCodesPerSecond = 24
+)
+def Xform "Ball"
+{{
+    def Mesh "Skin"
+    {{
+        point3f[] points.timeSamples = {{
+            {lines(samples)}
+        }}
+        normal3f[] normals.timeSamples = {{
+            {lines(normals)}
+        }}
+        vector3f[] velocities.timeSamples = {{
+            {lines(speeds)}
+        }}
+        vector3f[] accelerations = {tuples(np.zeros_like(points))}
+        float3[] extent = [(-6, -6, -6), (6, 6, 6)]
+        {topology(counts, clockwise)}
+        uniform token orientation = "leftHanded"
+        uniform token subdivisionScheme = "none"
+    }}
+}}
+"""
+
+
+def chair() -> str:
+    """Centimetres: a seat, and two legs that are instances themselves."""
+    return f"""#usda 1.0
+(
+    defaultPrim = "Chair"
+    metersPerUnit = 0.01
+    upAxis = "Y"
+)
+def Xform "Chair"
+{{
+    def Mesh "Seat"
+    {{
+        {mesh(14.0, 1)}
+    }}
+    def "Left" (
+        instanceable = true
+        references = </Leg>
+    )
+    {{
+        double3 xformOp:translate = (-5, -12, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+    def "Right" (
+        instanceable = true
+        references = </Leg>
+    )
+    {{
+        double3 xformOp:translate = (5, -12, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+}}
+def Xform "Leg"
+{{
+    def Mesh "Post"
+    {{
+        {mesh(6.0, 1)}
+    }}
+}}
+"""
+
+
+def rock() -> str:
+    return f"""#usda 1.0
+(
+    defaultPrim = "Rock"
+    metersPerUnit = 0.01
+    upAxis = "Y"
+)
+def Mesh "Rock"
+{{
+    {mesh(9.0, 1)}
+}}
+"""
+
+
+def crate() -> str:
+    """Metres, Z up: a cage with everything that hangs on faces, edges, points and corners."""
+    points, counts, indices = box(0.2)
+    tall = points * (1.0, 1.0, 1.5)
+    n_points, n_faces, n_corners = len(points), len(counts), len(indices)
+    edges = [indices[0], indices[1], indices[2]]
+    return f"""#usda 1.0
+(
+    defaultPrim = "Crate"
+    metersPerUnit = 1
+    upAxis = "Z"
+    timeCodesPerSecond = 48
+)
+def Xform "Crate" (
+    kind = "component"
+    assetInfo = {{
+        asset identifier = @./crate.usda@
+        string name = "Crate"
+    }}
+    prepend variantSets = ["shape"]
+    variants = {{
+        string shape = "cube"
+    }}
+)
+{{
+    float3[] extentsHint = [(-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)]
+    def Mesh "Box" (
+        prepend apiSchemas = ["MaterialBindingAPI"]
+    )
+    {{
+        point3f[] points = {tuples(points)}
+        {topology(counts, indices)}
+        float3[] extent = [(-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)]
+        uniform token subdivisionScheme = "catmullClark"
+        uniform token interpolateBoundary = "edgeAndCorner"
+        token faceVaryingLinearInterpolation = "cornersPlus1"
+        int[] creaseIndices = {edges}
+        int[] creaseLengths = [3]
+        float[] creaseSharpnesses = [4]
+        int[] cornerIndices = [{indices[4]}]
+        float[] cornerSharpnesses = [10]
+        int[] holeIndices = [5]
+        color3f[] primvars:displayColor = [(0.5, 0.3, 0.1)] (
+            interpolation = "constant"
+        )
+        float[] primvars:wear = {[round(0.01 * i, 3) for i in range(n_faces)]} (
+            interpolation = "uniform"
+        )
+        float[] primvars:dust = {[round(0.02 * i, 3) for i in range(n_points)]} (
+            interpolation = "varying"
+        )
+        point3f[] primvars:rest = {tuples(points)} (
+            interpolation = "vertex"
+        )
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
+            interpolation = "faceVarying"
+        )
+        int[] primvars:st:indices = {[i % 4 for i in range(n_corners)]}
+        float[] primvars:pair = {[0.5] * (2 * n_points)} (
+            elementSize = 2
+            interpolation = "vertex"
+        )
+        string primvars:lot = "K7" (
+            interpolation = "constant"
+        )
+        float[] primvars:heat.timeSamples = {{
+            0: {[0.0] * n_points},
+            10: {[1.0] * n_points},
+        }}
+        asset primvars:stencil = @./stencil.png@
+        uniform token subsetFamily:materialBind:familyType = "nonOverlapping"
+        rel material:binding = </Crate/Looks/Wood>
+        def GeomSubset "Lid" (
+            prepend apiSchemas = ["MaterialBindingAPI"]
+        )
+        {{
+            uniform token elementType = "face"
+            uniform token familyName = "materialBind"
+            int[] indices = [4, 5, 6, 7]
+            rel material:binding = </Crate/Looks/Paint>
+        }}
+        def GeomSubset "Rim"
+        {{
+            uniform token elementType = "point"
+            uniform token familyName = "selection"
+            int[] indices = [0, 1, 2]
+        }}
+    }}
+    def Scope "Looks"
+    {{
+        def Material "Wood"
+        {{
+        }}
+        def Material "Paint"
+        {{
+        }}
+    }}
+    variantSet "shape" = {{
+        "cube" {{
+        }}
+        "tall" (
+            prepend variantSets = ["paint"]
+            variants = {{
+                string paint = "red"
+            }}
+        ) {{
+            over "Box"
+            {{
+                point3f[] points = {tuples(tall)}
+                float3[] extent = [(-0.1, -0.1, -0.15), (0.1, 0.1, 0.15)]
+            }}
+            variantSet "paint" = {{
+                "red" {{
+                    over "Box"
+                    {{
+                        color3f[] primvars:displayColor = [(0.8, 0.1, 0.1)]
+                    }}
+                }}
+                "blue" {{
+                }}
+            }}
+        }}
+    }}
+}}
+"""
+
+
+def write_props(folder: Path) -> None:
+    """The layers that shots refer to, in ``folder/props``."""
+    props = folder / "props"
+    props.mkdir(parents=True)
+    for name, text in (("crate", crate()), ("chair", chair()), ("rock", rock())):
+        (props / f"{name}.usda").write_text(text, encoding="utf-8")
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    assert layer.ImportFromString(ball())
+    assert layer.Export(str(props / "ball.usdc"))
+    (props / "stencil.png").write_bytes(b"a picture")
+
 
 SET = f"""#usda 1.0
 (

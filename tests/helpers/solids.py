@@ -1,4 +1,4 @@
-"""Small solids, made of values instead of files."""
+"""Small solids, made of values instead of files, and ways to break them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from gf_usd.core.frames import (
     SurfaceSamples,  # fmt: skip
 )
 from gf_usd.core.materials import LOOKS, Material
+from gf_usd.core.mesh import signed_volume, weld
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling import sample_solid, sample_surface
 from gf_usd.geometry.solid import Solid, build_solid
@@ -111,3 +112,33 @@ def settings(**changes: Any) -> Settings:
         "floor": None,
     }
     return Settings(**{**said, **changes})
+
+
+def without(body, rows):
+    """A surface that lacks some of its triangles."""
+    kept = np.delete(body.triangles, rows, axis=0)
+    return surface(body.points, kept)
+
+
+def turned(body, rows):
+    """A surface with some triangles turned over."""
+    triangles = body.triangles.copy()
+    triangles[rows] = triangles[rows, ::-1]
+    return surface(body.points, triangles)
+
+
+def joined(*bodies):
+    """Several surfaces as the shells of one."""
+    first = np.cumsum([0, *(len(b.points) for b in bodies)])
+    triangles = [b.triangles + o for b, o in zip(bodies, first)]
+    return surface(np.concatenate([b.points for b in bodies]), np.concatenate(triangles))
+
+
+def volume(body) -> float:
+    """Signed volume of the welded triangles."""
+    return signed_volume(body.points, weld(body.points)[0][body.triangles])
+
+
+def around(body, vertex: int) -> np.ndarray:
+    """Rows of the triangles about a vertex."""
+    return np.flatnonzero((body.triangles == vertex).any(1))

@@ -4,30 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from lane_kernels import evaluate
+from law_references import LAM, MU, felt, unit
 from solids import ball, look, settings
 
 from gf_usd.physics.laws.registry import LAWS
 from gf_usd.physics.per_particle import singular_values
 from gf_usd.physics.time_step import stable_step, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-
-MU, LAM = 2.0, 3.0
-STEP = 1e-4  # of a central second difference of P: its error is STEP^2 times the third derivative
-
-
-def felt(token: str, F: np.ndarray, n: np.ndarray, N: np.ndarray) -> np.ndarray:
-    """n (x) N : d^2 psi / dF^2 : n (x) N, by differences of P, per particle."""
-    H = n[:, :, None] * N[:, None, :]
-    mu, lam = np.full(len(F), MU), np.full(len(F), LAM)
-    ahead = evaluate(token, F + STEP * H, mu, lam, np.float64)[1]
-    behind = evaluate(token, F - STEP * H, mu, lam, np.float64)[1]
-    return ((ahead - behind) * H).sum((1, 2)) / (2.0 * STEP)
-
-
-def unit(rng: np.random.Generator, n: int) -> np.ndarray:
-    v = rng.normal(size=(n, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 @pytest.mark.parametrize("token", LAWS)

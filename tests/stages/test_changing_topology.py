@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from compare_stages import differences, with_variant
-from production_layers import box, tuples
+from production_shot import box, tuples
 from pxr import Usd, UsdGeom
 
 import gf_usd

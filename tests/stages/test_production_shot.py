@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compare_stages import additions, differences, with_variant, world_points
-from production_layers import START
-from production_shot import write_shot
+from production_shot import START, write_shot
 from pxr import Sdf, Usd, UsdGeom
 
 import gf_usd

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compare_stages import with_variant, world_points
-from production_layers import mesh
+from production_shot import mesh
 from pxr import Usd
 
 import gf_usd

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compare_stages import additions, differences, with_variant, world_points
-from production_props import write_props
+from production_shot import write_props
 from pxr import Usd
 
 import gf_usd

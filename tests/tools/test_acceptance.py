@@ -16,12 +16,6 @@ CURVE = {
 }  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def tools(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The folder of tools, to import from."""
-    monkeypatch.syspath_prepend(str(TOOLS))
-
-
 def rows(passed: bool) -> list[dict]:
     return [
         {
@@ -41,8 +35,8 @@ def made(passed: bool, folder: Path, date: str | None = None) -> Path:
     """A record as the section `verify` saves it."""
     from dataclasses import replace
 
-    from acceptance import SECTIONS
-    from acceptance_record import record, save
+    from tools.acceptance.record import record, save
+    from tools.acceptance.sections import SECTIONS
 
     section = SECTIONS["verify"]
     done = subprocess.CompletedProcess(
@@ -64,7 +58,7 @@ def test_a_record_says_what_it_was_measured_on(tmp_path: Path) -> None:
 
 
 def test_the_page_shows_the_newest_of_a_section(tmp_path: Path) -> None:
-    from acceptance_record import newest, page
+    from tools.acceptance.record import newest, page
 
     made(False, tmp_path, "2001-02-03T04:05:06Z")
     made(True, tmp_path, "2002-02-03T04:05:06Z")
@@ -78,7 +72,7 @@ def test_the_page_shows_the_newest_of_a_section(tmp_path: Path) -> None:
 
 
 def test_claims_about_a_batch_are_read_one_by_one() -> None:
-    from acceptance import read_batch
+    from tools.acceptance.sections import read_batch
 
     good = {"engine": "Dask", "claim": "all is done", "found": "18", "holds": True}
     bad = {"engine": "Dask", "claim": "none is lost", "found": "1", "holds": False}
@@ -92,7 +86,7 @@ def test_claims_about_a_batch_are_read_one_by_one() -> None:
 
 
 def test_a_run_that_printed_nothing_is_no_result() -> None:
-    from acceptance import read_batch, read_verify
+    from tools.acceptance.sections import read_batch, read_verify
 
     with pytest.raises(SystemExit, match="status 1"):
         read_batch(subprocess.CompletedProcess(("x",), 1, ""))
@@ -103,8 +97,8 @@ def test_a_run_that_printed_nothing_is_no_result() -> None:
 def test_the_page_of_the_cases_and_its_plots(tmp_path: Path) -> None:
     from xml.etree import ElementTree
 
-    from acceptance_record import newest
-    from verify_page import pages
+    from tools.acceptance.record import newest
+    from tools.acceptance.verify_page import pages
 
     made(False, tmp_path)
     files = {path.name: text for path, text in pages(newest(tmp_path)[0]).items()}

@@ -1,23 +1,14 @@
-"""tools/bake_assets.py: what it makes of sound, damaged and foreign files, and that it can fail."""
+"""The bake of a folder: what it makes of sound, damaged and foreign files, and that it can fail."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from small_bakes import BLOCK
 
-TOOLS = Path(__file__).parents[2] / "tools"
-
-
-@pytest.fixture
-def tool(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import bake_assets
-
-    return bake_assets
+from tools.acceptance import bake_assets
 
 
 @pytest.fixture
@@ -30,21 +21,17 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def run(
-    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str
-) -> tuple[int, str]:
+def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str) -> tuple[int, str]:
     page = folder.parent / "page.md"
-    page.write_text(f"above\n{tool.BEGIN}old\n{tool.END}below\n")
+    page.write_text(f"above\n{bake_assets.BEGIN}old\n{bake_assets.END}below\n")
     monkeypatch.setattr(
         sys, "argv", ["bake_assets", str(folder), "--write", str(page), "--frames", "2", *words]
     )
-    return tool.main(), page.read_text()
+    return bake_assets.main(), page.read_text()
 
 
-def test_baked_or_refused_in_words(
-    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
-) -> None:
-    status, page = run(tool, monkeypatch, folder, "--particles", "100")
+def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    status, page = run(monkeypatch, folder, "--particles", "100")
     assert status == 0
     above, *table, below = page.splitlines()
     assert (above, below) == ("above", "below")
@@ -59,30 +46,30 @@ def test_baked_or_refused_in_words(
 
 
 def test_a_crash_and_a_changed_file_are_failures(
-    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
+    monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
     def crash(*words: str) -> tuple[int, str, str]:
         (folder / "notes.txt").write_text("changed")
         return 1, "", "Traceback\nKeyError: 'up'\n"
 
-    monkeypatch.setattr(tool, "gf_usd", crash)
-    before = tool.digests(folder)
-    status, page = run(tool, monkeypatch, folder)
+    monkeypatch.setattr(bake_assets, "gf_usd", crash)
+    before = bake_assets.digests(folder)
+    status, page = run(monkeypatch, folder)
     assert status == 1
     assert page.count("| failed | ") == 2
     assert "KeyError: 'up'" in page
-    assert tool.digests(folder) != before
+    assert bake_assets.digests(folder) != before
 
 
 def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
-    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path
+    monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    monkeypatch.setattr(tool, "gf_usd", lambda *words: (3, "", "error: no"))
-    assert run(tool, monkeypatch, folder)[0] == 1
+    monkeypatch.setattr(bake_assets, "gf_usd", lambda *words: (3, "", "error: no"))
+    assert run(monkeypatch, folder)[0] == 1
 
     def litter(*words: str) -> tuple[int, str, str]:
         Path(words[3], "left.usda").write_text("")
         return 3, "", "error: no\n\nhint: yes"
 
-    monkeypatch.setattr(tool, "gf_usd", litter)
-    assert run(tool, monkeypatch, folder)[0] == 1
+    monkeypatch.setattr(bake_assets, "gf_usd", litter)
+    assert run(monkeypatch, folder)[0] == 1

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from bench_peer_runs import middle
-from bench_report import marks, put
-from bench_speed import peer_tables, rounds, size_ratio
+
+from tools.bench.processes import middle
+from tools.bench.speed import peer_tables, rounds, size_ratio
+from tools.bench.tables import marks, put
 
 
 def test_cells_are_measured_in_turns():

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import special_ortho_group
 
 from gf_usd.core.errors import InputError
-from tools.paper_drift import distances, drift
-from tools.paper_isosurface import density, isosurface, kernel_axes
+from tools.paper.drift import density, distances, drift, isosurface, kernel_axes
 
 LEVEL = 0.43
 # One Gaussian has rho = level where |x| = sigma sqrt(-2 ln level).

@@ -7,14 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
+from tools.acceptance.sections import read_endurance
 
-TOOLS = Path(__file__).parents[2] / "tools"
+ROOT = Path(__file__).parents[2]
 
 
 def ran(*words: str) -> subprocess.CompletedProcess[str]:
-    tool = [sys.executable, str(TOOLS / "endurance.py"), "--json", *words]
-    return subprocess.run(tool, capture_output=True, text=True, check=False)
+    tool = [sys.executable, "-m", "tools.acceptance.endurance", "--json", *words]
+    return subprocess.run(tool, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
 def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
@@ -29,10 +29,7 @@ def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
     assert all(r["rollbacks"] == 0 and not r["fault"] for r in runs)
 
 
-def test_acceptance_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(TOOLS))
-    import acceptance
-
+def test_acceptance_reads_it() -> None:
     row = {
         "name": "a", "frames": 3, "asked": 3, "rollbacks": 0, "inverted": 0, "farthest": 4.0,
         "kinetic_end": 1e-6, "energy_rise": 0.0, "seconds": 1.0, "fault": "", "sound": True,
@@ -40,7 +37,7 @@ def test_acceptance_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
     bad = {**row, "name": "b", "frames": 1, "fault": "frame 2: it looks odd", "sound": False}
     for runs, passed in (([row], True), ([row, bad], False)):
         done = subprocess.CompletedProcess([], int(not passed), json.dumps({"runs": runs}))
-        outcome = acceptance.read_endurance(done)
+        outcome = read_endurance(done)
         assert outcome.passed is passed
         assert len(outcome.table) == len(runs) + 1
     assert "it looks odd" in outcome.table[2][-1]

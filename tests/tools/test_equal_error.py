@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from bench_equal_error import RUNGS, converged, error, row, search
-from bench_peer_runs import PEERS
+
+from tools.bench.equal_error import RUNGS, converged, error, row, search
+from tools.bench.processes import PEERS
 
 TRUTH = {"squash": 0.8, "rebound": 0.5}
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 def test_memory_stays_flat(clip_frames: int, tmp_path: Path) -> None:
     done = subprocess.run(
         [
-            sys.executable, str(ROOT / "tools" / "long_cache.py"), "--particles", "20000",
+            sys.executable, "-m", "tools.bench.long_cache", "--particles", "20000",
             "--frames", "240", "--clip-frames", str(clip_frames), "--folder", str(tmp_path),
         ],
         capture_output=True, text=True, check=True, cwd=ROOT,

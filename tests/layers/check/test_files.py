@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from check_damage import MESH, MIDDLE, put, with_nan
-from check_stages import CUBE, RATE, box, good_stage, vec3
+from checked_stages import CUBE, MESH, MIDDLE, RATE, box, good_stage, put, vec3, with_nan
 from pxr import Sdf, Usd
 
 from gf_usd.core.errors import InputError

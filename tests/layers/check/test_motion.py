@@ -6,8 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from check_damage import GAUSSIANS, MESH, OURS, POINTS
-from check_stages import CODES, CUBE, GRID, RATE, box, good_stage, motion, vec3
+from checked_stages import (
+    CODES,
+    CUBE,
+    GAUSSIANS,
+    GRID,
+    MESH,
+    OURS,
+    POINTS,
+    RATE,
+    box,
+    good_stage,
+    motion,
+    vec3,
+)
 from pxr import Usd, UsdGeom
 
 from gf_usd.layers.check import motion as motion_rule

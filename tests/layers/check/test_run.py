@@ -6,9 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from check_breaks import ALSO, CASES
-from check_damage import GAUSSIANS, Break, late_samples, no_extent, put
-from check_stages import floats, good_stage
+from checked_stages import (
+    ALSO,
+    CASES,
+    GAUSSIANS,
+    Break,
+    floats,
+    good_stage,
+    late_samples,
+    no_extent,
+    put,
+)
 
 from gf_usd.layers.check.base import RULES
 from gf_usd.layers.check.run import CheckResult, check_file, check_stage

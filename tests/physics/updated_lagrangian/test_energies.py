@@ -6,13 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from law_references import LAM, MU, felt, unit
 from solids import ball, look, settings
 
 from gf_usd.physics.laws.registry import LAWS
 from gf_usd.physics.per_particle import singular_values
 from gf_usd.physics.updated_lagrangian.energies import cells_now, strained_speed, world_stiffness
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from tests.physics.test_time_step_stiffening import LAM, MU, felt, unit
 
 
 @pytest.mark.parametrize("token", LAWS)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from gf_usd.core.asset import Splats
 from gf_usd.core.frames import Pose
 from gf_usd.core.scene import Camera, Harmonics, RenderSplats
+from gf_usd.geometry.splat_hull import hull
 from gf_usd.layers.stage import Clock
 from gf_usd.layers.tracks.captured import SplatTrack
 from gf_usd.physics.gaussians import CarriedSplats
@@ -24,7 +25,6 @@ from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.system.taichi_runtime import ensure_taichi
 from gf_usd.view.render.camera import lens
 from gf_usd.view.render.splats import draw_splats, seen_from
-from tests.geometry.test_splat_hull import hull
 
 SIZE = (200, 150)
 EYE = np.array([0.4, 0.9, 2.2])

@@ -1,0 +1,126 @@
+"""Faults in kernels, put there by name; as a program it runs `gf-usd` with one of them.
+
+    python kernel_faults.py "gravity upward" verify --case free-fall
+
+A function that kernels call, or a value that they are built with, is replaced before any is built,
+so that the fault is in what Taichi compiles, and in this process alone.
+"""
+
+import sys
+from collections.abc import MutableMapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import taichi as ti
+
+from gf_usd.physics.contact import kernels as contact
+from gf_usd.physics.contact.kernels import floor_force
+from gf_usd.physics.grid import dependent_nodes
+from gf_usd.physics.grid.dependent_nodes import mirrored
+from gf_usd.physics.laws.registry import LAWS, corotated_pk1, neo_hookean_pk1
+from gf_usd.physics.laws.simd3x3 import let, put, unrolled
+from gf_usd.physics.total_lagrangian.kernels import nodes, simd, substep
+from gf_usd.physics.total_lagrangian.kernels.nodes import block_sum, move_node
+from gf_usd.physics.total_lagrangian.kernels.simd import LINES, differences, filter_batch
+
+
+@unrolled
+def turned_differences(q):
+    """b = q0 - q2 for q2 - q0, along each axis."""
+    differences(q)
+    for lines in LINES:
+        for _, j, _ in lines:
+            put(q[j], 0.0 - q[j])
+
+
+@unrolled
+def half_of_apic(q, f, m, out):
+    """2/h^2 for 4/h^2 in the column of C_p along axis 1."""
+    filter_batch(q, f, m, out)
+    w = let([simd.spline(f[a]) for a in range(3)])
+    g = let([[w[a][i] * (float(i) - f[a]) for i in range(3)] for a in range(3)])  # w dX
+    for d in range(3):
+        column = [simd.dot(w[2], [q[27 * i + 9 * j + 3 * k + d] for k in range(3)])
+                  for i in range(3) for j in range(3)]  # fmt: skip
+        c = let(2.0 * m * simd.dot(w[0], [simd.dot(g[1], column[3 * i : 3 * i + 3])
+                                          for i in range(3)]))  # fmt: skip
+        for n in range(d, 81, 3):
+            i, j, k = n // 27, n // 9 % 3, n // 3 % 3
+            put(out[n], out[n] - w[0][i] * g[1][j] * w[2][k] * c)
+
+
+@ti.func
+def neo_hookean_without_lambda(F, mu, lam, converged):
+    return neo_hookean_pk1(F, mu, 0.0 * lam, converged)
+
+
+@ti.func
+def corotated_with_half_mu(F, mu, lam, converged):
+    return corotated_pk1(F, 0.5 * mu, lam, converged)
+
+
+@ti.func
+def move_upward(body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()):
+    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain)
+
+
+@ti.func
+def move_without_body_force(
+    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()
+):
+    b = ti.Vector([body.acceleration[3 * node + d] for d in range(3)])
+    move_node(body, node, contact, g - b, dt, drift, keep, plain)
+
+
+@ti.func
+def floor_without_damping(body: ti.template(), s, d, v, up, dt):
+    floor_force(body, s, d, v - v.dot(up) * up, up, dt)
+
+
+@ti.func
+def sum_without_followers(body: ti.template(), node, plain: ti.template()):
+    return block_sum(body, node, plain)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What a module (or a registry) has by a name, what takes its place, and who sees it."""
+
+    home: Any
+    name: str
+    wrong: Any
+    case: str  # of `gf-usd verify`
+
+    def put(self) -> None:
+        """Do the harm.  Raises KeyError where there is nothing of that name."""
+        held = self.home if isinstance(self.home, MutableMapping) else vars(self.home)
+        if self.name not in held:
+            raise KeyError(self.name)
+        held[self.name] = self.wrong
+
+
+def _law(token: str, pk1: Any) -> Fault:
+    return Fault(LAWS, token, replace(LAWS[token], pk1=pk1), f"law-{token}")
+
+
+FAULTS = {
+    "slope of the spline turned round": Fault(simd, "differences", turned_differences, "patch"),
+    "2/h^2 for 4/h^2 in APIC": Fault(simd, "filter_batch", half_of_apic, "spin-apic"),
+    "no lambda in the Neo-Hookean stress": _law("neoHookean", neo_hookean_without_lambda),
+    "half the shear modulus in the corotated stress": _law("corotated", corotated_with_half_mu),
+    "gravity upward": Fault(substep, "move_node", move_upward, "free-fall"),
+    # no launch ends a frame
+    "a whole drift at the end of a frame": Fault(substep, "CLOSES", 0, "free-fall"),
+    "no damping in the floor": Fault(contact, "floor_force", floor_without_damping, "bounce"),
+    "pins mirror without the sign": Fault(
+        dependent_nodes, "mirrored", lambda *given: -mirrored(*given), "bar"
+    ),
+    "followers keep their forces": Fault(nodes, "node_sum", sum_without_followers, "momentum"),
+    "no body force": Fault(substep, "move_node", move_without_body_force, "cantilever"),
+}
+
+if __name__ == "__main__":
+    from gf_usd.cli.main import run
+
+    FAULTS[sys.argv.pop(1)].put()
+    run()

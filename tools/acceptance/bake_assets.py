@@ -1,0 +1,164 @@
+"""Bake every asset of a folder with few particles and frames, and list the results.
+
+    python -m tools.acceptance.bake_assets FOLDER [--write FILE.md] [--particles N] [--frames N]
+
+Every file but pictures and texts is baked by the program in a process of its own, and the result
+checked.  It is baked, or refused in words with a hint; anything else is a failure, and so is a file
+of the folder whose bytes changed.  Exit status 1 if there was a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+BESIDE = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
+BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
+TIMEOUT = 600.0  # [s] for one asset
+REFUSED = 3  # the exit status of gf-usd for an input that it refuses
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of one asset."""
+
+    asset: str  # relative to the folder
+    ending: str  # baked | refused | failed
+    words: str  # bodies and notes, or the reason and the hint
+    seconds: float  # of the CPU, that of the check left out
+
+
+def assets(folder: Path) -> list[Path]:
+    """Every file that could be meant to be baked, in order."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sorted(path for path in files if path.suffix.lower() not in BESIDE)
+
+
+def cpu() -> float:
+    """[s] that processes of this one have used and ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """sha256 of every file."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def gf_usd(*words: str) -> tuple[int, str, str]:
+    """Exit status, stdout and stderr of the program; a signal or the time limit is status -1."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "gf_usd", *words],
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return -1, "", f"error: it took longer than {TIMEOUT:g} s"
+    return done.returncode, done.stdout, done.stderr
+
+
+def bake(path: Path, folder: Path, out: Path, options: Sequence[str]) -> Outcome:
+    """Bake one asset into a folder of its own, and check what was written."""
+    name = str(path.relative_to(folder))
+    target = out / name.replace("/", "_")
+    target.mkdir()
+    began = cpu()
+    status, stdout, stderr = gf_usd(
+        "bake", str(path), "-o", f"{target}/", "--json", "--quiet", *options
+    )
+    seconds = cpu() - began
+    ending, words = "failed", _reason(stderr, path, folder)
+    if status == 0:
+        result = json.loads(stdout)
+        ending, words = _checked(result)
+    elif status == REFUSED and "hint: " in stderr and not any(target.iterdir()):
+        ending = "refused"
+    return Outcome(asset=name, ending=ending, words=words, seconds=seconds)
+
+
+def _checked(result: dict[str, object]) -> tuple[str, str]:
+    report = json.loads(Path(str(result["report"])).read_text(encoding="utf-8"))
+    status, stdout, _ = gf_usd("check", str(result["root"]), "--json")
+    found = [f for f in json.loads(stdout)["findings"] if f["severity"] == "error"]
+    ours = report["check"]
+    bodies = len(report["bodies"])
+    words = f"{bodies} mesh{'es' if bodies > 1 else ''}, {result['particles']} particles"
+    if riders := len(report["riders"]):
+        words += f", {riders} not filled"
+    if found and not ours:
+        words += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"
+    sound = not ours and (status == 0 or found)
+    return ("baked", words) if sound else ("failed", f"check: {ours or found}")
+
+
+def _reason(stderr: str, path: Path, folder: Path) -> str:
+    """Message and hint on one line, with the asset by its name."""
+    text = stderr.strip() or "no message"
+    for long in (f"{path.absolute()}", f"{path}", f"{folder.absolute()}/", f"{folder}/"):
+        text = text.replace(long, path.name if long.endswith(path.name) else "")
+    found = re.search(r"error: (.*?)\n\s*hint: (.*)", text, re.DOTALL)
+    lines = f"{found[1].strip()}. Hint: {found[2].strip()}" if found else text.splitlines()[-1]
+    return " ".join(lines.split())
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """The outcomes in Markdown."""
+    rows = ["| asset | | CPU s | |", "|---|---|---|---|"]
+    for one in outcomes:
+        words = one.words.replace("|", "\\|")
+        rows.append(f"| `{one.asset}` | {one.ending} | {one.seconds:.0f} | {words} |")
+    return "\n".join(rows) + "\n"
+
+
+def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Put the table between the two comments of a Markdown file that mark its place."""
+    head, mark, rest = path.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, tail = rest.partition(END)
+    if not (mark and end):
+        raise SystemExit(f"{path} has no {BEGIN.strip()} and {END.strip()}")
+    path.write_text(head + mark + table(outcomes) + end + tail, encoding="utf-8")
+
+
+def main() -> int:
+    """Bake them all; the exit status."""
+    parser = argparse.ArgumentParser(description="Bake every asset of a folder.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--write", type=Path, help="replace the table in this Markdown file")
+    parser.add_argument("--particles", type=int, default=600)
+    parser.add_argument("--frames", type=int, default=3)
+    asked = parser.parse_args()
+    folder: Path = asked.folder
+    options = ("--particles", str(asked.particles), "--frames", str(asked.frames))
+    before = digests(folder)
+    outcomes = []
+    with tempfile.TemporaryDirectory() as out:
+        for path in assets(folder):
+            outcomes.append(bake(path, folder, Path(out), options))
+            one = outcomes[-1]
+            print(f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}", flush=True)
+    changed = [name for name, digest in digests(folder).items() if before.get(name) != digest]
+    for name in changed:
+        print(f"failed: {name} changed")
+    if asked.write:
+        write_table(asked.write, outcomes)
+    return int(bool(changed) or any(one.ending == "failed" for one in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

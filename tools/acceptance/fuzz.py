@@ -1,0 +1,124 @@
+"""Break small files by seed and read each in a forked child: `python -m tools.acceptance.fuzz`.
+
+With --options no file is broken: options of a bake, right and wrong, are combined and planned.
+Everything is imported once; a case costs a fork.  Exit status 1 where a reader crashed, hung, ate
+memory or raised an error that is not ours; the files that did it are kept in --keep.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import random
+import re
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
+from hostile_files import broken, sound
+from hostile_options import asset, drawn, planned
+
+from gf_usd.core.errors import GfUsdError, InputError
+from gf_usd.readers.trial import read_untrusted
+from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
+from gf_usd.system.sandbox import Limits, attempt
+
+PATIENCE = 60  # [s] for a plan
+TOGETHER = 25  # cases of one child
+EACH = Limits(time=10.0, memory=8e9, output=1e8)
+
+
+def main() -> int:
+    """Run the cases and print what came of them."""
+    ask = argparse.ArgumentParser(description=__doc__)
+    ask.add_argument("--seed", type=int, default=0)
+    ask.add_argument("--count", type=int, default=1000)
+    ask.add_argument("--seconds", type=float, default=240.0, help="stop after this time [s]")
+    ask.add_argument("--options", action="store_true", help="combine options instead")
+    ask.add_argument("--keep", type=Path, help="folder for the files that were findings")
+    asked = ask.parse_args()
+    until = time.monotonic() + asked.seconds
+    if asked.options:
+        return run_options(asked.seed, asked.count, until)
+    ends: Counter[str] = Counter()
+    findings: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        files = sound(Path(scratch) / "sound")
+        contents = [(file.suffix, file.read_bytes()) for file in files]
+        for file in files:  # in the parent: loads all that a child needs
+            read_untrusted(file)
+        for first in range(0, asked.count, TOGETHER):
+            if time.monotonic() > until:
+                break
+            cases = []
+            for number in range(first, min(first + TOGETHER, asked.count)):
+                dice = random.Random(f"{asked.seed}:{number}")
+                suffix, content = dice.choice(contents)
+                cases.append(Path(scratch) / f"case{number}{suffix}")
+                cases[-1].write_bytes(broken(content, suffix, dice))
+            # a fork costs more than a case: only where one of them ends badly has each its own
+            whole = run_cases(cases) is None
+            for case in cases:
+                end = None if whole else run_cases([case])
+                ends["read or refused in words" if end is None else "finding"] += 1
+                if end is not None:
+                    findings[f"{case.suffix}: {end}"] += 1
+                    if asked.keep is not None:
+                        asked.keep.mkdir(parents=True, exist_ok=True)
+                        (asked.keep / case.name).write_bytes(case.read_bytes())
+                case.unlink()
+    print(f"seed {asked.seed}: {sum(ends.values())} cases; {dict(ends)}")
+    for words, times in findings.most_common():
+        print(f"{times:6d}  {words}")
+    return 1 if findings else 0
+
+
+def run_options(seed: int, count: int, until: float) -> int:
+    """Plan combinations of options; the first error that is not ours ends it, with its options."""
+    ends: Counter[str] = Counter()
+    options = {}
+
+    def hang(number: int, frame: object) -> None:
+        raise TimeoutError(f"no plan in {PATIENCE} s")
+
+    signal.signal(signal.SIGALRM, hang)
+    with tempfile.TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+        path = asset(Path(scratch))
+        for number in range(count):
+            if time.monotonic() > until:
+                break
+            options = drawn(random.Random(f"{seed}:options:{number}"))
+            signal.alarm(PATIENCE)
+            try:
+                ends["planned" if planned(path, options) else "refused in words"] += 1
+            finally:
+                signal.alarm(0)
+                if sys.exc_info()[0] is not None:
+                    print(f"seed {seed}, case {number} of {dict(ends)}: {options}")
+        left = [found.name for found in Path(scratch).iterdir() if found != path]
+    print(f"seed {seed}: {sum(ends.values())} combinations; {dict(ends)}; left behind: {left}")
+    return 1 if left else 0
+
+
+def run_cases(cases: Sequence[Path]) -> str | None:
+    """What a child met in files, where it did not end in words of ours."""
+
+    def read() -> None:
+        for case in cases:
+            with contextlib.suppress(GfUsdError):
+                read_untrusted(case)
+
+    try:
+        attempt(cases[0], read, EACH)
+    except InputError as error:
+        return re.sub(r"\d{3,}", "N", error.message.replace(str(cases[0]), "").strip(": "))
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,263 @@
+"""Run what takes too long for every commit, and write down what came out.
+
+    python tools/acceptance.py [--only SECTION]... [--page]
+
+Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
+made again from the newest of each.  Exit status 1 if a section failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A long run: the command a person would type, and how to read what it prints."""
+
+    title: str
+    command: tuple[str, ...]
+    read: Callable[[subprocess.CompletedProcess[str]], Outcome]
+
+
+def figure(value: float | None) -> str:
+    """A number of the table; a figure that is none is said so."""
+    return "none" if value is None else f"{value:.5g}"
+
+
+def printed(done: subprocess.CompletedProcess[str], tool: str) -> Any:
+    """The JSON on the last line that a tool of this folder printed.
+
+    Raises SystemExit where it printed nothing: it did not run.
+    """
+    if not done.stdout:
+        raise SystemExit(
+            f"tools/acceptance/{tool}.py printed nothing, exit status {done.returncode}"
+        )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def read_verify(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """The figures of `gf-usd verify --json`.
+
+    Raises SystemExit where it printed none: it did not run.
+    """
+    if not done.stdout:
+        raise SystemExit(f"gf-usd verify printed nothing, exit status {done.returncode}")
+    cases = json.loads(done.stdout)["cases"]
+    failed = [case["name"] for case in cases if not case["pass"]]
+    names = {case["case"] for case in cases}
+    summary = f"{len(cases) - len(failed)} of {len(cases)} figures in {len(names)} cases"
+    if failed:
+        summary += f"; failed: {', '.join(failed)}"
+    rows = [
+        (
+            case["name"] + (f" [{case['unit']}]" if case["unit"] else ""),
+            figure(case["value"]),
+            f"{'at least ' if case['kind'] == 'at least' else ''}{figure(case['target'])}",
+            figure(case["error"]),
+            f"{figure(case['bound'])} {case['kind'] if case['kind'] == 'relative' else ''}".strip(),
+            "pass" if case["pass"] else "**FAIL**",
+        )
+        for case in cases
+    ]
+    head = ("figure", "ours", "target", "error", "bound", "verdict")
+    return Outcome(
+        passed=done.returncode == 0 and not failed,
+        summary=summary,
+        table=(head, *rows),
+        data={"cases": cases},
+    )
+
+
+def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.endurance --json` found."""
+    if not done.stdout:
+        raise SystemExit(
+            f"tools.acceptance.endurance printed nothing, exit status {done.returncode}"
+        )
+    runs = json.loads(done.stdout.splitlines()[-1])["runs"]
+    bad = [r["name"] for r in runs if not r["sound"]]
+    head = ("run", "frames", "repeated", "inverted", "farthest [r]", "motion at the end", "verdict")
+    rows = [
+        (
+            r["name"],
+            f"{r['frames']} of {r['asked']}",
+            str(r["rollbacks"]),
+            f"{r['inverted']} particle-frames",
+            f"{r['farthest']:.2f}",
+            f"{r['kinetic_end']:.2g} m g r",
+            "pass" if r["sound"] else f"**FAIL** {r['fault']}",
+        )
+        for r in runs
+    ]
+    return Outcome(
+        passed=not bad,
+        summary=f"{len(runs) - len(bad)} of {len(runs)} runs sound"
+        + (f"; not {', '.join(bad)}" if bad else ""),
+        table=(head, *rows),
+        data={"runs": runs},
+    )
+
+
+def read_batch(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.batch --json` found."""
+    tree = printed(done, "batch")
+    claims = tree["claims"]
+    bad = [c["claim"] for c in claims if not c["holds"]]
+    times = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in tree["seconds"].items())
+    rows = [
+        (c["engine"], c["claim"], c["found"], "pass" if c["holds"] else "**FAIL**") for c in claims
+    ]
+    return Outcome(
+        passed=not bad,
+        summary=f"{len(claims) - len(bad)} of {len(claims)} claims held ({times})"
+        + (f"; not: {', '.join(bad)}" if bad else ""),
+        table=(("engine", "claim", "found", "verdict"), *rows),
+        data=tree,
+    )
+
+
+def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.kills --json` found."""
+    tree = printed(done, "kills")
+    kills, rows = tree["kills"], []
+    for phase, words in (
+        ("start", "before the first clip"),
+        ("clips", "after a clip, before the last one"),
+        ("results", "after the last clip, while the results are renamed"),
+    ):
+        of = [k for k in kills if k["target"]["phase"] == phase]
+        clips = [k["clips"] for k in of]
+        faults = [k["fault"] for k in of if k["fault"]]
+        rows.append(
+            (
+                words,
+                str(len(of)),
+                f"{min(clips, default=0)} to {max(clips, default=0)}",
+                str(sum(any("checkpoint" in name for name in k["final"]) for k in of)),
+                str(sum(any("checkpoint" not in name for name in k["final"]) for k in of)),
+                str(sum(k["ended"] for k in of)),
+                f"**FAIL** {'; '.join(faults)}" if faults else "pass",
+            )
+        )
+    sound = sum(not k["fault"] for k in kills)
+    met = sum(not k["ended"] and k["clips"] > 0 for k in kills)
+    head = (
+        "moment", "kills", "clips there", "checkpoint there", "results there",
+        "bake already over", "verdict",
+    )  # fmt: skip
+    return Outcome(
+        passed=done.returncode == 0 and sound == len(kills),
+        summary=f"{len(kills)} kills, {met} of them in a bake that had clips and was not over;"
+        f" after {sound} of {len(kills)} every file under a final name was whole and checked, and"
+        " --resume ended with the bits of a bake that nobody killed",
+        table=(head, *rows),
+        data=tree,
+    )
+
+
+def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.jitter --json` found."""
+    tree = printed(done, "jitter")
+    rows = []
+    for scene in dict.fromkeys(ran["scene"] for ran in tree["runs"]):
+        runs = [ran for ran in tree["runs"] if ran["scene"] == scene]
+        faults = [f"{ran['number']}: {ran['fault']}" for ran in runs if ran["fault"]]
+        seen = [ran["figures"] for ran in runs if ran["figures"]]
+        rows.append(
+            (
+                scene,
+                str(len(runs)),
+                figure(min((f["min_J"] for f in seen), default=None)),
+                figure(max((f["deepest_penetration_spacings"] for f in seen), default=None)),
+                figure(max((f["deepest_overlap_spacings"] for f in seen), default=None)),
+                figure(max((f["energy_gain_max_share"] for f in seen), default=None)),
+                str(sum(bool(ran["warnings"]) for ran in runs)),
+                f"**FAIL** {'; '.join(faults)}" if faults else "pass",
+            )
+        )
+    bad = [ran for ran in tree["runs"] if ran["fault"]]
+    head = (
+        "scene", "runs", "smallest J", "deepest in the floor [spacings]",
+        "deepest overlap [spacings]", "largest gain of energy in a frame", "with a warning",
+        "verdict",
+    )  # fmt: skip
+    return Outcome(
+        passed=done.returncode == 0 and not bad,
+        summary=f"{len(tree['runs']) - len(bad)} of {len(tree['runs'])} jittered bakes were"
+        " without a finding of check, and without a warning that the original scene does not have",
+        table=(head, *rows),
+        data=tree,
+    )
+
+
+SECTIONS: dict[str, Section] = {
+    "batch": Section(
+        title="A batch with injected failures",
+        command=("python", "-m", "tools.acceptance.batch", "--json"),
+        read=read_batch,
+    ),
+    "jitter": Section(
+        title="Randomized samples",
+        command=("python", "-m", "tools.acceptance.jitter", "--json"),
+        read=read_jitter,
+    ),
+    "kills": Section(
+        title="kill -9 of a bake",
+        command=("python", "-m", "tools.acceptance.kills", "--json"),
+        read=read_kills,
+    ),
+    "verify": Section(
+        title="Accuracy",
+        command=("gf-usd", "verify", "--full", "--json"),
+        read=read_verify,
+    ),
+    "endurance": Section(
+        title="Endurance",
+        command=("python", "-m", "tools.acceptance.endurance", "--json"),
+        read=read_endurance,
+    ),
+}
+
+
+def run(name: str, section: Section) -> bool:
+    """Run one section and save it; whether it passed."""
+    program, *words = section.command
+    module = [] if program == "python" else ["-m", program.replace("-", "_")]
+    interpreter = [sys.executable, *module]
+    print(f"{name}: {' '.join(section.command)}", file=sys.stderr)
+    began = time.perf_counter()
+    done = subprocess.run(
+        [*interpreter, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+    )
+    seconds = time.perf_counter() - began
+    outcome = section.read(done)
+    path = save(record(name, section.title, section.command, seconds, outcome))
+    verdict = "passed" if outcome.passed else "FAILED"
+    print(f"{name}: {verdict}, {outcome.summary}; {path.relative_to(ROOT)}", file=sys.stderr)
+    return outcome.passed
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
+    parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
+    options = parser.parse_args(words)
+    chosen = [] if options.page else options.only or list(SECTIONS)
+    passed = [run(name, SECTIONS[name]) for name in chosen]
+    write(PAGE, page(newest()))
+    sys.exit(0 if all(passed) else 1)
+
+
+if __name__ == "__main__":
+    main()

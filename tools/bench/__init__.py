@@ -1,0 +1,1 @@
+"""What gf-usd costs, beside other solvers and by itself."""

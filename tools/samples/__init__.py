@@ -1,0 +1,1 @@
+"""How the assets of `samples/` are made."""
