@@ -1,4 +1,4 @@
-"""Break small files by seed and read each in a forked child: `python -m tools.acceptance.fuzz`.
+"""Mutate small files by seed and read each in a child process: `python -m tools.acceptance.fuzz`.
 
 With --options no file is broken: options of a bake, right and wrong, are combined and planned.
 Everything is imported once; a case costs a fork.  Exit status 1 where a reader crashed, hung, ate

@@ -1,4 +1,4 @@
-"""Run what takes too long for every commit, and write down what came out.
+"""Run the long acceptance sections, and record the results.
 
     python tools/acceptance.py [--only SECTION]... [--page]
 
