@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import re
+import json
+import os
 import socket
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +33,7 @@ from gf_usd.system.processes import Children, Ended
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
-FRAME = re.compile(r"frame (\d+)/(\d+), (\d+) particles")
+SHOWN = 10  # events of frames that are passed on, for each look
 AGAIN = ("crashed", "timeout")  # what another attempt may mend
 
 
@@ -129,7 +132,7 @@ def _attempts(
             return _none(job, "stopped", "interrupted before it began"), ()
         seconds += time.monotonic() - began
         cpu += ended.cpu_seconds
-        bake: Bake = judge(job, ended)
+        bake: Bake = judge(job, ended, watch.last)
         outcome = replace(
             bake.outcome, attempts=attempt, seconds=seconds, cpu_seconds=cpu,
             frames=bake.outcome.frames or watch.done, particles=watch.particles,
@@ -144,7 +147,7 @@ def _attempts(
 
 def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watch) -> Ended | None:
     """One attempt; None where no more is to be started."""
-    words = [*job.words(), "--overwrite", "--json"]
+    words = [*job.words(), "--overwrite"]
     if "threads" not in job.options and limits.threads:
         words += ["--threads", str(limits.threads)]
     if limits.slice:
@@ -161,35 +164,64 @@ def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watc
     watch.shared = shared
     locks = [lock.descriptor for lock in (held, shared) if lock is not None]
     try:
-        command = [sys.executable, "-m", "gf_usd", *words]
-        return children.run(command, watch, timeout=limits.timeout, inherit=locks)
+        with _listening(watch) as writer:
+            command = [sys.executable, "-m", "gf_usd", *words, "--events", str(writer)]
+            return children.run(
+                command, lambda line: None, timeout=limits.timeout, inherit=[*locks, writer]
+            )
     finally:
         if shared is not None:
             shared.release()
 
 
+@contextmanager
+def _listening(heard: Callable[[dict[str, Any]], None]) -> Iterator[int]:
+    """A file descriptor for the events of a process; all are heard when the context ends."""
+    reader, writer = os.pipe()
+
+    def listen() -> None:
+        with open(reader, encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                if line.endswith("\n"):  # one that a crash cut short says nothing
+                    heard(json.loads(line))
+
+    thread = threading.Thread(target=listen, name="gf-usd events", daemon=True)
+    thread.start()
+    try:
+        yield writer
+    finally:
+        os.close(writer)
+        thread.join()
+
+
 class _Watch:
-    """Hears the progress of a bake."""
+    """Follows the events of a bake.
+
+    last : the last event of each kind, by name.
+    """
 
     def __init__(self, job: Job, emit: Emit) -> None:
         self._job, self._emit = job, emit
         self._first: tuple[float, int] | None = None
+        self.last: dict[str, dict[str, Any]] = {}
         self.done = self.particles = 0
         self.rate = 0.0
         self.shared: Held | None = None  # the lock on what jobs share, until the first frame
 
-    def __call__(self, line: str) -> None:
-        match = FRAME.match(line)
-        if match is None:
+    def __call__(self, event: dict[str, Any]) -> None:
+        self.last[event["event"]] = event
+        if event["event"] != "frame":
             return
         if self.shared is not None:
             self.shared.release()
-        now = time.monotonic()
-        self.done, total, self.particles = (int(word) for word in match.groups())
+        now, total = time.monotonic(), event["total"]
+        self.done, self.particles = event["done"], event["particles"]
         if self._first is None:
             self._first = (now, self.done)
         elif now > self._first[0]:
             self.rate = (self.done - self._first[1]) / (now - self._first[0])
+        if self.done % max(1, total // SHOWN) and self.done != total:
+            return
         self._emit(
             {
                 "event": "frame", "job": self._job.name, "done": self.done, "total": total,

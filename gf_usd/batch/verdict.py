@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -13,8 +11,6 @@ from typing import Any
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.system.processes import Ended
 
-ERROR = re.compile(r"^error: (.*?)(?:\n\nhint: (.*?))?\s*\Z", re.DOTALL | re.MULTILINE)
-SLICED = re.compile(r"^(.+ frames are done), and the slice of \d+ clips ends here", re.MULTILINE)
 LOG = 4000  # characters of stderr that are kept of a bake that failed
 WORDS = 600  # characters of a message
 # of the health of a bake, what a table of many can show
@@ -35,24 +31,28 @@ class Bake:
     files: tuple[Path, ...] = ()  # of a complete bake
 
 
-def judge(job: Job, ended: Ended) -> Bake:
-    """What an attempt came to: complete and sound, at fault, or ended by something else."""
+def judge(job: Job, ended: Ended, events: Mapping[str, Mapping[str, Any]]) -> Bake:
+    """What an attempt came to: complete and sound, at fault, or ended by something else.
+
+    events : the last of each kind that the bake told, by name; see `gf-usd bake --events`.
+    """
     outcome = Outcome(
         job=job.name, state="done", root=str(job.root), command=job.command,
         status=ended.status, peak_memory=ended.peak_memory,
     )  # fmt: skip
-    result = _result(ended)
-    if result is not None and ended.status in (0, 4):
-        return _complete(outcome, ended, result)
-    message, hint = _said(ended)
+    error = events.get("error", {})
+    if "finished" in events and ended.status in (0, 4):
+        return _complete(outcome, ended, events["finished"], error)
+    message, hint = error.get("message", ""), error.get("hint", "")
     state = STATUS.get(ended.status, "crashed")
     if ended.stopped:
         state, message, hint = "stopped", "interrupted before its end", ""
     elif ended.timed_out:
         state, message, hint = "timeout", f"no end after {ended.seconds:.0f} s", "raise --timeout"
     elif state == "sliced":
-        said = SLICED.search(ended.err)
-        message, hint = said[1] if said else "a slice is done", "the same command goes on with it"
+        message, hint = "a slice is done", "the same command goes on with it"
+        if (slice := events.get("sliced")) is not None:
+            message = "{look}: {done} of {frames} frames are done".format_map(slice)
     elif ended.status == 0:
         state, message, hint = "crashed", "the bake ended without a result", ""
     elif ended.status < 0 or ended.status in INTERRUPTED:
@@ -69,8 +69,13 @@ def judge(job: Job, ended: Ended) -> Bake:
     )
 
 
-def _complete(outcome: Outcome, ended: Ended, result: Mapping[str, Any]) -> Bake:
-    """All files are there; the check or --strict may still find fault."""
+def _complete(
+    outcome: Outcome, ended: Ended, result: Mapping[str, Any], error: Mapping[str, Any]
+) -> Bake:
+    """All files are there; the check or --strict may still find fault.
+
+    result : the event `finished`; error : that of --strict.
+    """
     warnings = tuple(result["warnings"])
     findings = tuple(result["check"])
     health = result["bakes"][0]["health"]
@@ -90,24 +95,9 @@ def _complete(outcome: Outcome, ended: Ended, result: Mapping[str, Any]) -> Bake
             hint=first["fix"],
         )  # fmt: skip
     elif ended.status == 4:
-        message, hint = _said(ended)
-        outcome = replace(outcome, state="unsound", message=message[:WORDS], hint=hint)
+        message, hint = error.get("message", "")[:WORDS], error.get("hint", "")
+        outcome = replace(outcome, state="unsound", message=message, hint=hint)
     return Bake(outcome=outcome, files=tuple(Path(path) for path in result["outputs"]))
-
-
-def _result(ended: Ended) -> dict[str, Any] | None:
-    """The object that ``bake --json`` prints; None where it is not whole."""
-    try:
-        result = json.loads(ended.out)
-    except ValueError:
-        return None
-    return result if isinstance(result, dict) else None
-
-
-def _said(ended: Ended) -> tuple[str, str]:
-    """Message and hint of an expected error; "" where none was said."""
-    match = ERROR.search(ended.err)
-    return (match[1].strip(), (match[2] or "").strip()) if match else ("", "")
 
 
 def _signal(status: int) -> str:

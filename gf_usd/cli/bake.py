@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gf_usd.cli import exit
+from gf_usd.cli.events import STDOUT, event_stream
 from gf_usd.cli.options import (
     ClipFrames,
     Combine,
@@ -36,6 +38,8 @@ from gf_usd.cli.options import (
     Start,
     UpAxis,
 )
+from gf_usd.core import __version__
+from gf_usd.core.errors import UsageError
 
 
 def bake(
@@ -212,6 +216,14 @@ def bake(
     ] = 1.0,
     limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    events: Annotated[
+        str | None,
+        typer.Option(
+            help="File for what happens, a JSON object a line; - is stdout, a number an open file"
+            " descriptor.",
+            show_default="none",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
 ) -> None:  # fmt: skip
@@ -224,40 +236,59 @@ def bake(
     from gf_usd.cli.console import announce, progress, show_plan, summarise
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import prepare, run
+    from gf_usd.prepare.plan import describe
     from gf_usd.system.sandbox import parse_limits
 
-    plan = prepare(
-        asset, material=material, output=output, law=law, prims=prim or (),
-        overwrite=overwrite or dry_run,  # a dry run replaces nothing
-        particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
-        gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
-        combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
-        damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
-        blend_width=blend_width, material_boxes=tuple(material_box or ()),
-        material_labels=tuple(material_label or ()),
-        time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
-        stress=stress, skin=skin, solver=solver, no_shortcuts=no_shortcuts,
-        wls=wls, procrustes=procrustes, clamp=clamp, stress_cap=stress_cap, export_ply=export_ply,
-        export_spz=export_spz, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, only=only, flatten=flatten, half=half, samples_per_frame=samples_per_frame,
-        range=range, handles=handles, clip_frames=clip_frames, resume=resume,
-        limits=parse_limits(limits),
-    )  # fmt: skip
-    exit.watch(plan.outputs.checkpoints)
-    if dry_run:
-        show_plan(plan, as_json=as_json, max_hours=max_hours)
-        return
-    if verbose:
-        show_plan(plan, err=True, max_hours=max_hours)
-    if quiet:
-        result = run(plan, max_hours=max_hours, slice=slice)
-    else:
-        announce(plan)
-        with progress(plan) as advance:
-            result = run(plan, advance, max_hours=max_hours, slice=slice)
-    if as_json:
-        typer.echo(json.dumps(result.as_json(), indent=1))
-    elif not quiet:
-        summarise(result, plan)
-    if strict:
-        require_healthy(result)
+    if as_json and events == STDOUT:
+        raise UsageError("--json and --events - both want stdout", "give --events a file")
+    with event_stream(events) as emit:
+        emit("started", asset=str(asset), version=__version__, pid=os.getpid())
+        prepared = prepare(
+            asset, material=material, output=output, law=law, prims=prim or (),
+            overwrite=overwrite or dry_run,  # a dry run replaces nothing
+            particles=particles, spacing=spacing, frames=frames, fps=fps, start=start, drop=drop,
+            gravity=gravity, floor=floor, pins=tuple(pin or ()), seed=seed, device=device,
+            combine=combine, self_contact=self_contact, threads=threads, filter_rate=filter_rate,
+            damping_time=damping_time, friction=friction, restitution=restitution, drag=drag,
+            blend_width=blend_width, material_boxes=tuple(material_box or ()),
+            material_labels=tuple(material_label or ()),
+            time_scale=time_scale, preset=preset, deformation_gradients=deformation_gradients,
+            stress=stress, skin=skin, solver=solver, no_shortcuts=no_shortcuts,
+            wls=wls, procrustes=procrustes, clamp=clamp, stress_cap=stress_cap,
+            export_ply=export_ply, export_spz=export_spz, meters_per_unit=meters_per_unit,
+            up_axis=up_axis, repair=repair, only=only, flatten=flatten, half=half,
+            samples_per_frame=samples_per_frame, range=range, handles=handles,
+            clip_frames=clip_frames, resume=resume, limits=parse_limits(limits),
+        )  # fmt: skip
+        plan = prepared.plan
+        exit.watch(plan.outputs.checkpoints)
+        if events is not None:
+            emit("plan", **describe(plan), **prepared.cost)
+        for note in plan.notes:
+            emit("note", message=note)
+        if dry_run:
+            if as_json or events != STDOUT:
+                show_plan(prepared, as_json=as_json, max_hours=max_hours)
+            return
+        if verbose:
+            show_plan(prepared, err=True, max_hours=max_hours)
+        if not quiet:
+            announce(prepared)
+        with progress(plan, shown=not quiet) as advance:
+
+            def on_frame(done: int, total: int) -> None:
+                advance(done, total)
+                emit("frame", done=done, total=total, particles=len(plan.particles))
+
+            result = run(prepared, on_frame, max_hours=max_hours, slice=slice)
+        for note in result.notes[len(plan.notes) :]:
+            emit("note", message=note)
+        for look, warning in result.warnings:
+            emit("warning", look=look, **warning.as_json())
+        emit("finished", **result.as_json())
+        if as_json:
+            typer.echo(json.dumps(result.as_json(), indent=1))
+        elif not quiet and events != STDOUT:
+            summarise(result, plan)
+        if strict:
+            require_healthy(result)

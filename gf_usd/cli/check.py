@@ -21,11 +21,9 @@ def check(
 
     Exit status 1 if there is an error, 0 otherwise: warnings do not count.
     """
-    from gf_usd.layers.check.run import check_file
     from gf_usd.system.sandbox import attempt, parse_limits
 
-    attempt(file, lambda: check_file(file), parse_limits(limits))
-    result = check_file(file)
+    result = attempt(file, "gf_usd.layers.check.run:check_file", parse_limits(limits), file)
     if as_json:
         out = {
             "file": str(file),

@@ -12,16 +12,19 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from gf_usd.pipeline.result import BakeResult, LookResult
+    from gf_usd.pipeline.result import BakeResult, VariantResult
+    from gf_usd.pipeline.run import Prepared
     from gf_usd.prepare.plan import Plan
 
 
-def show_plan(plan: Plan, *, max_hours: float, as_json: bool = False, err: bool = False) -> None:
+def show_plan(
+    prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
+) -> None:
     """What would be done and what it would cost; max_hours is where `run` refuses."""
-    from gf_usd.pipeline.budget import duration, estimate
+    from gf_usd.pipeline.budget import duration
     from gf_usd.prepare.plan import describe
 
-    d = {**describe(plan), **estimate(plan)}
+    d = {**describe(prepared.plan), **prepared.cost}
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
@@ -47,11 +50,11 @@ def show_plan(plan: Plan, *, max_hours: float, as_json: bool = False, err: bool 
     typer.echo("\n".join(lines), err=err)
 
 
-def announce(plan: Plan) -> None:
+def announce(prepared: Prepared) -> None:
     """One line on stderr of what is about to be spent, and the notes."""
-    from gf_usd.pipeline.budget import duration, estimate
+    from gf_usd.pipeline.budget import duration
 
-    cost = estimate(plan)
+    plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
@@ -66,8 +69,11 @@ def announce(plan: Plan) -> None:
 
 
 @contextmanager
-def progress(plan: Plan) -> Iterator[Callable[[int, int], None]]:
+def progress(plan: Plan, *, shown: bool) -> Iterator[Callable[[int, int], None]]:
     """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
+    if not shown:
+        yield lambda done, total: None
+        return
     total = plan.settings.frames * len(plan.materials)
     if not sys.stderr.isatty():
         step = max(1, total // 10)
@@ -108,7 +114,7 @@ def summarise(result: BakeResult, plan: Plan) -> None:
     typer.echo("\n".join(lines))
 
 
-def _measured(bake: LookResult) -> str:
+def _measured(bake: VariantResult) -> str:
     h = bake.health
     rebound = "no rebound" if h["restitution"] is None else f"restitution {h['restitution']:.2f}"
     overlap = h["deepest_overlap_spacings"]

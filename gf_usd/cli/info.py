@@ -98,7 +98,6 @@ def inputs(
 
     Exit status 3 if one of them cannot be read.
     """
-    from gf_usd.readers.inputs import read_inputs
     from gf_usd.system.sandbox import attempt, parse_limits
 
     most = parse_limits(limits)
@@ -106,8 +105,7 @@ def inputs(
     for path in assets:
         out: dict[str, Any] = {"asset": str(path)}
         try:
-            attempt(path, lambda path=path: read_inputs(path), most)
-            found = read_inputs(path)
+            found = attempt(path, "gf_usd.readers.inputs:read_inputs", most, path)
         except InputError as error:
             refused = error
             out |= {"error": error.message, "hint": error.hint}

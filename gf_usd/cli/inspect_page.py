@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gf_usd.geometry.diagnosis import faults
-from gf_usd.prepare.fill import AXIS, UNIT, origin, size
+from gf_usd.prepare.fill import size
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
@@ -43,7 +43,6 @@ def show(seen: Inspection) -> None:
 
 def _facts(console: Console, seen: Inspection) -> None:
     f = seen.asset.facts
-    unit, axis = origin(f, UNIT), origin(f, AXIS)
     wide = " x ".join(f"{w:.3g}" for w in size(seen.asset))
     rate = "no frame rate" if not f.time_codes_per_second else f"{f.time_codes_per_second:g} fps"
     span = (
@@ -52,8 +51,8 @@ def _facts(console: Console, seen: Inspection) -> None:
         else f", {f.start_time_code:g} to {f.end_time_code:g}"
     )
     console.print(
-        f"1 unit = {f.units.meters_per_unit:g} m ({_from(unit)}), {f.up_axis} up ({_from(axis)}),"
-        f" {rate}{span}; {wide} m"
+        f"1 unit = {f.units.meters_per_unit:g} m ({_from(f.unit_from)}), {f.up_axis} up"
+        f" ({_from(f.axis_from)}), {rate}{span}; {wide} m"
     )
 
 

@@ -42,6 +42,9 @@ class SurfaceMaterial:
     texture: Texture | None = None  # multiplies nothing: replaces the constant where present
 
 
+FILE, ASSUMED, OPTION = "file", "assumed", "option"  # where a unit or an axis comes from
+
+
 @dataclass(frozen=True, kw_only=True)
 class StageFacts:
     """What the source says of itself."""
@@ -49,6 +52,8 @@ class StageFacts:
     path: Path  # the file as the user named it
     units: StageUnits
     up_axis: str  # "Y" or "Z"
+    unit_from: str = FILE  # the unit of length: FILE, ASSUMED or OPTION
+    axis_from: str = FILE  # the up axis, likewise
     time_codes_per_second: float | None  # None where the source authors none
     start_time_code: float | None
     end_time_code: float | None

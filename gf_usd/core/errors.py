@@ -44,9 +44,16 @@ class BakeError(GfUsdError):
 
 
 class Unfinished(GfUsdError):
-    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault."""
+    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault.
+
+    variant : the one that it ended in; done : of its frames, of which there are so many.
+    """
 
     exit_status = 5
+
+    def __init__(self, message: str, hint: str, *, variant: str, done: int, frames: int) -> None:
+        super().__init__(message, hint)
+        self.variant, self.done, self.frames = variant, done, frames
 
 
 class SolverError(BakeError):
@@ -60,14 +67,14 @@ class SolverError(BakeError):
         self.frame, self.particle = frame, particle
 
 
-class OutOfRoom(SolverError):
+class OutOfResources(SolverError):
     """The disk or the memory is nearly full; what was had is kept, and clips can be resumed."""
 
 
 class UnhealthyError(GfUsdError):
     """The bake is complete and written, but has warnings, and --strict asks for none (status 4).
 
-    warnings : the `judgement.Caution`s; result : the `plan.BakeResult`.
+    warnings : the `HealthWarning`s; result : the `BakeResult`.
     """
 
     exit_status = 4

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import components, pairs_within
@@ -48,6 +47,8 @@ def weld(points: Floats, tolerance: float | None = None) -> tuple[NDArray[np.int
     centres = points[np.unique(cell_of, return_index=True)[1]]
     reach = tolerance + 2.0 * np.sqrt(3.0) * cell
     pairs = pairs_within(centres, reach)
+    from scipy.sparse import coo_matrix
+
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centres),) * 2)
     n_unique, cluster = components(graph)
     return _first_of_each(cluster[cell_of]), int(n_unique)
@@ -97,6 +98,8 @@ def shells(triangles: Ints) -> NDArray[np.int64]:
 
     `triangles` (T, 3) must be welded.  A collapsed triangle counts to the part of its edge.
     """
+    from scipy.sparse import coo_matrix
+
     triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     _, ids = _edges(triangles)
     count, n_edges = len(triangles), int(ids.max()) + 1 if len(ids) else 0

@@ -1,7 +1,7 @@
 """What is near each other, and what hangs together: SciPy's searches where they are worth it.
 
-Importing `scipy.spatial` and `scipy.sparse.csgraph` takes 0.15 CPU seconds, as long as a small body
-takes to be read, filled and set up.  So they are imported where they are used, and what is few is
+Importing `scipy.sparse` takes 0.2 CPU seconds and its graphs and `scipy.spatial` 0.15 more, as long
+as a small body takes to be read, filled and set up.  So they are imported where they are used, and what is few is
 found without them, to the bit as they find it.
 
 Derivatives at scattered points by least squares over neighbours, as one sparse operator.
@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import coo_matrix, csr_matrix
     from scipy.spatial import cKDTree
 
 
@@ -102,9 +101,10 @@ def components(graph: coo_matrix) -> tuple[int, Ints]:
         parts, part = connected_components(graph, directed=False)
         return int(parts), np.asarray(part, np.int64)
     import igl
+    from scipy.sparse import csc_matrix
 
     ends = np.concatenate([graph.row, graph.col]), np.concatenate([graph.col, graph.row])
-    both = sparse.csc_matrix((np.ones(2 * graph.nnz, np.int64), ends), shape=graph.shape)
+    both = csc_matrix((np.ones(2 * graph.nnz, np.int64), ends), shape=graph.shape)
     parts, part, _ = igl.connected_components(both)
     return int(parts), np.asarray(part, np.int64)
 
@@ -112,11 +112,13 @@ def components(graph: coo_matrix) -> tuple[int, Ints]:
 FLAT = 1e-9  # eigenvalue of M, beside the largest, of a direction without neighbours
 
 
-def operator(near: Ints, d: Floats, w: Floats) -> sparse.csr_matrix:
+def operator(near: Ints, d: Floats, w: Floats) -> csr_matrix:
     """(3 N, N) [1/m], row 3 p + b of da/dX_b at point p.
 
     near : (N, k) points beside each; d : (N, k, 3) [m] from it to them; w : (N, k) weights.
     """
+    from scipy.sparse import csr_matrix
+
     n, k = near.shape
     M = np.einsum("nk,nka,nkb->nab", w, d, d)
     B = np.einsum("nk,nka,nab->nbk", w, d, np.linalg.pinv(M, rcond=FLAT, hermitian=True))
@@ -124,12 +126,12 @@ def operator(near: Ints, d: Floats, w: Floats) -> sparse.csr_matrix:
     columns = np.concatenate([np.repeat(near.astype(np.int32), 3, axis=0), own[:, None]], 1)
     values = np.concatenate([B.reshape(3 * n, k), -B.sum(2).reshape(3 * n, 1)], 1)
     start = np.arange(0, columns.size + 1, k + 1)
-    D = sparse.csr_matrix((values.ravel(), columns.ravel(), start), shape=(3 * n, n))
+    D = csr_matrix((values.ravel(), columns.ravel(), start), shape=(3 * n, n))
     D.sum_duplicates()
     return D
 
 
-def slopes(D: sparse.csr_matrix, values: Floats) -> NDArray[np.float64]:
+def slopes(D: csr_matrix, values: Floats) -> NDArray[np.float64]:
     """(N, c, 3) of values (N, c): derivative by X_b of component a in place [:, a, b]."""
     n, c = values.shape
     return np.ascontiguousarray((D @ values).reshape(n, 3, c).swapaxes(1, 2))

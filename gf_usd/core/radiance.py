@@ -65,19 +65,6 @@ def basis(directions: Floats) -> NDArray[np.float64]:
     return np.stack(terms(x, y, z), axis=1)
 
 
-def rotate(harmonics: Floats, rotations: Floats) -> NDArray[np.float64]:
-    """Coefficients (N, (d + 1)^2, 3) turned by rotations (N, 3, 3), d at most 3."""
-    out = np.array(harmonics, dtype=np.float64)
-    # d_j^T R is (R^T d_j)^T
-    seen = np.einsum("ja,nab->njb", DIRECTIONS, rotations)
-    values = basis(seen.reshape(-1, 3)).reshape(len(out), len(DIRECTIONS), -1)
-    for degree in range(1, round(out.shape[1] ** 0.5)):
-        rows = band(degree)
-        at = np.einsum("njm,nmc->njc", values[:, :, rows], out[:, rows])
-        out[:, rows] = np.einsum("mj,njc->nmc", INVERSES[degree - 1], at)
-    return out
-
-
 def band(degree: int) -> slice:
     """Where the coefficients of one degree stand."""
     return slice(degree**2, (degree + 1) ** 2)

@@ -3,7 +3,7 @@
 The layer holds overs on the source's prim paths and the particle prims, so it is a payload over
 the source.  Its samples are its own, or in value clips (see `clips`).  Memory does not grow with
 the number of frames, because the layer is saved as it goes; a save also leaves a readable file
-behind should the process be killed.  Saving goes on beside the simulation of the next frame.
+behind should the process be killed.  It is saved in the background while the solver goes on.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from gf_usd.layers.tracks.health import HealthTrack, bake_root
 from gf_usd.layers.tracks.meshes import MeshTrack, free_instances
 from gf_usd.layers.tracks.particles import ParticleTrack
 from gf_usd.system.atomic_files import partial_path
-from gf_usd.system.background import Beside
+from gf_usd.system.background import BackgroundWriter
 
 SAVE = 64e6  # [bytes] that are held before they are saved
 
@@ -99,7 +99,7 @@ class CacheWriter:
         self._summary: CacheSummary | None = None
         self._lost: BakeError | None = None
         self._known = None  # the layer in which every attribute has its spec
-        self._beside = Beside()  # while it is busy nothing touches the layers
+        self._saving = BackgroundWriter()  # while it is busy nothing touches the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
         time = clock(stage, info.settings)
@@ -160,7 +160,7 @@ class CacheWriter:
     @property
     def unsaved(self) -> int:
         """Samples that are held in memory until the next save."""
-        return self._frames % self._every + (self._every if self._beside.busy else 0)
+        return self._frames % self._every + (self._every if self._saving.busy else 0)
 
     def state(self) -> dict[str, Any]:
         """What another writer goes on from, where this one is `full`; plain values."""
@@ -204,7 +204,7 @@ class CacheWriter:
         self._frames += 1
         if self._frames % self._every == 0:
             self._layer.endTimeCode = time_code
-            self._beside.start(self._save_layers)
+            self._saving.start(self._save_layers)
 
     def _write_tracks(self, frame: BakedFrame, time_code: float) -> None:
         for path, pose in frame.meshes.items():
@@ -268,7 +268,7 @@ class CacheWriter:
         """Wait for the last save.  USD crashes when a layer that met a full disk is touched."""
         if self._lost is not None:
             raise self._lost
-        self._guarded(self._beside.settle)
+        self._guarded(self._saving.settle)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         try:

@@ -65,7 +65,7 @@ def write_flat(
     anchor_tiles(stage, layer)
     _restore_displays(layer, root, asset, source, choices)
     if path.suffix != PACKAGE:
-        files = Beside(path.parent.absolute(), moved or {})
+        files = FolderFiles(path.parent.absolute(), moved or {})
         UsdUtils.ModifyAssetPaths(layer, files.place)
         _export(layer, partial_path(path))
         return tuple(files.notes)
@@ -141,7 +141,7 @@ class Files(ABC):
     def _placed(self, file: Path, inner: str) -> str: ...
 
 
-class Beside(Files):
+class FolderFiles(Files):
     """Files stay where they are; paths are relative to the folder of the result.
 
     moved : files that go with the result, from where they are to where they will be.

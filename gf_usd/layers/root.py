@@ -49,9 +49,9 @@ from gf_usd.layers.stage import (
 )
 from gf_usd.layers.variants import (
     DISPLAY_SET,
-    BakedLook,
+    BakedVariant,
     add_variants,
-    check_looks,
+    check_variants,
     free_display_set,
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
@@ -81,7 +81,7 @@ class RootSummary:
 def write_root(
     path: Path,
     asset: Asset,
-    bakes: Sequence[BakedLook],
+    bakes: Sequence[BakedVariant],
     *,
     source: Path | None = None,
     display: str | None = None,
@@ -108,7 +108,7 @@ def write_root(
     path = Path(path)
     choices = choices or Choices()
     display = display or choices.shapes[0]
-    check_looks(bakes, display, choices)
+    check_variants(bakes, display, choices)
     source_path = source or asset.facts.path
     stage = open_source(source_path)
     home = find_home(stage, asset, choices)
@@ -147,7 +147,7 @@ def _author_metadata(
     stage: Usd.Stage,
     asset: Asset,
     home: Home,
-    bakes: Sequence[BakedLook],
+    bakes: Sequence[BakedVariant],
 ) -> None:
     theirs = stage.GetRootLayer()
     for key in set(theirs.pseudoRoot.ListInfoKeys()) - OWN:
@@ -178,7 +178,7 @@ def _author_metadata(
     }
 
 
-def _about(bake: BakedLook) -> dict[str, object]:
+def _about(bake: BakedVariant) -> dict[str, object]:
     def plain(row: Material | Settings) -> dict[str, object]:
         return to_metadata(vars(row))
 

@@ -26,7 +26,7 @@ PARTICLES = {"gaussians": "Gaussians", "points": "Points"}  # shape -> prim in t
 
 
 @dataclass(frozen=True, kw_only=True)
-class BakedLook:
+class BakedVariant:
     """One variant of the root layer."""
 
     name: str  # of the variant, e.g. "rubber"
@@ -37,7 +37,7 @@ class BakedLook:
     failure: str = ""  # why it ended before its last frame; "" where it did not
 
 
-def check_looks(bakes: Sequence[BakedLook], display: str, choices: Choices) -> None:
+def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices) -> None:
     """Raise UsageError for no bakes, an unknown display, or names that cannot be variants."""
     if not bakes:
         raise UsageError("There is no bake to write a root layer for.", "give a --material")
@@ -71,7 +71,7 @@ def add_variants(
     root: Sdf.Path,
     asset: Asset,
     home: Home,
-    bakes: Sequence[BakedLook],
+    bakes: Sequence[BakedVariant],
     display_set: str,
     display: str,
     choices: Choices,

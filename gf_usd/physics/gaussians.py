@@ -30,9 +30,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
-from gf_usd.physics import per_particle
-from gf_usd.physics.per_particle import carried_by_numpy, nearest_rotation
-from gf_usd.physics.per_particle_kernels import rotated
+from gf_usd.physics.per_particle import carried, nearest_rotation, rotated
 
 
 class GaussianTrack:
@@ -63,8 +61,7 @@ class GaussianTrack:
     def advance(self, pose: Pose) -> GaussianPose:
         """The Gaussians at a pose; call once a frame, in order."""
         R = nearest_rotation(pose.F)
-        one = per_particle.carried if per_particle.serves(len(R)) else carried_by_numpy
-        self._axes, q, s = one(pose.F, self._rest, R, self._turn, self._axes, self._last)
+        self._axes, q, s = carried(pose.F, self._rest, R, self._turn, self._axes, self._last)
         self._turn, self._last = R, q
         return GaussianPose(positions=pose.x, velocities=pose.v, orientations=q, scales=s)
 

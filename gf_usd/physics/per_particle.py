@@ -1,52 +1,63 @@
-"""What a frame asks of every particle, where they are many: by `frame_kernel`.
+"""What a frame asks of every particle, as kernels: rotation, stretches, Gaussian, radiance.
 
-A launch and the loading of a kernel cost more than NumPy takes for few.  Both ways agree to
-rounding, and which is taken follows from the count alone.
-
-How much particles are stretched: singular values and determinants of F.
+A particle stays in registers and threads share the particles; with arrays in NumPy each of some two
+hundred operations would walk through memory, on one core.  In double precision, but for the
+coefficients of radiance.
 """
-
-from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.matrices import (
-    CHUNK,
-    _determinants,
-    _newton,
-    _signed_svd,
-    _singular_values,
-    entries,
-    jacobi,
-    quaternion_from_matrix,
+from gf_usd.core.radiance import DIRECTIONS, INVERSES, terms
+from gf_usd.physics.laws.simd3x3 import (
+    at,
+    cofactor,
+    determinant,
+    double_dot,
+    let,
+    product,
+    put,
+    unrolled,
 )
-from gf_usd.system.taichi_runtime import ensure_running
+from gf_usd.system.taichi_runtime import ensure_running, ensure_taichi, import_taichi
 
-MANY = 1_500  # particles or more
+ti = import_taichi()
+
+NEWTON = 12  # steps of the polar iteration, enough for stretches of 1/100 to 100
+SETTLED = 1e-9  # change after which an iterate is exact to rounding
+SWEEPS = 6  # Jacobi converges quadratically: f64 digits are used up well before
+
+Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
+Flags = ti.types.ndarray(dtype=ti.i32, ndim=1)
 
 
-def serves(count: int) -> bool:
-    """Whether so many are many."""
-    return count >= MANY
+def nearest_rotation(F: Floats) -> NDArray[np.float64]:
+    """(N, 3, 3) R of the polar decomposition with det R = 1: that of the signed SVD.
 
-
-def rotations(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """R of F (N, 3, 3), and (N,) where the iteration found it: not where F is inverted or flat."""
-    kernels = _kernels()
+    By Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986), several times as fast; by the SVD
+    itself where F is inverted, or so flat that the iteration would take long.
+    """
+    ensure_running()
     R, done = np.empty(F.shape), np.zeros(len(F), np.int32)
-    kernels.rotations(_flat(F), R.reshape(-1), done)
-    return R, done > 0
+    _rotations(_flat(F), R.reshape(-1), done)
+    left = done == 0
+    if left.any():
+        U, _, Vt = np.linalg.svd(F[left])
+        U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+        R[left] = U @ Vt
+    return R
 
 
 def strains(F: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Singular values (N, 3), ascending, and determinants (N,) of F (N, 3, 3)."""
-    kernels = _kernels()
+    """Singular values (N, 3), ascending, and determinants (N,) of F (N, 3, 3).
+
+    Square roots of the eigenvalues of F^T F by the closed form for symmetric 3x3 matrices (Smith
+    1961), which is exact to about 1e-8 of the largest.
+    """
+    ensure_running()
     s, J = np.empty((len(F), 3)), np.empty(len(F))
-    kernels.stretches(_flat(F), s.reshape(-1), J)
+    _stretches(_flat(F), s.reshape(-1), J)
     return s, J
 
 
@@ -58,11 +69,11 @@ def carried(
     F, and R its rotations; rest : Q0 diag(s0); turn, axes (N, 3, 3), last (N, 4): of the frame
     before.
     """
-    kernels = _kernels()
+    ensure_running()
     axes_now, q, scales = np.empty(F.shape), np.empty((len(F), 4)), np.empty((len(F), 3))
     given = (_flat(a) for a in (F, rest, R, turn, axes, last))
     made = (a.reshape(-1) for a in (axes_now, q, scales))
-    kernels.carry(*given, *made, len(F))
+    _carry(*given, *made, len(F))
     return axes_now, q, scales
 
 
@@ -70,59 +81,239 @@ def _flat(values: Floats) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, float).reshape(-1)
 
 
-def _kernels() -> Any:
-    ensure_running()
-    from gf_usd.physics import per_particle_kernels
-
-    return per_particle_kernels
-
-
-def carried_by_numpy(
-    F: Floats, rest: Floats, R: Floats, turn: Floats, axes: Floats, last: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """See `many.carried`."""
-    start = R @ np.swapaxes(turn, 1, 2) @ axes
-    B = np.swapaxes(start, 1, 2) @ (F @ rest)
-    S, spin = jacobi(B @ np.swapaxes(B, 1, 2))
-    axes = start @ spin
-    q = quaternion_from_matrix(axes)
-    q *= np.where((q * last).sum(1, keepdims=True) < 0.0, -1.0, 1.0)
-    return axes, q, np.sqrt(np.maximum(np.einsum("naa->na", S), 0.0))
+@unrolled
+def matrix(values, p):
+    """Matrix p of many, nine numbers row by row."""
+    return [let(at(values, 9 * p + a)) for a in range(9)]
 
 
-def nearest_rotation(F: Floats) -> NDArray[np.float64]:
-    """(N, 3, 3) R of the polar decomposition with det R = 1: that of the signed SVD.
+@unrolled
+def keep(values, p, A):
+    """Write A where `matrix` reads it."""
+    for a in range(9):
+        put(at(values, 9 * p + a), A[a])
 
-    By Newton's iteration Q <- (Q + Q^-T) / 2 (Higham 1986), several times as fast; by the SVD
-    itself where F is inverted, or so flat that the iteration would take long.
+
+@unrolled
+def transposed(A):
+    return [A[3 * b + a] for a in range(3) for b in range(3)]
+
+
+@ti.kernel
+def _rotations(F: Many, R: Many, done: Flags):
+    """R of the polar decomposition of each F where `done`: see `nearest_rotation`."""
+    for p in range(done.shape[0]):
+        Q = matrix(F, p)
+        settled = 0
+        if determinant(Q, cofactor(Q)) > 0.0:
+            step = 0
+            while step < NEWTON and settled == 0:
+                C = cofactor(Q)
+                if newton(Q, C, determinant(Q, C)) < SETTLED:
+                    settled = 1
+                step += 1
+        done[p] = settled
+        keep(R, p, Q)
+
+
+@unrolled
+def newton(Q, C, J):
+    """Q <- (Q + C / J) / 2; the largest change of an entry."""
+    J, largest = let(J), None
+    for a in range(9):
+        new = let(0.5 * (Q[a] + C[a] / J))
+        change = ti.abs(new - Q[a])
+        largest = let(change if largest is None else ti.max(largest, change))
+        put(Q[a], new)
+    return largest
+
+
+@ti.kernel
+def _stretches(F: Many, s: Many, J: Many):
+    """Singular values, ascending, and det F: see `strains`."""
+    for p in range(J.shape[0]):
+        A = matrix(F, p)
+        J[p] = determinant(A, cofactor(A))
+        D = product(transposed(A), A)
+        q = (D[0] + D[4] + D[8]) / 3.0
+        r = scaled_deviator(D, q)
+        # within [-1, 1], and what is no number stays none
+        cosine = determinant(D, cofactor(D)) / 2.0
+        cosine = ti.select(cosine > 1.0, cosine / cosine, cosine)
+        cosine = ti.select(cosine < -1.0, 0.0 - cosine / cosine, cosine)
+        angle = ti.acos(cosine) / 3.0
+        # cos(angle + 2 pi / 3), of which a literal would have single precision only
+        along, across = ti.cos(angle), ti.sqrt(0.0 * angle + 3.0) * ti.sin(angle)
+        high = q + 2.0 * r * along
+        low = q - r * (along + across)
+        s[3 * p] = root(low)
+        s[3 * p + 1] = root(3.0 * q - high - low)
+        s[3 * p + 2] = root(high)
+
+
+@unrolled
+def scaled_deviator(D, q):
+    """D <- (D - q) / r, and r = |D - q| / sqrt(6); where r is 0 D is left 0."""
+    for a in (0, 4, 8):
+        put(D[a], D[a] - q)
+    r = let(ti.sqrt(double_dot(D, D) / 6.0))
+    divisor = let(ti.select(r > 0.0, r, 0.0 * r + 1.0))
+    for a in range(9):
+        put(D[a], D[a] / divisor)
+    return r
+
+
+@unrolled
+def root(x):
+    """sqrt(x), 0 where rounding made x negative; what is no number stays none."""
+    x = let(x)
+    return ti.sqrt(ti.select(x < 0.0, 0.0 * x, x))
+
+
+@unrolled
+def quaternion(R):
+    """Unit quaternion [w, x, y, z] of a rotation R."""
+    a, b, c = R[0], R[4], R[8]
+    wx, wy, wz = R[7] - R[5], R[2] - R[6], R[3] - R[1]
+    xy, xz, yz = R[3] + R[1], R[2] + R[6], R[7] + R[5]
+    # The largest of four squared components is at least a quarter: divide by that one.
+    q = let([1 + a + b + c, wx, wy, wz])
+    most = q[0]
+    for k, row in enumerate(
+        (
+            [wx, 1 + a - b - c, xy, xz],
+            [wy, xy, 1 - a + b - c, yz],
+            [wz, xz, yz, 1 - a - b + c],
+        ),
+        1,
+    ):
+        row = let(row)
+        larger = let(row[k] > most)
+        most = let(ti.select(larger, row[k], most))
+        q = [let(ti.select(larger, row[i], q[i])) for i in range(4)]
+    length = let(ti.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]))
+    return [one / length for one in q]
+
+
+@ti.func
+def diagonalize(S: ti.template()):
+    """S <- Q^T S Q, diagonal, for a symmetric S of which the upper half is read and changed.
+
+    Returns Q, det Q = 1, near the identity: cyclic rotations (Jacobi 1846).
     """
-    F = np.asarray(F, float)
-    if serves(len(F)):
-        out, done = rotations(F)
-        if not done.all():
-            out[~done] = _signed_svd(F[~done])
-        return out
-    out = np.empty(F.shape)
-    for k in range(0, len(F), CHUNK):
-        some = slice(k, k + CHUNK)
-        out[some], done = _newton(F[some])
-        if not done.all():
-            out[some][~done] = _signed_svd(F[some][~done])
+    Q = identity()
+    # Below rounding an off-diagonal says nothing, and turning by it would be noise.
+    least = 1e-14 * ti.max(S[0] + S[4] + S[8], 1e-300)
+    sweep = 0
+    moved = 1
+    while sweep < SWEEPS and moved == 1:
+        moved = 0
+        for a, b in ti.static(((0, 1), (0, 2), (1, 2))):
+            if ti.abs(S[3 * a + b]) > least:
+                moved = 1
+                turn_plane(S, Q, a, b)
+        sweep += 1
+    return Q
+
+
+@unrolled
+def identity():
+    return [ti.cast(1.0 if a % 4 == 0 else 0.0, ti.f64) for a in range(9)]
+
+
+@unrolled
+def turn_plane(S, Q, a, b):
+    """Make S_ab 0 by a rotation of at most 45 degrees in the plane of a and b, a < b."""
+    off = let(S[3 * a + b])
+    tau = let((S[4 * b] - S[4 * a]) / (2.0 * off))
+    t = let(ti.select(tau >= 0.0, 1.0, -1.0) / (ti.abs(tau) + ti.sqrt(1.0 + tau * tau)))
+    c = let(1.0 / ti.sqrt(1.0 + t * t))
+    s = let(t * c)
+    put(S[4 * a], S[4 * a] - t * off)
+    put(S[4 * b], S[4 * b] + t * off)
+    put(S[3 * a + b], 0.0)
+    other = 3 - a - b
+    places = [(3 * min(a, other) + max(a, other), 3 * min(b, other) + max(b, other))]
+    for M, first, second in (
+        *((S, i, j) for i, j in places),
+        *((Q, 3 * i + a, 3 * i + b) for i in range(3)),
+    ):
+        x, y = let(M[first]), let(M[second])
+        put(M[first], c * x - s * y)
+        put(M[second], s * x + c * y)
+
+
+@ti.kernel
+def _carry(
+    F: Many, rest: Many, R: Many, turn: Many, axes: Many, last: Many, new_axes: Many,
+    new_last: Many, scales: Many, count: ti.i32,
+):  # fmt: skip
+    """A frame of `gaussians.GaussianTrack`, of which turn, axes and last are the state.
+
+    rest : Q0 diag(s0); R : rotations of F, the next turn.
+    """
+    for p in range(count):
+        turned = product(matrix(R, p), transposed(matrix(turn, p)))
+        start = product(turned, matrix(axes, p))
+        A = product(matrix(F, p), matrix(rest, p))
+        B = product(transposed(start), A)
+        S = product(B, transposed(B))
+        spin = diagonalize(S)
+        Q = product(start, spin)
+        keep(new_axes, p, Q)
+        keep_gaussian(new_last, scales, last, p, S, quaternion(Q))
+
+
+@unrolled
+def keep_gaussian(new_last, scales, last, p, S, q):
+    """Write the roots of S_aa, and of q and -q, which are one rotation, the one near the last."""
+    q = let(q)
+    for a in range(3):
+        put(at(scales, 3 * p + a), root(S[4 * a]))
+    along = q[0] * at(last, 4 * p)
+    for a in range(1, 4):
+        along = along + q[a] * at(last, 4 * p + a)
+    sign = let(ti.select(along < 0.0, -1.0, 1.0))
+    for a in range(4):
+        put(at(new_last, 4 * p + a), sign * q[a])
+
+
+_terms = ti.func(terms)
+F32_2, F32_3 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (2, 3))
+
+# (10, 15) what each direction gives to each coefficient above degree 0
+GIVES = np.ascontiguousarray(np.concatenate(INVERSES, axis=0).T, np.float32)
+LOOKS = np.ascontiguousarray(DIRECTIONS, np.float32)
+
+
+def rotated(harmonics: NDArray[np.float32], rotations: Floats) -> NDArray[np.float32]:
+    """Coefficients (N, (d + 1)^2, 3) turned by rotations (N, 3, 3), d from 1 to 3.
+
+    In single precision: see `gf_usd.core.radiance`.
+    """
+    ensure_taichi()
+    out = np.zeros(harmonics.shape, np.float32)
+    out[:, 0] = harmonics[:, 0]
+    turn = np.ascontiguousarray(rotations, np.float32)
+    _turn(np.ascontiguousarray(harmonics, np.float32), turn, LOOKS, GIVES, out,
+          round(harmonics.shape[1] ** 0.5) - 1)  # fmt: skip
     return out
 
 
-def strains_by_numpy(F: Floats) -> tuple[Floats, Floats]:
-    """Singular values (N, 3), ascending, and determinants (N,) of F (N, 3, 3)."""
-    if serves(len(F)):
-        return strains(F)
-    q = entries(F)
-    return _singular_values(q), _determinants(q)
-
-
-def singular_values(F: Floats) -> Floats:
-    """(N, 3) singular values, ascending: square roots of the eigenvalues of F^T F.
-
-    The closed form for symmetric 3x3 matrices (Smith 1961), which is twenty times faster than a
-    batched SVD and exact to about 1e-8 of the largest.
-    """
-    return strains(F)[0] if serves(len(F)) else _singular_values(entries(F))
+@ti.kernel
+def _turn(h: F32_3, turn: F32_3, looks: F32_2, gives: F32_2, out: F32_3, degrees: ti.template()):
+    """h'_m = sum_j B^+_mj sum_k Y_k(R^T d_j) h_k, degree by degree."""
+    for i in range(h.shape[0]):
+        for j in range(looks.shape[0]):
+            a, b, c = looks[j, 0], looks[j, 1], looks[j, 2]
+            x = a * turn[i, 0, 0] + b * turn[i, 1, 0] + c * turn[i, 2, 0]
+            y = a * turn[i, 0, 1] + b * turn[i, 1, 1] + c * turn[i, 2, 1]
+            z = a * turn[i, 0, 2] + b * turn[i, 1, 2] + c * turn[i, 2, 2]
+            Y = _terms(x, y, z)
+            for degree in ti.static(range(1, degrees + 1)):
+                for channel in ti.static(range(3)):
+                    seen = 0.0
+                    for k in ti.static(range(degree * degree, (degree + 1) * (degree + 1))):
+                        seen += Y[k] * h[i, k, channel]
+                    for k in ti.static(range(degree * degree, (degree + 1) * (degree + 1))):
+                        out[i, k, channel] += gives[j, k - 1] * seen

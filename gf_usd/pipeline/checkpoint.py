@@ -1,15 +1,15 @@
 """The file from which a bake goes on: ``NAME.checkpoint.npz``, beside the cache.
 
     about       JSON: `Checkpoint` without its arrays
-    solver.*    the solver's state, as `Marcher.standing` gives it
-    track.*     the axes of the Gaussians, as `GaussianTrack.state` gives them
+    solver.*    the solver's state, as `FrameBuilder.state` gives it
+    track.*     the axes of the Gaussians, likewise
 
 It is written when a value clip is full, and speaks of the moment of that clip's last sample.  The
 samples up to there are in the clips, so it does not grow with them.
 
 Going on with a bake that ended early: when its checkpoints fit, and when they are written.
 
-Every look of a bake has a checkpoint of its own, beside its cache.  A look that was done when the
+Every variant of a bake has a checkpoint of its own, beside its cache.  One that was done when the
 bake ended is taken up again at its last full clip, as the others are: only the frames after it are
 simulated a second time, and give the same bits.
 """
@@ -21,24 +21,38 @@ import hashlib
 import json
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, Unfinished, UsageError
-from gf_usd.core.frames import sampled
+from gf_usd.core.frames import Choices, Health, Particles, Settings
 from gf_usd.core.materials import Material
 from gf_usd.pipeline.health import health_of
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.plan import Checkpoint, Plan
+from gf_usd.prepare.plan import Variant
 from gf_usd.system.atomic_files import partial_path, publish
 from gf_usd.system.fingerprint import program
 
 FORMAT = 1
 ABOUT = "about"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """One variant at the end of a full clip."""
+
+    identity: Mapping[str, str]  # what has to be the same, by its name: see `identity`
+    index: int  # of the sample
+    last: Health  # of the sample
+    log: Mapping[str, Any]  # `HealthLog.state`
+    cache: Mapping[str, Any]  # `CacheWriter.state`
+    solver: Mapping[str, Any]
+    track: Mapping[str, Floats]
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
@@ -115,25 +129,33 @@ def _unreadable(path: Path, why: str) -> UsageError:
 INDIFFERENT = re.compile(r" --threads \S+")
 
 
-def identity(plan: Plan, material: Material) -> dict[str, str]:
-    """Hashes of all that decides what a look's clips hold, each under a name for people.
+def identity(
+    settings: Settings,
+    table: Sequence[Material],
+    choices: Choices,
+    particles: Particles,
+    *,
+    asset: Path,
+    command: str,
+) -> dict[str, str]:
+    """Hashes of all that decides what a variant's clips hold, each under a name for people.
 
     Raises InputError where a file of the asset cannot be read any more.
     """
-    settings = asdict(plan.settings_of(material))
-    del settings["threads"]
+    of_settings = asdict(settings)
+    del of_settings["threads"]
     options = {
-        "settings": settings,
-        "materials": [asdict(m) for m in plan.table(material)],
-        "choices": asdict(plan.choices),
-        "command": INDIFFERENT.sub("", plan.command),
+        "settings": of_settings,
+        "materials": [asdict(m) for m in table],
+        "choices": asdict(choices),
+        "command": INDIFFERENT.sub("", command),
     }
     body = hashlib.sha256()
-    for array in (plan.particles.X, plan.particles.V0, plan.particles.material):
+    for array in (particles.X, particles.V0, particles.material):
         body.update(np.ascontiguousarray(array).tobytes())
     return {
         "program": _hash(program()),
-        "asset": _hash(_files(plan.asset.facts.path)),
+        "asset": _hash(_files(asset)),
         "options": _hash(options),
         "particles": body.hexdigest(),
     }
@@ -150,41 +172,62 @@ def _hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def going_on(plan: Plan, *, overwrite: bool) -> Plan:
-    """The plan with the checkpoints of its looks, and a note of where each goes on.
+@dataclass(frozen=True, kw_only=True)
+class Resume:
+    """Where the variants of a bake go on, and notes on that."""
 
+    checkpoints: tuple[Checkpoint | None, ...] = ()  # of each variant; (): all begin anew
+    notes: tuple[str, ...] = ()
+
+    def of(self, number: int) -> Checkpoint | None:
+        """Where a variant goes on; None: at its start."""
+        return self.checkpoints[number] if self.checkpoints else None
+
+    def folders(self, files: Outputs) -> set[Path]:
+        """Folders of the clips that are gone on from."""
+        pairs = zip(self.checkpoints, files.caches)
+        return {cache.parent / found.cache["folder"] for found, cache in pairs if found}
+
+
+def find_resume(
+    variants: Sequence[Variant],
+    identify: Callable[[Variant], Mapping[str, str]],
+    *,
+    clips: bool,
+    overwrite: bool,
+) -> Resume:
+    """The checkpoints of the variants, with a note of where each goes on.
+
+    identify : gives the `identity` of a variant.
+    clips : the bake has value clips.
     overwrite : begin anew, with a note, where a checkpoint does not fit.
 
     Raises UsageError for a checkpoint that is of another bake, or without its clips.
     """
     found: list[Checkpoint | None] = []
     notes: list[str] = []
-    for material, cache_path, path in zip(
-        plan.materials, plan.outputs.caches, plan.outputs.checkpoints
-    ):
-        if not path.exists():
+    for variant in variants:
+        if not variant.checkpoint.exists():
             found.append(None)
             continue
         try:
-            found.append(_fitting(plan, material, cache_path, path))
+            checkpoint = _fitting(identify(variant), variant.cache, variant.checkpoint)
         except UsageError as error:
             if not overwrite:
                 raise
-            return replace(
-                plan,
-                notes=(*plan.notes, f"{error.message}; with --overwrite the bake begins anew"),
-            )
-        frame = found[-1].index // plan.settings.samples_per_frame if found[-1] else 0
-        notes.append(f"{material.name} goes on after frame {frame}, from {path}")
+            return Resume(notes=(f"{error.message}; with --overwrite the bake begins anew",))
+        found.append(checkpoint)
+        frame = checkpoint.index // variant.settings.samples_per_frame
+        notes.append(f"{variant.name} goes on after frame {frame}, from {variant.checkpoint}")
     if not any(found):
-        clips = "" if plan.choices.clip_frames else ", and there will be none without --clip-frames"
-        notes.append(f"--resume: there is no {plan.outputs.checkpoints[0]}{clips}; it begins anew")
-    return replace(plan, standing=tuple(found), notes=(*plan.notes, *notes))
+        none = "" if clips else ", and there will be none without --clip-frames"
+        notes.append(f"--resume: there is no {variants[0].checkpoint}{none}; it begins anew")
+    return Resume(checkpoints=tuple(found), notes=tuple(notes))
 
 
-def _fitting(plan: Plan, material: Material, cache_path: Path, path: Path) -> Checkpoint:
+def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint:
+    """The checkpoint of a path, which must be of this bake; now : its `identity`."""
     checkpoint = read_checkpoint(path)
-    now = identity(plan, material)
     other = [name for name, value in now.items() if checkpoint.identity.get(name) != value]
     if other:
         raise UsageError(
@@ -207,57 +250,54 @@ def clip_files(state: Mapping[str, Any]) -> list[str]:
     return [f"{state['folder']}/{name}" for name in ("manifest.usda", *clips)]
 
 
-class Keeper:
-    """Writes the checkpoints of a run, and ends it where its slice does.
+class CheckpointWriter:
+    """Writes the checkpoints of a run, and counts them.
 
-    slice : full clips after which the run ends; None: never.
-
-    Raises UsageError for a slice of a bake without clips.
+    paths, identities : of each variant.
+    slice : checkpoints after which the run ends; None: never.
     """
 
-    def __init__(self, plan: Plan, slice: int | None = None) -> None:
-        if slice and not plan.choices.clip_frames:
-            raise UsageError(
-                f"--slice {slice} counts value clips, and this bake has none",
-                "add --clip-frames, the frames of a clip",
-            )
-        self._plan, self._slice, self._full = plan, slice, 0
-        looks = plan.materials if plan.choices.clip_frames else ()
-        # read before the first frame: a file that changes meanwhile is found by who resumes
-        self._identities = [identity(plan, look) for look in looks]
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        identities: Sequence[Mapping[str, str]],
+        slice: int | None = None,
+    ) -> None:
+        self._paths, self._identities = paths, identities
+        self._slice, self._written = slice, 0
 
-    def keep(self, number: int, index: int, state: Mapping[str, Any]) -> None:
-        """Write the checkpoint of a look whose clip became full with this sample.
+    def write(self, number: int, index: int, state: Mapping[str, Any]) -> None:
+        """Write the checkpoint of a variant whose clip became full with a sample.
 
         state : the fields of the `Checkpoint` but its identity and index.
 
-        Raises Unfinished at the end of the slice, BakeError where the disk refuses.
+        Raises BakeError where the disk refuses.
         """
-        plan, material = self._plan, self._plan.materials[number]
-        path = plan.outputs.checkpoints[number]
         found = Checkpoint(identity=self._identities[number], index=index, **state)
-        write_checkpoint(path, found)
-        self._full += 1
-        done = index == sampled(plan.settings).frames - 1 and number == len(plan.materials) - 1
-        if self._full == self._slice and not done:
-            frame = index // plan.settings.samples_per_frame + 1
-            raise Unfinished(
-                f"{material.name}: {frame} of {plan.settings.frames} frames are done, and the slice"
-                f" of {self._slice} clips ends here; {path} is kept",
-                "the same command with --resume continues",
-            )
+        write_checkpoint(self._paths[number], found)
+        self._written += 1
+
+    @property
+    def sliced(self) -> bool:
+        """Whether the slice is done."""
+        return self._written == self._slice
+
+    def unfinished(self, number: int, variant: str, done: int, frames: int) -> Unfinished:
+        """What says that the slice ended in a variant, of whose frames so many are done."""
+        return Unfinished(
+            f"{variant}: {done} of {frames} frames are done, and the slice of {self._slice} clips"
+            f" ends here; {self._paths[number]} is kept",
+            "the same command with --resume continues",
+            variant=variant,
+            done=done,
+            frames=frames,
+        )
 
 
 def finished(files: Outputs) -> None:
     """Remove the checkpoints: there is nothing left to go on with."""
     for path in files.checkpoints:
         drop(path)
-
-
-def folders(standing: Sequence[Checkpoint | None], files: Outputs) -> set[Path]:
-    """Folders of the clips that checkpoints go on from."""
-    pairs = zip(standing, files.caches)
-    return {cache.parent / found.cache["folder"] for found, cache in pairs if found}
 
 
 def abandoned(files: Outputs) -> set[Path]:

@@ -7,23 +7,104 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.pipeline.checkpoint import abandoned, folders
-from gf_usd.prepare.outputs import stamp, stamps
+from gf_usd.core.frames import Choices
+from gf_usd.pipeline.checkpoint import Resume, abandoned
+from gf_usd.prepare.outputs import Outputs, Stamp, Stamps, stamp
 from gf_usd.system import file_locks
 from gf_usd.system.atomic_files import drop_working, partial_path, publish
 
 if TYPE_CHECKING:
-    from gf_usd.layers.variants import BakedLook
-    from gf_usd.prepare.outputs import SplatSequence
-    from gf_usd.prepare.plan import Plan
+    from gf_usd.layers.root import RootSummary
+    from gf_usd.layers.variants import BakedVariant
+    from gf_usd.readers.mesh.to_usd import MeshSource
 
 
-def sweep(plan: Plan) -> set[Path]:
+@dataclass(frozen=True, kw_only=True)
+class Delivery:
+    """The files of a bake, and what its layers lie over."""
+
+    files: Outputs
+    asset: Asset
+    source: Path  # the USD file that the layers lie over
+    choices: Choices
+    converted: MeshSource | None = None  # of an asset that is not USD
+
+    def write_source(self, seen: Stamp) -> None:
+        """Write the layer of a mesh file, which the bakes of that file share.
+
+        seen : what was there when the bake was planned.
+
+        Raises UsageError where another bake made it of another file, or in another way, since
+        then: its results lie over it.
+        """
+        converted, target = self.converted, self.files.source
+        if converted is None or target is None:
+            return
+        with _shared(target):
+            if stamp(target) != seen and not converted.is_at(target):
+                raise UsageError(
+                    f"another bake made {target} of another file, or in another way, while this one"
+                    " was prepared",
+                    "bake them into another folder each with -o",
+                )
+            converted.write(target)
+
+    def write_root(self, variants: Sequence[BakedVariant], *, partial: bool) -> RootSummary:
+        """Write the root layer over the caches; partial : under its partial name."""
+        from gf_usd.layers.root import write_root
+
+        return write_root(
+            self.files.layers, self.asset, variants, source=self.source, choices=self.choices,
+            partial=partial,
+        )  # fmt: skip
+
+    def publish(self, variants: Sequence[BakedVariant], earlier: set[Path]) -> tuple[str, ...]:
+        """Give the results their final names, none before all of it is there; returns notes.
+
+        variants : with the final names of their caches, which still have their partial names.
+        earlier : folders of clips that the bake replaces.
+
+        Raises BakeError where the disk refuses.
+        """
+        if self.files.flat:
+            return self._one_file(variants)
+        from gf_usd.layers.clips import clips_of, remove_clips
+
+        for variant in variants:
+            publish(variant.cache)
+        root = self.write_root(variants, partial=False)
+        for folder in earlier - {clips_of(variant.cache) for variant in variants}:
+            remove_clips(folder)
+        return root.notes
+
+    def _one_file(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
+        """Flatten the layers; they are working files and go when the one file is there."""
+        from gf_usd.layers.flatten import write_flat
+        from gf_usd.layers.stage import refresh
+
+        working = [replace(one, cache=partial_path(one.cache)) for one in variants]
+        root = self.write_root(working, partial=True)
+        target = self.files.root
+        moved = {}
+        if self.converted is not None and self.files.textures:
+            moved = self.converted.extract(target)
+        notes = write_flat(
+            target, root, self.asset, source=self.source, choices=self.choices, moved=moved
+        )
+        publish(target)
+        refresh(target)
+        for path in (root.path, *(one.cache for one in working)):
+            path.unlink()
+        return (*root.notes, *notes)
+
+
+def sweep(files: Outputs, resume: Resume) -> set[Path]:
     """Delete the clips of a bake of these names that was interrupted and is not gone on with.
 
     Returns the folders of clips that a finished bake refers to: nothing touches these before the
@@ -31,115 +112,50 @@ def sweep(plan: Plan) -> set[Path]:
     """
     from gf_usd.layers.clips import clips_of, remove_clips
 
-    for path in (plan.outputs.root, plan.outputs.layers, *plan.outputs.caches):
+    for path in (files.root, files.layers, *files.caches):
         drop_working(path)
-    kept = {folder for cache in plan.outputs.caches if (folder := clips_of(cache))}
-    stale = {folder for c in plan.outputs.caches if (folder := clips_of(partial_path(c)))}
-    if not any(plan.standing):
-        stale |= abandoned(plan.outputs)
-    for folder in stale - kept - folders(plan.standing, plan.outputs):
+    kept = {folder for cache in files.caches if (folder := clips_of(cache))}
+    stale = {folder for cache in files.caches if (folder := clips_of(partial_path(cache)))}
+    if not any(resume.checkpoints):
+        stale |= abandoned(files)
+    for folder in stale - kept - resume.folders(files):
         remove_clips(folder)
     return kept
 
 
-def deliver(plan: Plan, looks: Sequence[BakedLook], earlier: set[Path]) -> tuple[str, ...]:
-    """Give the results their final names, none before all of it is there; returns notes.
-
-    looks : with the final names of their caches, which still have their partial names.
-    earlier : folders of clips that the bake replaces.
-
-    Raises BakeError where the disk refuses.
-    """
-    if plan.outputs.flat:
-        return _one_file(plan, looks)
-    from gf_usd.layers.clips import clips_of, remove_clips
-    from gf_usd.layers.root import write_root
-
-    for look in looks:
-        publish(look.cache)
-    root = write_root(
-        plan.outputs.root, plan.asset, looks, source=plan.source, choices=plan.choices
-    )
-    for folder in earlier - {clips_of(look.cache) for look in looks}:
-        remove_clips(folder)
-    return root.notes
-
-
-def _one_file(plan: Plan, looks: Sequence[BakedLook]) -> tuple[str, ...]:
-    """Flatten the layers; they are working files and go when the one file is there."""
-    from gf_usd.layers.flatten import write_flat
-    from gf_usd.layers.root import write_root
-    from gf_usd.layers.stage import refresh
-
-    working = [replace(look, cache=partial_path(look.cache)) for look in looks]
-    root = write_root(
-        plan.outputs.layers, plan.asset, working, source=plan.source, choices=plan.choices,
-        partial=True,
-    )  # fmt: skip
-    target = plan.outputs.root
-    moved = {}
-    if plan.converted is not None and plan.outputs.textures:
-        moved = plan.converted.extract(target)
-    notes = write_flat(
-        target, root, plan.asset, source=plan.source, choices=plan.choices, moved=moved
-    )
-    publish(target)
-    refresh(target)
-    for path in (root.path, *(look.cache for look in working)):
-        path.unlink()
-    return (*root.notes, *notes)
-
-
 @contextmanager
-def alone(plan: Plan) -> Iterator[None]:
+def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator[None]:
     """Hold the locks of all that a bake writes.
 
     Where the system has no file locks (Windows) nothing is held.
 
-    Raises UsageError where another bake holds one, or wrote since the plan was made; BakeError
-    where a lock cannot be made.
+    root : the root layer; sequences : a name for each sequence of splat files.
+    seen : what was there when the bake was planned.
+
+    Raises UsageError where another bake holds one, or wrote since then; BakeError where a lock
+    cannot be made.
     """
     if not file_locks.AVAILABLE:
         yield
         return
+    elsewhere = dict.fromkeys(sequences, "name another folder for the frames")
     with ExitStack() as stack:
-        for path in (plan.outputs.root, *map(_place, _sequences(plan))):
+        for path in (root, *sequences):
             if file_locks.inherited(path):
                 continue
             held = file_locks.acquire(path)
             if held is None:
                 raise UsageError(
                     f"another bake is writing {path}",
-                    "wait until it is done, or choose another -o"
-                    if path == plan.outputs.root
-                    else "wait until it is done, or name another folder for the frames",
+                    f"wait until it is done, or {elsewhere.get(path, 'choose another -o')}",
                 )
             stack.callback(held.release, remove=True)
-        if plan.seen and stamps(plan.outputs) != plan.seen:
+        if any(stamp(path) != before for path, before in seen):
             raise UsageError(
-                f"another bake wrote {plan.outputs.root} while this one was prepared",
+                f"another bake wrote {root} while this one was prepared",
                 "look at what is there, and repeat the command if it is still wanted",
             )
         yield
-
-
-def write_source(plan: Plan) -> None:
-    """Write the layer of a mesh file, which the bakes of that file share.
-
-    Raises UsageError where another bake made it of another file, or in another way, since the plan
-    was made: its results lie over it.
-    """
-    converted, target = plan.converted, plan.outputs.source
-    if converted is None or target is None:
-        return
-    with _shared(target):
-        if stamp(target) != plan.seen_source and not converted.is_at(target):
-            raise UsageError(
-                f"another bake made {target} of another file, or in another way, while this one was"
-                " prepared",
-                "bake them into another folder each with -o",
-            )
-        converted.write(target)
 
 
 @contextmanager
@@ -150,11 +166,3 @@ def _shared(path: Path) -> Iterator[None]:
         return
     with file_locks.locked(path, remove=True):
         yield
-
-
-def _sequences(plan: Plan) -> Iterator[SplatSequence]:
-    return (one for each in plan.sequences for one in each)
-
-
-def _place(sequence: SplatSequence) -> Path:
-    return sequence.folder / f"{sequence.stem}.{sequence.suffix}"

@@ -1,18 +1,16 @@
-"""What is written of a body in motion: poses of meshes and Gaussians, sample by sample.
-
-The part of the street that Gaussians take: from a solver's frame to their poses and files.
-"""
+"""From a solver's frames to the samples that are written: poses of meshes and Gaussians."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import SplatPose, Splats, joined
+from gf_usd.core.asset import SplatPose, Splats, StageFacts, Surface, joined
 from gf_usd.core.frames import (
     BakedFrame,
     Frame,
@@ -21,64 +19,72 @@ from gf_usd.core.frames import (
     Particles,
     Pose,
     Settings,
-    sampled,
 )
-from gf_usd.core.materials import Material
 from gf_usd.core.radiance import Y_0, linear_to_srgb
-from gf_usd.prepare.outputs import clear
-from gf_usd.prepare.plan import Checkpoint, Plan
+from gf_usd.pipeline.checkpoint import Checkpoint
+from gf_usd.prepare.outputs import SplatSequence
 
 if TYPE_CHECKING:
+    from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.layers.space import Space
-    from gf_usd.physics.gaussians import CarriedSplats
-    from gf_usd.prepare.outputs import SplatSequence
+    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.physics.gaussians import CarriedSplats, GaussianTrack
 
 
-class Moving:
-    """One look of a plan.
+class FrameBuilder:
+    """The samples of one variant: poses of meshes and Gaussians, from the frames of its solver.
 
-    carrier : of its captured Gaussians.
-    since : where to go on from; None: at its start.
+    track : of the particles' axes.
+    skin : of the meshes; None: the solver carries them itself.
+    surfaces : that are written.
+    settings : as `sampled`.
+    splats : the captured Gaussians.
     """
 
     def __init__(
-        self, plan: Plan, material: Material, carrier: Carrier, since: Checkpoint | None = None
+        self,
+        solver: Marcher,
+        track: GaussianTrack,
+        skin: MeshSkin | None,
+        surfaces: Sequence[Surface],
+        settings: Settings,
+        splats: SplatDeformer,
     ) -> None:
-        from gf_usd.geometry.skinning import MeshSkin
-        from gf_usd.physics.gaussians import GaussianTrack
+        self.solver, self._track, self._skin = solver, track, skin
+        self._surfaces, self._settings, self._splats = surfaces, settings, splats
 
-        self._plan, self._carrier, self._since = plan, carrier, since
-        self.track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
-        self._skin = None
-        if plan.points and plan.settings.skin != "embed":
-            self._skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
-        self.solver = plan.solver(material)
-        if since:
+    def state(self) -> dict[str, Any]:
+        """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
+        track = {**self._track.state(), **self._splats.state()}
+        return {"solver": self.solver.standing(), "track": track}
+
+    def samples(self, since: Checkpoint | None = None) -> Iterator[BakedFrame]:
+        """The samples, in playback time.  Raises SolverError where the simulation fails.
+
+        since : what to go on after; None: from the start.
+        """
+        if since is None:
+            frames = self.solver.frames()
+        else:
             self.solver.stand(since.solver)
-            self.track.recall(since.track)
-
-    def samples(self) -> Iterator[BakedFrame]:
-        """The samples, in playback time.  Raises SolverError where the simulation fails."""
-        since = self._since
-        frames = (
-            self.solver.frames_after(since.index, since.last) if since else self.solver.frames()
-        )
+            self._track.recall(since.track)
+            self._splats.recall(since.track)
+            frames = self.solver.frames_after(since.index, since.last)
         for frame in frames:
-            gaussians = self.track.advance(frame.particles)
-            poses = frame.riders
-            if self._skin:
-                poses = self._skin.poses(frame.particles, self.track.turn)
-            yield self._baked(frame, gaussians, poses)
+            yield self.sample(frame)
 
-    def _baked(
-        self, frame: Frame, gaussians: GaussianPose, poses: Mapping[str, Pose]
-    ) -> BakedFrame:
+    def sample(self, frame: Frame) -> BakedFrame:
+        """The sample that a frame of the solver makes, which follows on the one before it."""
         from gf_usd.physics.grid.embedding import deform_normals
 
-        plan, s = self._plan, sampled(self._plan.settings)
+        s = self._settings
+        gaussians = self._track.advance(frame.particles)
+        poses = frame.riders
+        if self._skin:
+            poses = self._skin.poses(frame.particles, self._track.turn)
         meshes = {}
-        splats = self._carrier.poses(poses, s.time_code(frame.index))
-        for surface in plan.asset.surfaces if plan.choices.mesh else ():
+        splats = self._splats.poses(poses, s.time_code(frame.index))
+        for surface in self._surfaces:
             if surface.splats is not None:
                 continue
             pose = poses[surface.path]
@@ -99,7 +105,7 @@ class Moving:
                 stress=frame.stress,
             ),
             health=frame.health,
-            splats=splats if plan.choices.mesh else {},
+            splats=splats if self._surfaces else {},
         )
 
 
@@ -111,47 +117,52 @@ SAYS_UP = "spz"  # the files that say that Y is up
 TINY = 1e-12  # [stage units] a flattened particle still has a logarithm of its scale
 
 
-class Carrier:
-    """The captured Gaussians of a plan, for one bake.
+class SplatDeformer:
+    """The captured Gaussians of an asset through the motion, and the splat files of a variant.
 
-    number : of its material.
-    since : where to go on from; None: at the start.
+    splats : what is deformed, by prim path.
+    source : the USD file of their prims.
+    files : of the variant; without captured Gaussians they hold the particles.
     """
 
-    def __init__(self, plan: Plan, number: int, since: Checkpoint | None = None) -> None:
-        self._plan = plan
-        self._files = plan.sequences[number] if plan.sequences else ()
-        self._unit = plan.asset.facts.units.length
+    def __init__(
+        self,
+        splats: Mapping[str, Splats],
+        source: Path,
+        settings: Settings,
+        facts: StageFacts,
+        particles: Particles,
+        files: Sequence[SplatSequence] = (),
+    ) -> None:
+        self._files, self._particles = files, particles
+        self._unit = facts.units.length
         self._tracks: dict[str, CarriedSplats] = {}
         self._spaces: dict[str, Space] = {}
-        self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[plan.asset.facts.up_axis]}
+        self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[facts.up_axis]}
         # The same Gaussians in spaces of files that are not their prims'.
         self._elsewhere: dict[str, dict[str, CarriedSplats]] = {}
         self._riders: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
         self._there: dict[str, dict[str, SplatPose]] = {}
-        if since is None:
-            clear(self._files)
-        ridden = [s for s in plan.asset.surfaces if s.path in plan.points]
-        carried = [(s.path, s.splats) for s in ridden if s.splats is not None]
-        if not carried:
+        if not splats:
             return
         from gf_usd.layers.space import Space
         from gf_usd.layers.stage import clock, open_source
         from gf_usd.physics.gaussians import CarriedSplats
 
-        self._source = open_source(plan.source)  # the spaces read its transforms frame by frame
-        time = clock(self._source, plan.settings)
-        for path, splats in carried:
+        self._source = open_source(source)  # the spaces read its transforms frame by frame
+        time = clock(self._source, settings)
+        for path, one in splats.items():
             prim = self._source.GetPrimAtPath(path)
-            self._tracks[path] = CarriedSplats(splats)
+            self._tracks[path] = CarriedSplats(one)
             self._spaces[path] = Space(prim, time, self._unit)
         for kind in sorted({self._space_of(one) for one in self._files} - {OWN}):
-            self._elsewhere[kind] = {path: CarriedSplats(splats) for path, splats in carried}
-        if since:
-            for name, track in self._named():
-                kept = since.track.items()
-                track.recall({k[len(name) :]: v for k, v in kept if k.startswith(name)})
+            self._elsewhere[kind] = {path: CarriedSplats(one) for path, one in splats.items()}
+
+    def recall(self, state: Mapping[str, Floats]) -> None:
+        """Go on from `state`, which may hold more."""
+        for name, track in self._named():
+            track.recall({k[len(name) :]: v for k, v in state.items() if k.startswith(name)})
 
     def state(self) -> dict[str, Floats]:
         """What the next frame starts from, for `Checkpoint.track`."""
@@ -218,15 +229,15 @@ class Carrier:
             return posed(self._tracks[path].splats, pose, at)
         turn = self._turns[kind]
         if not self._tracks:
-            return self._flesh(frame, turn)
+            return self._particles_in(frame, turn)
         sets = []
         for path, pose in self._there[kind].items():
             at = np.asarray(pose.positions) / self._unit @ turn.T
             sets.append(posed(self._elsewhere[kind][path].splats, pose, at))
         return joined(sets)
 
-    def _flesh(self, frame: BakedFrame, turn: Floats) -> Splats:
-        p: Particles = self._plan.particles
+    def _particles_in(self, frame: BakedFrame, turn: Floats) -> Splats:
+        p = self._particles
         quaternions = np.asarray(frame.gaussians.orientations, float)
         from scipy.spatial.transform import Rotation  # see `nearby`
 

@@ -283,7 +283,7 @@ ALTERED = 0.01  # of the particle-frames: the material is no longer the one that
 
 
 @dataclass(frozen=True, kw_only=True)
-class Caution:
+class HealthWarning:
     """One warning."""
 
     about: str  # the row of RULES that it came from
@@ -295,12 +295,12 @@ class Caution:
         return asdict(self)
 
 
-def judge(health: HealthSummary) -> tuple[Caution, ...]:
+def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
     """The warnings that a summary of `HealthLog` deserves, in the order of RULES."""
     found = []
     for about, rule in RULES.items():
         if (said := rule(health)) is not None:
-            found.append(Caution(about=about, message=said[0], hint=said[1]))
+            found.append(HealthWarning(about=about, message=said[0], hint=said[1]))
     return tuple(found)
 
 
@@ -444,9 +444,9 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
 }
 
 
-def cautions_json(warnings: Sequence[tuple[str, Caution]]) -> list[dict[str, str]]:
+def warnings_json(warnings: Sequence[tuple[str, HealthWarning]]) -> list[dict[str, str]]:
     """``[{look, about, message, hint}]`` as reports hold it."""
-    return [{"look": look, **caution.as_json()} for look, caution in warnings]
+    return [{"look": look, **warning.as_json()} for look, warning in warnings]
 
 
 SUMS = ("substeps", "friction_capped", "rollbacks", "work", "injected")

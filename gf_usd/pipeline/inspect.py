@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
@@ -35,28 +35,26 @@ from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.parts import Part, suggestion
 from gf_usd.geometry.repair import Repairs
-from gf_usd.pipeline.run import draw
-from gf_usd.prepare.fill import AXIS, UNIT, fill, mend, origin, size
-from gf_usd.prepare.outputs import USD, outputs
-from gf_usd.prepare.prepare import _asked, _hulled, _stage, _try, _would_fill
+from gf_usd.pipeline.budget import Cost
+from gf_usd.pipeline.run import Prepared, draw
+from gf_usd.prepare.fill import fill, implausible_size, mend, size
+from gf_usd.prepare.outputs import outputs
+from gf_usd.prepare.plan import Plan
+from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill
 from gf_usd.system.sandbox import Limits
-
-if TYPE_CHECKING:
-    from gf_usd.prepare.plan import Plan
-
 
 KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overlaps count twice in it
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """One asset, looked at; made by `preflight.inspect`."""
+    """What was found of one asset; made by `inspect`."""
 
     asset: Asset  # as it was read
     diagnoses: tuple[Diagnosis, ...]  # one a surface, before any repair
     repairs: tuple[Repairs, ...] = ()
     plan: Plan | None = None  # None: refused
-    cost: dict[str, Any] | None = None  # of `estimate`
+    cost: Cost | None = None
     parts: tuple[Part, ...] = ()
     warnings: tuple[str, ...] = ()
     refusal: InputError | None = None
@@ -76,7 +74,6 @@ class Inspection:
     def as_json(self) -> dict[str, Any]:
         """Plain values; see the top of this file."""
         facts = self.asset.facts
-        unit_from, axis_from = origin(facts, UNIT), origin(facts, AXIS)
         return {
             "file": str(facts.path),
             "bakeable": self.refusal is None,
@@ -86,10 +83,10 @@ class Inspection:
             "skipped": [{"path": p, "reason": why} for p, why in self.asset.skipped],
             "units": {
                 "meters_per_unit": facts.units.meters_per_unit,
-                "meters_per_unit_from": unit_from,
+                "meters_per_unit_from": facts.unit_from,
                 "kilograms_per_unit": facts.units.kilograms_per_unit,
                 "up_axis": facts.up_axis,
-                "up_axis_from": axis_from,
+                "up_axis_from": facts.axis_from,
             },
             "time": {
                 "codes_per_second": facts.time_codes_per_second,
@@ -165,7 +162,7 @@ class Inspection:
         }
 
 
-def look_at(asset: Asset, repairs: Sequence[Repairs] = ()) -> Inspection:
+def examine(asset: Asset, repairs: Sequence[Repairs] = ()) -> Inspection:
     """The part of an inspection that needs no plan."""
     return Inspection(
         asset=asset,
@@ -231,37 +228,26 @@ def inspect(
     InputError : the file cannot be read, or holds nothing that could be made soft.
     """
     from gf_usd.geometry.parts import poor_parts
-    from gf_usd.pipeline.budget import estimate
-    from gf_usd.prepare.fill import implausible_size
-    from gf_usd.readers import read_asset
 
     check_unit(meters_per_unit)
-    request, looks = _asked(material, law, options)
+    request, presets = parse_request(material, law, options)
     source = Path(path)
-    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
-    asset = read_asset(
-        source,
-        prims=tuple(prims),
-        meters_per_unit=meters_per_unit,
-        up_axis=up_axis,
-        time_code=request.start,
-    )
-    asset = _hulled(asset)
-    usd = source.suffix.lower() in USD
-    asset, words, looks = _stage(asset, source, prims, request, looks, usd, draw)
-    seen = look_at(asset, mend(asset, request, words)[2] if repair else ())
-    files = outputs(source, [look.name for look in looks], None)
+    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
+        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+    asset, words = found.asset, found.words
+    seen = examine(asset, mend(asset, request, words)[2] if repair else ())
+    files = outputs(source, [preset.name for preset in found.presets], None)
     try:
         plan, solid = fill(
-            asset, request, looks, law, files, source, words=words, repair=repair,
+            asset, request, found.presets, law, files, found.file, words=words, repair=repair,
             known=seen.diagnoses,
         )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
-        if not repair and _would_fill(mend(asset, request, words)[1]):
+        if not repair and would_fill(mend(asset, request, words)[1]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    seen = replace(seen, plan=plan, cost=estimate(plan))
+    seen = replace(seen, plan=plan, cost=Prepared(plan=plan).cost)
     lost = lost_volume(seen)
     # Where faults cost much of the fill, thin parts are their echo.
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)

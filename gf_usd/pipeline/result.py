@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,8 @@ from typing import Any
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import Material
-from gf_usd.pipeline.health import Caution, cautions_json
-from gf_usd.prepare.plan import Plan, describe, settings_json
+from gf_usd.pipeline.health import HealthWarning, warnings_json
+from gf_usd.prepare.plan import settings_json
 
 
 def require_healthy(result: BakeResult) -> None:
@@ -19,51 +19,54 @@ def require_healthy(result: BakeResult) -> None:
     warnings = result.warnings
     if not warnings:
         return
-    lines = "".join(f"\n  {look}: {caution.message}" for look, caution in warnings)
-    hints = list(dict.fromkeys(caution.hint for _, caution in warnings))
+    lines = "".join(f"\n  {look}: {warning.message}" for look, warning in warnings)
+    hints = list(dict.fromkeys(warning.hint for _, warning in warnings))
     count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
     raise UnhealthyError(
         f"{result.root}: the bake is complete and its files are written, but it has {count}:"
         f"{lines}",
         "; ".join(hints) + "; without --strict this is no error",
-        warnings=tuple(caution for _, caution in warnings),
+        warnings=tuple(warning for _, warning in warnings),
         result=result,
     )
 
 
 def report_json(
-    plan: Plan,
-    bakes: Sequence[LookResult],
-    *,
-    notes: Sequence[str],
+    description: Mapping[str, Any],
+    settings: Settings,
+    bakes: Sequence[VariantResult],
     seconds: float,
+    notes: Sequence[str],
     findings: Sequence[dict[str, str]],
 ) -> dict[str, Any]:
-    """The report; its keys are documented in docs/guide.md."""
-    warnings = [(bake.look, caution) for bake in bakes for caution in bake.warnings]
+    """The report; its keys are documented in docs/guide.md.
+
+    description : of `describe`.
+    """
+    warnings = [(bake.look, warning) for bake in bakes for warning in bake.warnings]
     return {
-        **describe(plan),
-        "outputs": [str(p) for p in (*plan.outputs.all, *(c for b in bakes for c in b.clips))],
+        **description,
+        "outputs": [*description["outputs"], *(str(c) for bake in bakes for c in bake.clips)],
         "notes": list(notes),
         "seconds": seconds,
-        "settings": settings_json(plan.settings),
+        "settings": settings_json(settings),
         "bakes": [bake.as_json(frames=True) for bake in bakes],
-        "warnings": cautions_json(warnings),
+        "warnings": warnings_json(warnings),
         "check": list(findings),
     }
 
 
 @dataclass(frozen=True, kw_only=True)
-class LookResult:
+class VariantResult:
     """One material's bake."""
 
     look: str  # name of the variant
     cache: Path
     material: Material
     frames: int
-    health: dict[str, Any] = field(repr=False)  # see summary.HealthLog.summary
+    health: dict[str, Any] = field(repr=False)  # see `HealthLog.summary`
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
-    warnings: tuple[Caution, ...] = ()
+    warnings: tuple[HealthWarning, ...] = ()
     clips: tuple[Path, ...] = ()  # files beside the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
@@ -84,7 +87,7 @@ class BakeResult:
 
     root: Path
     report: Path
-    bakes: tuple[LookResult, ...]
+    bakes: tuple[VariantResult, ...]
     particles: int
     seconds: float
     settings: Settings
@@ -107,9 +110,9 @@ class BakeResult:
         return self.bakes[0].frames
 
     @property
-    def warnings(self) -> tuple[tuple[str, Caution], ...]:
+    def warnings(self) -> tuple[tuple[str, HealthWarning], ...]:
         """(look, warning) of every bake."""
-        return tuple((bake.look, caution) for bake in self.bakes for caution in bake.warnings)
+        return tuple((bake.look, warning) for bake in self.bakes for warning in bake.warnings)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, as ``bake --json`` prints them."""
@@ -121,7 +124,7 @@ class BakeResult:
             "seconds": self.seconds,
             "settings": settings_json(self.settings),
             "bakes": [b.as_json() for b in self.bakes],
-            "warnings": cautions_json(self.warnings),
+            "warnings": warnings_json(self.warnings),
             "outputs": [str(path) for path in self.outputs],
             "notes": list(self.notes),
             "check": list(self.findings),

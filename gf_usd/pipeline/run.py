@@ -1,36 +1,80 @@
-"""The street: asset -> particles -> frames -> layers.  The only file that knows all of it."""
+"""The pipeline: asset -> particles -> frames -> layers.  The one file that takes a plan apart."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.core.errors import OutOfRoom, SolverError
+from gf_usd.core.errors import OutOfResources, SolverError, UsageError
 from gf_usd.core.frames import BakeInfo, sampled
-from gf_usd.core.materials import Material
 from gf_usd.core.scene import Scene
-from gf_usd.pipeline.budget import MAX_HOURS, RoomWatch, require_affordable, require_room
-from gf_usd.pipeline.checkpoint import Keeper, finished, going_on
-from gf_usd.pipeline.deliver import alone, deliver, sweep, write_source
-from gf_usd.pipeline.failure import leave
-from gf_usd.pipeline.frames import Carrier, Moving, with_held
-from gf_usd.pipeline.health import HealthLog, judge
-from gf_usd.pipeline.result import BakeResult, LookResult, report_json, require_healthy
-from gf_usd.prepare.outputs import claim
-from gf_usd.prepare.plan import Plan, input_hash
+from gf_usd.pipeline.budget import (
+    MAX_HOURS,
+    Cost,
+    ResourceGuard,
+    Solvers,
+    estimate,
+    first_contact,
+    require_affordable,
+    require_resources,
+    reserve,
+)
+from gf_usd.pipeline.checkpoint import CheckpointWriter, Resume, find_resume, finished, identity
+from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
+from gf_usd.pipeline.failure import leave, place
+from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
+from gf_usd.pipeline.health import HealthLog, health_warnings
+from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
+from gf_usd.prepare.outputs import claim, clear
+from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
+    from gf_usd.physics.frame_loop import Marcher
+    from gf_usd.readers.mesh.to_usd import MeshSource
 
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """A bake that is ready to run: its plan, and what is there only while the process is."""
+
+    plan: Plan
+    converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
+    resume: Resume = field(default_factory=Resume)
+
+    @cached_property
+    def solvers(self) -> Solvers:
+        """The solvers of its variants."""
+        return Solvers(partial(_solver, self.plan), len(self.plan.particles))
+
+    @cached_property
+    def cost(self) -> Cost:
+        """Of `budget.estimate`; builds the solvers."""
+        plan = self.plan
+        meets = plan.encounters is not None and plan.encounters.any
+        samples = plan.settings.samples_per_frame
+        surfaces = plan.asset.surfaces
+        return estimate(
+            plan.settings,
+            plan.materials,
+            [samples * self.solvers.substeps(variant) for variant in plan.variants],
+            particles=len(plan.particles),
+            vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
+            meeting=len(plan.samples.X) if meets else 0,
+            frame_bytes=plan.frame_bytes,
+            first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
+        )
 
 
 def bake(
@@ -70,9 +114,9 @@ def bake(
     max_hours : refuse a bake whose estimate is longer.
     resume : go on from the checkpoints of this bake, if it ended early; see the guide.
     slice : full value clips after which it ends, to be resumed.
-    limits : `isolation.Limits` of a child process that reads the asset first; None: no such trial.
+    limits : `sandbox.Limits` of a child process that reads the asset first; None: no such trial.
     progress : called after each frame with (frames done, frames in all).
-    options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
+    options : the fields of `Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
         filter_rate [1/T], damping_time [s], friction, restitution, time_scale, skin and so on.
 
@@ -85,12 +129,12 @@ def bake(
     Unfinished : the slice is done, and there are frames left.
     UnhealthyError : strict, and there are warnings; the files are written.
     """
-    plan = prepare(
+    prepared = prepare(
         path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
         meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume,
         limits=limits, **options,
     )  # fmt: skip
-    result = run(plan, progress, max_hours=max_hours, slice=slice)
+    result = run(prepared, progress, max_hours=max_hours, slice=slice)
     if strict:
         require_healthy(result)
     return result
@@ -98,10 +142,24 @@ def bake(
 
 def prepare(
     path: str | Path, *, overwrite: bool = False, resume: bool = False, **options: Any
-) -> Plan:
-    """The plan of a bake, with the checkpoints that it goes on from; see `bake`."""
-    plan = prepare_plan(path, overwrite=overwrite, resume=resume, draw=draw, **options)
-    return going_on(plan, overwrite=overwrite) if resume else plan
+) -> Prepared:
+    """A bake with the checkpoints that it goes on from, ready to run; see `bake`."""
+    plan, converted = prepare_plan(path, overwrite=overwrite, resume=resume, draw=draw, **options)
+    if not resume:
+        return Prepared(plan=plan, converted=converted)
+    clips = bool(plan.choices.clip_frames)
+    identify = partial(_identity, plan)
+    found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
+    plan = replace(plan, notes=(*plan.notes, *found.notes))
+    return Prepared(plan=plan, converted=converted, resume=found)
+
+
+def _identity(plan: Plan, variant: Variant) -> dict[str, str]:
+    """Of a checkpoint of a variant."""
+    return identity(
+        variant.settings, variant.table, plan.choices, plan.particles,
+        asset=plan.asset.facts.path, command=plan.command,
+    )  # fmt: skip
 
 
 def draw(scene: Scene, size: tuple[int, int]) -> Any:
@@ -112,7 +170,7 @@ def draw(scene: Scene, size: tuple[int, int]) -> Any:
 
 
 def run(
-    plan: Plan,
+    prepared: Prepared,
     progress: Progress | None = None,
     *,
     max_hours: float = MAX_HOURS,
@@ -120,80 +178,127 @@ def run(
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
-    Raises InputError where it would take longer than max_hours, or more disk or memory than is
-    free (see `room`), UsageError where another bake
-    is writing the same (see `writing.alone`), SolverError where the simulation
-    failed (see `failure.leave`), BakeError where the disk did.
+    slice : full value clips after which it ends, to be resumed; None: at its end.
+
+    Raises UsageError for a slice of a bake without clips, and where another bake is writing the
+    same (see `output_lock`); InputError where it would take longer than max_hours [h], or more disk
+    or memory than is free; SolverError where the simulation failed (see `failure.leave`);
+    BakeError where the disk did; Unfinished where the slice is done.
     """
-    keeper = Keeper(plan, slice)
-    require_affordable(plan, max_hours)
-    require_room(plan)
-    with alone(plan):
-        return _run_alone(plan, progress, keeper)
+    plan = prepared.plan
+    if slice and not plan.choices.clip_frames:
+        raise UsageError(
+            f"--slice {slice} counts value clips, and this bake has none",
+            "add --clip-frames, the frames of a clip",
+        )
+    # read before the first frame: a file that changes meanwhile is found by who resumes
+    clipped = plan.variants if plan.choices.clip_frames else ()
+    identities = [_identity(plan, variant) for variant in clipped]
+    checkpoints = CheckpointWriter(plan.outputs.checkpoints, identities, slice)
+    path, settings = plan.asset.facts.path, plan.settings
+    require_affordable(
+        prepared.cost, max_hours, path=path, settings=settings, materials=plan.materials,
+        particles=len(plan.particles), drop=plan.drop,
+    )  # fmt: skip
+    samples = settings.frames * settings.samples_per_frame
+    since = [prepared.resume.of(number) for number in range(len(plan.materials))]
+    require_resources(
+        prepared.cost,
+        path=path,
+        folder=_folder(plan),
+        done=[min(1.0, one.index / samples) if one else 0.0 for one in since],
+        copies=2 if plan.outputs.flat else 1,
+    )
+    sequences = [files.lock for each in plan.sequences for files in each]
+    with output_lock(plan.outputs.root, sequences, plan.seen):
+        return _run_locked(prepared, progress, checkpoints)
 
 
-def _run_alone(plan: Plan, progress: Progress | None, keeper: Keeper) -> BakeResult:
+def _folder(plan: Plan) -> Path:
+    """Of the results."""
+    return plan.outputs.root.absolute().parent
+
+
+def _run_locked(
+    prepared: Prepared, progress: Progress | None, checkpoints: CheckpointWriter
+) -> BakeResult:
     from gf_usd.layers.check.run import review
 
-    earlier = sweep(plan)
-    claim(plan.outputs)
+    plan = prepared.plan
+    files = plan.outputs
+    delivery = Delivery(
+        files=files, asset=plan.asset, source=plan.source, choices=plan.choices,
+        converted=prepared.converted,
+    )  # fmt: skip
+    earlier = sweep(files, prepared.resume)
+    claim(files)
     began = time.perf_counter()
-    write_source(plan)
-    results: list[LookResult] = []
-    looks: list[BakedLook] = []
+    delivery.write_source(plan.seen_source)
+    results: list[VariantResult] = []
+    baked: list[BakedVariant] = []
     notes = list(plan.notes)
-    for number, material in enumerate(plan.materials):
-        result, look, more, error = _run_look(plan, number, material, progress, keeper)
+    for number in range(len(plan.materials)):
+        result, variant, more, error = _run_variant(prepared, number, progress, checkpoints)
         results.append(result)
-        looks.append(look)
+        baked.append(variant)
         notes += more
         if error is not None:
-            looks = [replace(look, cache=partial_path(look.cache)) for look in looks]
-            results = [replace(r, cache=look.cache) for r, look in zip(results, looks)]
-            if not isinstance(error, OutOfRoom):
-                finished(plan.outputs)  # it would fail again
+            baked = [replace(one, cache=partial_path(one.cache)) for one in baked]
+            results = [replace(r, cache=one.cache) for r, one in zip(results, baked)]
+            if not isinstance(error, OutOfResources):
+                finished(files)  # it would fail again
             seconds = time.perf_counter() - began
-            raise leave(plan, results, looks, error, notes=notes, seconds=seconds) from error
-    input_hash(plan)  # an asset that is gone is found out before a result has its final name
-    notes += deliver(plan, looks, earlier)
-    findings = review(plan.outputs.root, plan.source)
+            failed = place(
+                error, variant.name, asset=plan.asset, riders=plan.riders,
+                particles=plan.particles, settings=plan.settings,
+            )  # fmt: skip
+            report = partial(report_json, describe(plan), plan.settings, results, seconds)
+            clips = [clip for one in results for clip in one.clips]
+            raise leave(
+                delivery, failed, error, variants=baked, clips=clips, notes=notes, report=report
+            ) from error
+    # an asset that is gone is found out before a result has its final name
+    input_hash(plan.asset.facts.path)
+    notes += delivery.publish(baked, earlier)
+    findings = review(files.root, plan.source)
     seconds = time.perf_counter() - began
-    report = report_json(plan, results, notes=notes, seconds=seconds, findings=findings)
-    publish_text(plan.outputs.report, json.dumps(report, indent=1) + "\n")
-    finished(plan.outputs)
+    report = report_json(describe(plan), plan.settings, results, seconds, notes, findings)
+    publish_text(files.report, json.dumps(report, indent=1) + "\n")
+    finished(files)
     return BakeResult(
-        root=plan.outputs.root,
-        report=plan.outputs.report,
+        root=files.root,
+        report=files.report,
         bakes=tuple(results),
         particles=len(plan.particles),
         seconds=seconds,
         settings=plan.settings,
         notes=tuple(notes),
         findings=tuple(findings),
-        outputs=(*plan.outputs.all, *(clip for r in results for clip in r.clips)),
+        outputs=(*files.all, *(clip for r in results for clip in r.clips)),
     )
 
 
-def _run_look(
-    plan: Plan, number: int, material: Material, progress: Progress | None, keeper: Keeper
-) -> tuple[LookResult, BakedLook, tuple[str, ...], SolverError | None]:
-    """Simulate one material into its cache, which keeps its partial name.
+def _run_variant(
+    prepared: Prepared, number: int, progress: Progress | None, checkpoints: CheckpointWriter
+) -> tuple[VariantResult, BakedVariant, tuple[str, ...], SolverError | None]:
+    """Simulate one variant into its cache, which keeps its partial name.
 
     A failure of the solver is returned with what was had before it.
     """
     from gf_usd.layers.cache import CacheWriter
-    from gf_usd.layers.variants import BakedLook
+    from gf_usd.layers.variants import BakedVariant
 
-    total = plan.settings.frames
-    settings = sampled(plan.settings_of(material))
-    n = plan.settings.samples_per_frame
+    plan, since = prepared.plan, prepared.resume.of(number)
+    variant = plan.variants[number]
+    total, n = plan.settings.frames, plan.settings.samples_per_frame
+    settings = sampled(variant.settings)
     info = BakeInfo(
-        look=material.name,
-        materials=plan.table(material),
-        settings=plan.settings_of(material),
+        look=variant.name,
+        materials=variant.table,
+        settings=variant.settings,
         command=plan.command,
         version=plan.version,
-        input_hash=input_hash(plan),
+        input_hash=input_hash(plan.asset.facts.path),
     )
     log = HealthLog(
         plan.settings,
@@ -204,16 +309,21 @@ def _run_look(
         held=bool(plan.pins),
         bodies=plan.bodies.count if plan.bodies else 1,
     )
-    since = plan.standing[number] if plan.standing else None
-    if since:
+    if since is None:
+        clear(variant.sequences)
+    else:
         log.recall(since.log)
-    target = plan.outputs.caches[number]
-    carrier = Carrier(plan, number, since)
-    moving = Moving(plan, material, carrier, since)
-    room = RoomWatch(plan)
+    splats = splat_deformer(plan, variant)
+    builder = frame_builder(plan, variant, prepared.solvers.take(variant), splats)
+    guard = ResourceGuard(
+        _folder(plan),
+        plan.frame_bytes / n,
+        reserve(total),
+        "the same command with --resume goes on" if plan.choices.clip_frames else "bake again",
+    )
     failure = None
     with CacheWriter(
-        target,
+        variant.cache,
         plan.asset,
         plan.particles,
         info,
@@ -222,57 +332,97 @@ def _run_look(
         since=since.cache if since else None,
     ) as cache:
         try:
-            for baked in with_held(moving.samples(), settings):
-                if baked.index < 0 and baked.splats:
-                    baked = carrier.held(baked)
-                if baked.index >= settings.first:
-                    room.require(baked.index, cache.unsaved)
-                    cache.write(baked)
-                    if baked.index % n == 0:
-                        carrier.export(baked, (baked.index - settings.first) // n)
-                if baked.index < 0:
+            for sample in with_held(builder.samples(since), settings):
+                index = sample.index
+                if index < 0 and sample.splats:
+                    sample = splats.held(sample)
+                if index >= settings.first:
+                    guard.require(index, cache.unsaved)
+                    cache.write(sample)
+                    if index % n == 0:
+                        splats.export(sample, (index - settings.first) // n)
+                if index < 0:
                     continue
-                log.add(baked.health)
-                if progress and baked.index % n == 0:
-                    done = number * total + baked.index // n + 1
-                    progress(done, total * len(plan.materials))
+                log.add(sample.health)
+                frame = index // n + 1
+                if progress and index % n == 0:
+                    progress(number * total + frame, total * len(plan.materials))
                 if cache.full:
-                    keeper.keep(
-                        number,
-                        baked.index,
-                        {
-                            "last": baked.health,
-                            "log": log.state(),
-                            "cache": cache.state(),
-                            "solver": moving.solver.standing(),
-                            "track": {**moving.track.state(), **carrier.state()},
-                        },
-                    )
+                    last, state = sample.health, builder.state()
+                    full = {"last": last, "log": log.state(), "cache": cache.state(), **state}
+                    checkpoints.write(number, index, full)
+                    left = index < settings.frames - 1 or number < len(plan.materials) - 1
+                    if left and checkpoints.sliced:
+                        raise checkpoints.unfinished(number, variant.name, frame, total)
         except SolverError as error:
             failure = error
         summary = cache.close()
     health = log.summary()
-    result = LookResult(
-        look=material.name,
-        cache=plan.outputs.root if plan.outputs.flat else target,
-        material=material,
+    result = VariantResult(
+        look=variant.name,
+        cache=plan.outputs.root if plan.outputs.flat else variant.cache,
+        material=variant.material,
         frames=summary.frames,
         clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
-        warnings=judge(health),
+        warnings=health_warnings(health),
     )
-    look = BakedLook(
-        name=material.name,
-        cache=target,
+    baked = BakedVariant(
+        name=variant.name,
+        cache=variant.cache,
         info=info,
-        health=_plain(health),
-        warnings=tuple(caution.message for caution in result.warnings),
+        # layer metadata cannot hold None
+        health={key: value for key, value in health.items() if value is not None},
+        warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
     )
-    return result, look, (*summary.notes, *carrier.notes), failure
+    return result, baked, (*summary.notes, *splats.notes), failure
 
 
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Without None, which layer metadata cannot hold."""
-    return {key: value for key, value in values.items() if value is not None}
+def _solver(plan: Plan, variant: Variant) -> Marcher:
+    """The solver of a variant, at its start."""
+    from gf_usd.physics.solvers import make_solver
+
+    more: dict[str, Any] = {}
+    if plan.velocity:
+        more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
+    if plan.settings.solver == "tl" and plan.bodies is not None:
+        more |= {"encounters": plan.encounters, "rider_body": plan.bodies.riders}
+    return make_solver(
+        sampled(variant.settings),
+        plan.particles,
+        variant.table,
+        samples=plan.samples,
+        riders=plan.points if plan.settings.skin == "embed" else {},
+        pins=plan.pins,
+        **more,
+    )
+
+
+def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:
+    """The captured Gaussians of a plan, at their start."""
+    riding = [s for s in plan.asset.surfaces if s.path in plan.points]
+    return SplatDeformer(
+        {s.path: s.splats for s in riding if s.splats is not None},
+        plan.source,
+        variant.settings,
+        plan.asset.facts,
+        plan.particles,
+        variant.sequences,
+    )
+
+
+def frame_builder(
+    plan: Plan, variant: Variant, solver: Marcher, splats: SplatDeformer
+) -> FrameBuilder:
+    """What makes samples of the frames of a variant's solver."""
+    from gf_usd.geometry.skinning import MeshSkin
+    from gf_usd.physics.gaussians import GaussianTrack
+
+    track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
+    skin = None
+    if plan.points and plan.settings.skin != "embed":
+        skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
+    surfaces = plan.asset.surfaces if plan.choices.mesh else ()
+    return FrameBuilder(solver, track, skin, surfaces, sampled(variant.settings), splats)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -173,7 +174,7 @@ def start_velocities(
         stated = next((b for b in known if b.velocity or b.angular_velocity), None)
         moving = [(points[p], said[p].moving) for p in paths if p in said]
         if stated is not None:
-            out.append(lambda X, one=stated, c=center: one.initial_velocities(X, c))
+            out.append(partial(stated.initial_velocities, center=center))
         elif any(v is not None for _, v in moving):
             X = np.concatenate([p for p, v in moving if v is not None])
             v = np.concatenate([v for _, v in moving if v is not None]) / time_scale
@@ -183,9 +184,21 @@ def start_velocities(
     return out
 
 
-def _affine(X: Floats, v: Floats) -> Any:
-    """X -> a + A X, the least-squares fit of velocities v (n, 3) at X (n, 3)."""
+@dataclass(frozen=True)
+class AffineMotion:
+    """X (n, 3) [m] -> v + (X - center) A, (n, 3) [m/s]."""
+
+    center: Floats  # (3,) [m]
+    v: Floats  # (3,) [m/s]
+    A: Floats  # (3, 3) [1/s]
+
+    def __call__(self, X: Floats) -> Floats:
+        return self.v + (X - self.center) @ self.A
+
+
+def _affine(X: Floats, v: Floats) -> AffineMotion:
+    """The least-squares fit of velocities v (n, 3) at X (n, 3)."""
     center = X.mean(0)
     basis = np.hstack([np.ones((len(X), 1)), X - center])
     fit = np.linalg.lstsq(basis, v, rcond=1e-9)[0]
-    return lambda P: fit[0] + (P - center) @ fit[1:]
+    return AffineMotion(center, fit[0], fit[1:])

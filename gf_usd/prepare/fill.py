@@ -1,11 +1,13 @@
 """From an asset that was read to a plan: bodies, particles, materials, settings, encounters.
 
+Nothing that is called from here takes the whole request but `settings.resolve`.
+
 What --repair does to an asset before it is filled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
     Choices,
@@ -35,7 +37,7 @@ from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import make_pins
 from gf_usd.prepare.plan import Plan, frame_bytes
 from gf_usd.prepare.request import Request, parse_floor
-from gf_usd.prepare.settings import resolution, resolve
+from gf_usd.prepare.settings import Resolution, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
 def fill(
     asset: Asset,
     request: Request,
-    looks: Sequence[Any],
+    presets: Sequence[Any],
     law: str | None,
     files: Outputs,
     file: Path,
@@ -82,7 +84,7 @@ def fill(
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     closed = zip(solid.surfaces, solid.triangles, strict=True)
-    asked = resolution(
+    asked = _resolution(
         request, words, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
     )  # fmt: skip
@@ -126,13 +128,15 @@ def fill(
     of, regional = material_regions.owners(regions, solid.surfaces, particles, unit)
     slot = body_materials.in_regions(slot, particles, parts, of)
 
-    def finish(look: Any, radius: float) -> Material:
-        return _made(look, radius, law, request)
+    own_values = _stated_values(request)
+
+    def finish(preset: Any, radius: float) -> Material:
+        return replace(preset.material(radius, law), **own_values)
 
     tables, index = [], particles.material
-    for look in looks:
+    for preset in presets:
         table, index = body_materials.table(
-            look, parts, slot, particles, solid, bodies, words, finish
+            preset, parts, slot, particles, solid, bodies, words, finish
         )
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
     particles, own = with_own_values(
@@ -140,10 +144,16 @@ def fill(
         (request.blend_width or 0.0) * unit,
     )  # fmt: skip
     made = tuple(
-        replace(_main(table, index, particles.V0), name=look.name)
-        for look, table in zip(looks, tables)
+        replace(_main(table, index, particles.V0), name=preset.name)
+        for preset, table in zip(presets, tables)
     )
-    each = tuple(paper_options.of_material(settings, request, m, radius) for m in made)
+    each = tuple(
+        paper_options.of_material(
+            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            procrustes=request.procrustes, clamp=request.clamp, stress_cap=request.stress_cap,
+        )
+        for m in made
+    )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
     ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
@@ -158,6 +168,7 @@ def fill(
         settings=each[0],
         each=each,
         outputs=files,
+        source=files.source or file,
         riders=solid.riders,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
@@ -262,8 +273,8 @@ def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[s
     return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
 
 
-def _made(look: Any, radius: float, law: str | None, request: Request) -> Material:
-    """A material on a body of radius [m], with what the request says in place of its own."""
+def _stated_values(request: Request) -> dict[str, float]:
+    """What the request says in place of a material's own values."""
     own = {
         name: value
         for name in ("damping_time", "friction", "restitution")
@@ -271,27 +282,23 @@ def _made(look: Any, radius: float, law: str | None, request: Request) -> Materi
     }
     if request.preset == "paper":
         own.setdefault("damping_time", 0.0)  # the paper has none
-    return replace(look.material(radius, law), **own)
+    return own
+
+
+def _resolution(
+    request: Request, words: StageWords, unit: float, volumes: Callable[[], Mapping[str, float]]
+) -> Resolution:
+    """See `resolution`; unit : [m] of the stage's."""
+    spacing = request.spacing * unit if request.spacing else None
+    return resolution(request.particles, spacing, words, volumes, paper=request.preset == "paper")
 
 
 PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 
 
-UNIT, AXIS = "--meters-per-unit", "--up-axis"
-ATTRIBUTES = {UNIT: "metersPerUnit", AXIS: "upAxis"}
+UNIT = "--meters-per-unit"
 COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
-
-
-def origin(facts: StageFacts, option: str) -> str:
-    """Where the answer to --meters-per-unit or --up-axis comes from: file, assumed or option.
-
-    Readers say in a note what the file does not say itself.
-    """
-    said = [note for note in facts.notes if option in note or ATTRIBUTES[option] in note]
-    if any("asked for" in note for note in said):
-        return "option"
-    return "assumed" if any("assumed" in note for note in said) else "file"
 
 
 def size(asset: Asset) -> Floats:
@@ -307,7 +314,7 @@ def implausible_size(asset: Asset) -> str:
     width = float(size(asset).max())
     units = width / unit
     # An assumed unit deserves less trust than one that somebody wrote down.
-    least = PLAUSIBLE[0] if origin(asset.facts, UNIT) == "assumed" else TINY
+    least = PLAUSIBLE[0] if asset.facts.unit_from == ASSUMED else TINY
     if least <= width <= HUGE:
         return ""
     likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
@@ -331,7 +338,7 @@ def mend(
     from gf_usd.geometry.thicken import thicken_asset
 
     mended, repairs = repair_asset(asset)
-    asked = resolution(
+    asked = _resolution(
         request, words, asset.facts.units.length,
         lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
     )  # fmt: skip

@@ -225,6 +225,11 @@ class SplatSequence:
         """The file of a frame, counted from 0; its name counts from 1."""
         return self.folder / f"{self.stem}.{index + 1:0{DIGITS}d}.{self.suffix}"
 
+    @property
+    def lock(self) -> Path:
+        """What is locked while the frames are written."""
+        return self.folder / f"{self.stem}.{self.suffix}"
+
     def there(self) -> list[Path]:
         """Frames of this name that lie in the folder."""
         return sorted(self.folder.glob(f"{self.stem}.{'[0-9]' * DIGITS}*.{self.suffix}"))
@@ -287,14 +292,13 @@ def clear(asked: Sequence[SplatSequence]) -> None:
 
 
 Stamp = tuple[int, int] | None  # (time of change [ns], inode); None: no such file
-Stamps = tuple[Stamp, ...]
+Stamps = tuple[tuple[Path, Stamp], ...]
 
 
 def stamps(files: Outputs) -> Stamps:
     """Of each result and checkpoint."""
-    return tuple(
-        stamp(path) for path in (files.root, *files.caches, files.report, *files.checkpoints)
-    )
+    paths = (files.root, *files.caches, files.report, *files.checkpoints)
+    return tuple((path, stamp(path)) for path in paths)
 
 
 def stamp(path: Path) -> Stamp:

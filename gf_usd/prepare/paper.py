@@ -9,7 +9,6 @@ mu = 26.1 rho g0 r here (`materials`).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,31 +16,35 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import G0, Material
 
-if TYPE_CHECKING:
-    from gf_usd.prepare.request import Request
-
-
 PAPER_CLAMP = (0.2, 5.0)
 PAPER_CAP = 100.0 / 0.156 / G0  # [rho g0 r] tau = 100 where r = 1 and, as fitted, rho = 0.156
 PAPER_PROCRUSTES = {"rubber": 0.02}
 NONE = "none"
 
 
-def check(request: Request) -> None:
+def check(
+    wls: bool | None,
+    procrustes: float | None,
+    clamp: str | None,
+    stress_cap: str | None,
+    *,
+    solver: str | None,
+    pinned: bool,
+) -> None:
     """Raise UsageError for values that make no sense, or that the solver asked for cannot do."""
-    alpha = request.procrustes
+    alpha = procrustes
     if alpha is not None and not 0.0 <= alpha <= 1.0:
         raise UsageError(f"--procrustes is {alpha:g}", "give a number from 0 to 1")
-    parse_clamp(request.clamp)
-    parse_cap(request.stress_cap)
-    if request.solver == "ul":
-        for option, given in (("--wls", request.wls), ("--procrustes", alpha)):
+    parse_clamp(clamp)
+    parse_cap(stress_cap)
+    if solver == "ul":
+        for option, given in (("--wls", wls), ("--procrustes", alpha)):
             if given:
                 raise UsageError(
                     f"--solver ul does not know {option}",
                     f"leave {option} out, or use --solver tl",
                 )
-    if alpha and request.pins:
+    if alpha and pinned:
         raise UsageError(
             f"--procrustes {alpha:g} moves the body towards its rest shape about its mean, and"
             " --pin holds it elsewhere",
@@ -78,24 +81,32 @@ def parse_cap(text: str | None) -> float | None:
 
 
 def of_material(
-    settings: Settings, request: Request, material: Material, radius: float
+    settings: Settings,
+    material: Material,
+    radius: float,
+    *,
+    paper: bool,
+    pinned: bool,
+    wls: bool | None,
+    procrustes: float | None,
+    clamp: str | None,
+    stress_cap: str | None,
 ) -> Settings:
     """The settings of one material's bake, its options filled in.
 
-    radius : r = (3 V / 4 pi)^(1/3) [m] of the body.
+    radius : r = (3 V / 4 pi)^(1/3) [m] of the body; paper : by the preset, where None is said.
     """
-    paper = request.preset == "paper"
     total_lagrangian = settings.solver == "tl"
-    alpha, clamp = request.procrustes, parse_clamp(request.clamp)
-    cap = parse_cap(request.stress_cap)
-    if paper and alpha is None and total_lagrangian and not request.pins:
-        alpha = PAPER_PROCRUSTES.get(material.name, 0.0)
-    if paper and request.clamp is None:
-        clamp = PAPER_CLAMP
-    if paper and request.stress_cap is None:
+    stretches, cap = parse_clamp(clamp), parse_cap(stress_cap)
+    if paper and procrustes is None and total_lagrangian and not pinned:
+        procrustes = PAPER_PROCRUSTES.get(material.name, 0.0)
+    if paper and clamp is None:
+        stretches = PAPER_CLAMP
+    if paper and stress_cap is None:
         cap = PAPER_CAP * material.density * G0 * radius
-    wls = paper and total_lagrangian if request.wls is None else request.wls
-    return replace(settings, wls=wls, procrustes=alpha or 0.0, clamp=clamp, stress_cap=cap)
+    if wls is None:
+        wls = paper and total_lagrangian
+    return replace(settings, wls=wls, procrustes=procrustes or 0.0, clamp=stretches, stress_cap=cap)
 
 
 def notes(settings: Settings, material: str = "") -> tuple[str, ...]:

@@ -1,15 +1,14 @@
-"""A bake made ready, and a bake done: what `bake` hands in and out."""
+"""A bake made ready: plain values that say all of it, and what a dry run shows of them."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import shlex
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gf_usd.core import __version__
 from gf_usd.core.arrays import Floats
@@ -17,28 +16,34 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import (
     Choices,
-    Health,
     Particles,
     Settings,
     SurfaceSamples,
-    sampled,
     summary,
     written,
 )
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Advice, Encounters, Pin
 from gf_usd.prepare.bodies import BodyPlan
-from gf_usd.prepare.outputs import Outputs, SplatSequence
-from gf_usd.system.taichi_runtime import epoch
-
-if TYPE_CHECKING:
-    from gf_usd.physics.frame_loop import Marcher
-    from gf_usd.prepare.outputs import Stamp, Stamps
-    from gf_usd.readers.mesh.to_usd import MeshSource
-
+from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 
 TWO_WAY = ("wls",)  # flags whose "no" overrides a preset
-KEPT = 200_000  # particles of solvers that wait for their bake, at 4 kB each
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """One of the bakes of a plan, which is a variant of the root layer."""
+
+    material: Material  # the main one, which it is named after
+    table: tuple[Material, ...]  # what the particles' materials index
+    settings: Settings
+    cache: Path
+    checkpoint: Path
+    sequences: tuple[SplatSequence, ...]  # splat files
+
+    @property
+    def name(self) -> str:
+        return self.material.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,83 +53,49 @@ class Plan:
     asset: Asset
     particles: Particles
     samples: SurfaceSamples
-    materials: tuple[Material, ...]  # the main one of each look: one bake and one variant each
+    materials: tuple[Material, ...]  # the main one of each variant
     settings: Settings  # of the first material
     outputs: Outputs
+    source: Path  # the USD file to lie over: the asset, or the layer that is made of it
     riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     pins: tuple[Pin, ...] = ()
-    tables: tuple[tuple[Material, ...], ...] = ()  # of each look, what particles' materials index
+    tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
     encounters: Encounters | None = None
-    velocity: tuple[Any, ...] = ()  # at the start, of each body: see `TotalLagrangian`
-    each: tuple[Settings, ...] = ()  # of each material, where they are not all the same
-    converted: MeshSource | None = None  # of an asset that is not USD
-    sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each material
-    standing: tuple[Checkpoint | None, ...] = ()  # of each look, where it goes on; none: anew
+    velocity: tuple[Any, ...] = ()  # at the start, of each body: see `start_velocities`
+    each: tuple[Settings, ...] = ()  # of each variant, where they are not all the same
+    sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each variant
     seen: Stamps = ()  # of the results and checkpoints that were there
     seen_source: Stamp = None  # of the layer of a mesh file
     command: str = ""  # that bakes the same again
     choices: Choices = field(default_factory=Choices)  # of the output
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
-    _ready: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
-
-    @property
-    def source(self) -> Path:
-        """The USD file to lie over: the asset, or the layer that is made of it."""
-        if self.outputs.source is None and self.converted is not None:
-            return self.converted.layer  # of a flat bake, in a temporary folder
-        return self.outputs.source or self.asset.facts.path
 
     @property
     def version(self) -> str:
         return __version__
 
-    def settings_of(self, material: Material) -> Settings:
-        """The settings of one material's bake."""
-        named = zip(self.materials, self.each)
-        return next((s for m, s in named if m.name == material.name), self.settings)
-
-    def substeps(self, material: Material) -> int:
-        """Substeps a frame, all samples together.
-
-        The solver that knows is kept for `solver`: it is dear to build.
-        """
-        if material.name not in self._ready:
-            solver = self.solver(material)
-            kept = len(self.particles) * (1 + len(self._ready)) <= KEPT
-            self._ready[material.name] = solver.substeps, solver if kept else None, epoch()
-        return self._ready[material.name][0] * self.settings.samples_per_frame
-
-    def solver(self, material: Material) -> Marcher:
-        """The solver of one material, at its start."""
-        from gf_usd.physics.solvers import make_solver
-
-        substeps, solver, made = self._ready.get(material.name, (0, None, 0))
-        if solver is not None:
-            self._ready[material.name] = substeps, None, made  # it will have moved
-            if made == epoch():
-                return solver
-        more: dict[str, Any] = {}
-        if self.velocity:
-            more["velocity"] = list(self.velocity) if self.velocity[1:] else self.velocity[0]
-        if self.settings.solver == "tl" and self.bodies is not None:
-            more |= {"encounters": self.encounters, "rider_body": self.bodies.riders}
-        return make_solver(
-            sampled(self.settings_of(material)),
-            self.particles,
-            self.table(material),
-            samples=self.samples,
-            riders=self.points if self.settings.skin == "embed" else {},
-            pins=self.pins,
-            **more,
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """Its bakes, one for each material."""
+        rows = zip(
+            self.materials,
+            self.tables or [(material,) for material in self.materials],
+            self.each or [self.settings] * len(self.materials),
+            self.outputs.caches,
+            self.outputs.checkpoints,
+            self.sequences or [()] * len(self.materials),
+            strict=True,
         )
-
-    def table(self, material: Material) -> tuple[Material, ...]:
-        """The materials that particles have in the look whose main one this is."""
-        named = zip(self.materials, self.tables)
-        return next((t for m, t in named if m.name == material.name), (material,))
+        return tuple(
+            Variant(
+                material=material, table=table, settings=settings, cache=cache,
+                checkpoint=checkpoint, sequences=files,
+            )
+            for material, table, settings, cache, checkpoint, files in rows
+        )  # fmt: skip
 
     @property
     def points(self) -> dict[str, Floats]:
@@ -135,6 +106,11 @@ class Plan:
             for s in self.asset.surfaces
             if self.choices.mesh or (exported and s.splats is not None)
         }
+
+    @property
+    def frame_bytes(self) -> int:
+        """[bytes] on the disk of a frame of one variant, with all its samples."""
+        return frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
 
 
 def command_line(source: Path, **asked: Any) -> str:
@@ -151,9 +127,8 @@ def command_line(source: Path, **asked: Any) -> str:
     return shlex.join(words)
 
 
-def input_hash(plan: Plan) -> str:
-    """sha256 of the source file; raises BakeError where it is gone since it was read."""
-    path = plan.asset.facts.path
+def input_hash(path: Path) -> str:
+    """sha256 of the asset's file; raises BakeError where it is gone since it was read."""
     try:
         seen = path.stat()
         return _sha256(path.absolute(), seen.st_mtime_ns, seen.st_size)
@@ -177,7 +152,7 @@ def describe(plan: Plan) -> dict[str, Any]:
     return {
         "command": plan.command,
         "version": plan.version,
-        "input_sha256": input_hash(plan),
+        "input_sha256": input_hash(plan.asset.facts.path),
         "source": str(plan.asset.facts.path),
         "bodies": [s.path for s in plan.asset.surfaces],
         "separate_bodies": [list(paths) for paths in plan.bodies.surfaces] if plan.bodies else [],
@@ -188,9 +163,9 @@ def describe(plan: Plan) -> dict[str, Any]:
         "volume_m3": plan.particles.volume,
         "radius_m": plan.particles.radius,
         "materials": [asdict(m) for m in plan.materials],
-        "tables": [[asdict(m) for m in plan.table(look)] for look in plan.materials],
+        "tables": [[asdict(m) for m in variant.table] for variant in plan.variants],
         "advice": [asdict(one) for one in plan.advice],
-        "own_values": summary(plan.particles, plan.table(plan.materials[0])),
+        "own_values": summary(plan.particles, plan.variants[0].table),
         "frames": written(plan.settings),
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),
@@ -206,19 +181,6 @@ def settings_json(settings: Settings) -> dict[str, Any]:
     return {
         name: str(value) if value == math.inf else value for name, value in asdict(settings).items()
     }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Checkpoint:
-    """One look at the end of a full clip."""
-
-    identity: Mapping[str, str]  # what has to be the same, by its name: see `resuming.identity`
-    index: int  # of the sample
-    last: Health  # of the sample
-    log: Mapping[str, Any]  # `HealthLog.state`
-    cache: Mapping[str, Any]  # `CacheWriter.state`
-    solver: Mapping[str, Any]
-    track: Mapping[str, Floats]
 
 
 # [bytes] of a sample

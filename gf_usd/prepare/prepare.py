@@ -4,34 +4,42 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gf_usd.core import materials
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.stage import StageWords
 from gf_usd.core.units import check_unit
-from gf_usd.prepare import outputs as splat_sequence
 from gf_usd.prepare.advice import Auto
 from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
-from gf_usd.prepare.fill import fill
+from gf_usd.prepare.fill import fill, implausible_size
 from gf_usd.prepare.materials import Authored, look_name
 from gf_usd.prepare.outputs import (
+    Outputs,
+    SplatSequence,
+    Stamp,
+    Stamps,
     interrupted,
     outputs,
     require_free,
+    require_free_sequences,
     require_source_free,
+    sequences,
     stamp,
     stamps,
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.prepare.request import Request
-from gf_usd.readers.trial import try_asset
+from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_words
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi
+
+if TYPE_CHECKING:
+    from gf_usd.readers.mesh.to_usd import MeshSource
 
 REPEATED = ("pins", "material_boxes", "material_labels")  # options that may be given several times
 
@@ -51,73 +59,31 @@ def prepare(
     limits: Limits | None = None,
     draw: Draw,
     **options: Any,
-) -> Plan:
+) -> tuple[Plan, MeshSource | None]:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters.
 
     draw : makes the picture of the asset that an advisor is shown.
+
+    Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
+    long as the object is there.
     """
     check_unit(meters_per_unit)
-    request, looks = _asked(material, law, options)
+    request, presets = parse_request(material, law, options)
     source = Path(path)
-    target_name = None if output is None else str(output)
-
-    def frames_of(
-        looks: Sequence[Any], overwrite: bool
-    ) -> tuple[tuple[splat_sequence.SplatSequence, ...], ...]:
-        """The splat files of each look, which must be free."""
-        names = [look.name for look in looks]
-        asked = splat_sequence.sequences(
-            source.stem, names, ply=request.export_ply, spz=request.export_spz
-        )
-        splat_sequence.require_free_sequences(asked, overwrite)
-        return asked
-
-    if looks:
-        names = [look.name for look in looks]
-        files = outputs(source, names, target_name, request.flatten)
-        overwritten = overwrite or (resume and interrupted(files))
-        require_free(files, overwritten)
-        frames_of(looks, overwritten)
-    # It forks, which must be done before Taichi starts its threads.
-    _try(source, limits, request, looks, prims, meters_per_unit, up_axis)
-    # A device that is not there is found out before the asset is read.
-    init_taichi(request.device, request.threads)
-    from gf_usd.readers import convert, read_asset
-
-    converted = convert(source, meters_per_unit=meters_per_unit, up_axis=up_axis)
-    if converted is None:
-        asset = read_asset(
-            source,
-            prims=tuple(prims),
-            meters_per_unit=meters_per_unit,
-            up_axis=up_axis,
-            time_code=request.start,
-        )
-    else:
-        asset = converted.asset(prims=tuple(prims), time_code=request.start)
-    asset = _hulled(asset)
-    asset, words, looks = _stage(asset, source, prims, request, looks, converted is None, draw)
-    names = [look.name for look in looks]
-    files = outputs(source, names, target_name, request.flatten)
-    there = stamps(files)
-    # what it wrote before it ended was free to be written
-    overwrite = overwrite or (resume and interrupted(files))
-    require_free(files, overwrite)
-    frames = frames_of(looks, overwrite)
-    seen_source = None
-    if converted is not None:
-        target = files.source
-        if target is not None:
-            files = replace(files, textures=converted.textures(target))
-            seen_source = stamp(target)
-            require_source_free(files, converted.is_at(target), overwrite)
-        elif files.root.suffix != ".usdz":
-            files = replace(files, textures=converted.textures(files.root))
-            require_free(files, overwrite)
-    from gf_usd.prepare.fill import implausible_size
-
-    file = source if converted is None else converted.layer
-    plan = fill(asset, request, looks, law, files, file, words=words, repair=repair)[0]
+    target = None if output is None else str(output)
+    again = {"overwrite": overwrite, "resume": resume}
+    # what is in the way of the results is found before the asset is read, where they have names
+    targets = _targets(source, presets, target, request, **again) if presets else None
+    with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
+        # Beside it; a device that is not there is found out before the file is judged.
+        init_taichi(request.device, request.threads)
+        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+    targets = targets or _targets(source, found.presets, target, request, **again)
+    files, seen_source = _with_layer(targets, found.converted)
+    asset = found.asset
+    plan, _ = fill(
+        asset, request, found.presets, law, files, found.file, words=found.words, repair=repair
+    )
     command = command_line(
         source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
         repair=repair, **{k: v for k, v in options.items() if k not in REPEATED},
@@ -127,37 +93,105 @@ def prepare(
     command += "".join(f" --material-box {shlex.quote(box)}" for box in request.material_boxes)
     command += "".join(f" --material-label {shlex.quote(one)}" for one in request.material_labels)
     odd = implausible_size(asset)
-    notes = (*plan.notes, odd) if odd else plan.notes
-    return replace(
-        plan, converted=converted, command=command, notes=notes, sequences=frames, seen=there,
-        seen_source=seen_source,
+    plan = replace(
+        plan, command=command, notes=(*plan.notes, odd) if odd else plan.notes,
+        sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip
+    return plan, found.converted
 
 
-def _stage(
-    asset: Asset,
-    file: Path,
-    prims: Sequence[str],
+@dataclass(frozen=True, kw_only=True)
+class Targets:
+    """Where a bake writes, and what lies there."""
+
+    files: Outputs
+    sequences: tuple[tuple[SplatSequence, ...], ...]  # splat files of each variant
+    seen: Stamps
+    overwrite: bool  # what is there may be replaced
+
+
+def _targets(
+    source: Path,
+    presets: Sequence[Any],
+    target: str | None,
     request: Request,
-    looks: Sequence[Any],
-    usd: bool,
-    draw: Draw,
-) -> tuple[Asset, StageWords, Sequence[Any]]:
-    """What is to be soft, what its stage says of that, and the looks that it is baked with.
+    *,
+    overwrite: bool,
+    resume: bool,
+) -> Targets:
+    """The targets of a bake.  Raises UsageError where something is in their way."""
+    names = [preset.name for preset in presets]
+    files = outputs(source, names, target, request.flatten)
+    seen = stamps(files)
+    # what it wrote before it ended was free to be written
+    overwrite = overwrite or (resume and interrupted(files))
+    require_free(files, overwrite)
+    asked = sequences(source.stem, names, ply=request.export_ply, spz=request.export_spz)
+    require_free_sequences(asked, overwrite)
+    return Targets(files=files, sequences=asked, seen=seen, overwrite=overwrite)
 
-    usd : the file is a stage, and not a mesh file.
+
+def _with_layer(targets: Targets, converted: MeshSource | None) -> tuple[Outputs, Stamp]:
+    """The outputs with the pictures of a mesh file, and what lies where its layer is written.
+
+    Raises UsageError where something is in their way.
     """
-    words = StageWords()
-    if usd:
-        asset, words = read_words(asset, file, prims, rest=request.start, elastic=_elastic(looks))
-    if looks and isinstance(looks[0], Auto):
-        words = advise(asset, file, words, looks[0], usd=usd, rest=request.start, draw=draw)
-        return asset, words, [Authored(looks[0].name)]
-    if looks:
-        return asset, words, looks
-    if words.says_material:
-        return asset, words, [Authored(look_name(words, asset.surfaces))]
-    return asset, words, [Authored("rubber")]
+    files = targets.files
+    if converted is None:
+        return files, None
+    if (layer := files.source) is not None:
+        files = replace(files, textures=converted.textures(layer))
+        seen = stamp(layer)
+        require_source_free(files, converted.is_at(layer), targets.overwrite)
+        return files, seen
+    if files.root.suffix != ".usdz":
+        files = replace(files, textures=converted.textures(files.root))
+        require_free(files, targets.overwrite)
+    return files, None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceAsset:
+    """An asset that was read, and what it is to be made of."""
+
+    asset: Asset
+    words: StageWords  # what its stage says
+    presets: Sequence[Any]  # one for each variant
+    file: Path  # its USD form
+    converted: MeshSource | None  # of an asset that is not USD
+
+
+def read_stage(
+    read: Source,
+    source: Path,
+    request: Request,
+    presets: Sequence[Any],
+    *,
+    prims: Sequence[str],
+    draw: Draw,
+) -> SourceAsset:
+    """What is to be soft, what its stage says of that, and the presets that it is baked with.
+
+    presets : that were asked for; none: the stage says what it is made of, or it is rubber.
+    """
+    asset, words, converted = _hulled(read.asset), read.words, read.converted
+    usd = converted is None
+    if words is None:
+        words = StageWords()
+        if usd:
+            asset, words = read_words(
+                asset, source, prims, rest=request.start, elastic=_elastic(presets)
+            )
+    if presets and isinstance(presets[0], Auto):
+        words = advise(asset, source, words, presets[0], usd=usd, rest=request.start, draw=draw)
+        presets = [Authored(presets[0].name)]
+    elif not presets:
+        named = look_name(words, asset.surfaces) if words.says_material else "rubber"
+        presets = [Authored(named)]
+    return SourceAsset(
+        asset=asset, words=words, presets=presets, converted=converted,
+        file=source if converted is None else converted.layer,
+    )  # fmt: skip
 
 
 def _hulled(asset: Asset) -> Asset:
@@ -169,28 +203,28 @@ def _hulled(asset: Asset) -> Asset:
     return with_hulls(asset)
 
 
-def _elastic(looks: Sequence[Any]) -> bool:
+def _elastic(presets: Sequence[Any]) -> bool:
     """Whether the stage is asked what its bodies are made of."""
-    return not looks or isinstance(looks[0], Auto)
+    return not presets or isinstance(presets[0], Auto)
 
 
-def _try(
+def reading(
     source: Path,
     limits: Limits | None,
     request: Request,
-    looks: Sequence[Any],
+    presets: Sequence[Any],
     prims: Sequence[str],
     meters_per_unit: float | None,
     up_axis: str | None,
-) -> None:
-    """Read it in a child process first, where limits are given."""
-    try_asset(
+) -> Reading:
+    """The file, being read."""
+    return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
-        time_code=request.start, elastic=_elastic(looks),
+        time_code=request.start, elastic=_elastic(presets),
     )  # fmt: skip
 
 
-def _would_fill(asset: Asset) -> bool:
+def would_fill(asset: Asset) -> bool:
     from gf_usd.geometry.solid import build_solid
 
     try:
@@ -200,12 +234,12 @@ def _would_fill(asset: Asset) -> bool:
     return True
 
 
-def _asked(
+def parse_request(
     material: str | None, law: str | None, options: dict[str, Any]
 ) -> tuple[Request, list[Any]]:
-    """The request and the looks of a bake, checked before anything is read.
+    """The request and the presets of a bake, checked before anything is read.
 
-    No look: the stage says what it is made of, or it is rubber.
+    No preset: the stage says what it is made of, or it is rubber.
     """
     known = Request.__dataclass_fields__
     unknown = sorted(set(options) - set(known))

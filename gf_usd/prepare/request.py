@@ -107,7 +107,10 @@ class Request:
                 f"--blend-width {self.blend_width:g} and {regions[0].option} were both given",
                 "leave one out: materials blend between faces only",
             )
-        paper_options.check(self)
+        paper_options.check(
+            self.wls, self.procrustes, self.clamp, self.stress_cap,
+            solver=self.solver, pinned=bool(self.pins),
+        )  # fmt: skip
         parse_time_scale(self.time_scale, 1.0)
         if self.particles and self.spacing:
             raise UsageError(

@@ -42,31 +42,41 @@ from gf_usd.prepare.request import (
 ROUNDING = 1e-6  # frames: time codes are typed in decimals
 
 
-def span(request: Request, start: float, step: float, frames: int) -> tuple[int, int]:
+def span(
+    range: str | None,
+    handles: int,
+    *,
+    start: float,
+    step: float,
+    frames: int,
+    fixed: bool,
+) -> tuple[int, int]:
     """(first frame that is written, number of frames simulated) with range and handles.
 
     Parameters
     ----------
+    range : "FIRST:LAST" [time codes]; None: all.
+    handles : frames that are written on both sides besides.
     start : time code of frame 0; step : time codes per frame.
-    frames : of the bake without a range.
+    frames : of the bake without a range; fixed : they were asked for.
 
     A first frame below 0 holds the rest pose.  Raises UsageError for a range outside the bake.
     """
     first, last = 0, frames - 1
-    if request.range is not None:
-        low, high = parse_range(request.range)
+    if range is not None:
+        low, high = parse_range(range)
         if low is not None:
             first = int(np.ceil((low - start) / step - ROUNDING))
         if high is not None:
             last = int(np.floor((high - start) / step + ROUNDING))
-        _require_inside(request, first, last, start, step, frames)
-    return first - (request.handles or 0), last + 1 + (request.handles or 0)
+        said = f"--range {range}"
+        _require_inside(said, first, last, start, step, frames if fixed else None)
+    return first - handles, last + 1 + handles
 
 
 def _require_inside(
-    request: Request, first: int, last: int, start: float, step: float, frames: int
+    said: str, first: int, last: int, start: float, step: float, frames: int | None
 ) -> None:
-    said = f"--range {request.range}"
     if first < 0:
         raise UsageError(
             f"{said} begins before the simulation, which starts at time code {start:g}",
@@ -77,7 +87,7 @@ def _require_inside(
             f"{said} holds no frame: frames are at {start:g} + k * {step:g}",
             "give a range with a frame in it",
         )
-    if request.frames and last > frames - 1:
+    if frames is not None and last > frames - 1:
         raise UsageError(
             f"{said} ends after the last of --frames {frames}, at time code"
             f" {start + (frames - 1) * step:g}",
@@ -86,7 +96,7 @@ def _require_inside(
 
 
 def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
-    """Settings of a bake, but for what hangs on its material (`paper_options.of_material`).
+    """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     """
@@ -108,7 +118,10 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start = first_time_code(facts, request.start)
     frames = request.frames or (PAPER_FRAMES if paper else shot)
-    first, frames = span(request, start, (authored or fps) / fps, frames)
+    first, frames = span(
+        request.range, request.handles or 0, start=start, step=(authored or fps) / fps,
+        frames=frames, fixed=bool(request.frames),
+    )  # fmt: skip
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE
@@ -154,15 +167,19 @@ class Resolution:
 
 
 def resolution(
-    request: Request, words: StageWords, unit: float, volumes: Callable[[], Mapping[str, float]]
+    particles: int | None,
+    spacing: float | None,
+    words: StageWords,
+    volumes: Callable[[], Mapping[str, float]],
+    *,
+    paper: bool,
 ) -> Resolution:
     """An option wins over what the stage says, and that over the defaults.
 
-    unit : [m] of the stage's; volumes : [m^3] of each surface, by prim path, asked where needed.
+    spacing : [m]; volumes : [m^3] of each surface, by prim path, asked where needed.
     """
-    paper = request.preset == "paper"
-    particles = request.particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES)
-    spacing, note = request.spacing * unit if request.spacing else None, ""
-    if spacing is None and request.particles is None and not paper:
+    note = ""
+    if spacing is None and particles is None and not paper:
         spacing, note = materials.stated_spacing(words, volumes())
+    particles = particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES)
     return Resolution(spacing=spacing, particles=particles, note=note)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import MeshFile
+from gf_usd.readers.notes import source_of, unit_and_axis
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -89,27 +90,13 @@ def convert_mesh(
             f"{path} cannot be read: {error}", "check the permissions of it and its files"
         ) from error
     unit = meters_per_unit or file.meters_per_unit or ASSUMED_UNIT
+    unit_from = source_of(meters_per_unit, file.meters_per_unit is not None)
+    axis_from = source_of(axis, file.up_axis_known)
+    up = axis or file.up_axis
     return MeshSource.of(
         file,
         meters_per_unit=unit,
-        up_axis=axis or file.up_axis,
-        notes=(*_announced(file, unit, meters_per_unit, axis), *file.notes),
+        up_axis=up,
+        notes=(*unit_and_axis(file.format, unit, up, unit_from, axis_from), *file.notes),
+        sources={"unit_from": unit_from, "axis_from": axis_from},
     )
-
-
-def _announced(
-    file: MeshFile, unit: float, meters_per_unit: float | None, axis: str | None
-) -> list[str]:
-    """What is assumed of unit and axis, in words."""
-    said = []
-    if meters_per_unit is not None:
-        said.append(f"metersPerUnit = {unit:g}, as asked for")
-    elif file.meters_per_unit is None:
-        said.append(
-            f"{file.format} files name no unit: {unit:g} m per unit is assumed (--meters-per-unit)"
-        )
-    if axis is not None:
-        said.append(f"upAxis = {axis}, as asked for")
-    elif not file.up_axis_known:
-        said.append(f"{file.format} files name no up axis: {file.up_axis} is assumed (--up-axis)")
-    return said

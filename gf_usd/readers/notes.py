@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from gf_usd.core.asset import ASSUMED, FILE, OPTION
+
 
 class Notes:
     """Remarks in the order of their first appearance; the same words at many places are one."""
@@ -15,11 +17,42 @@ class Notes:
         if where and where not in places:
             places.append(where)
 
-    def lines(self) -> tuple[str, ...]:
-        """One sentence a remark: ``PATH: text`` or ``PATH and 3 more: text``."""
+    def lines(self, without: str = "") -> tuple[str, ...]:
+        """One sentence a remark: ``PATH: text`` or ``PATH and 3 more: text``.
+
+        without : a text that is left out.
+        """
         return tuple(
-            f"{_some(places)}: {text}" if places else text for text, places in self._places.items()
+            f"{_some(places)}: {text}" if places else text
+            for text, places in self._places.items()
+            if text != without
         )
+
+
+def source_of(asked: object | None, known: bool) -> str:
+    """Where a unit or an axis comes from: the option that asks for it, the file, or neither."""
+    if asked is not None:
+        return OPTION
+    return FILE if known else ASSUMED
+
+
+def unit_and_axis(
+    kind: str, unit: float, axis: str, unit_from: str, axis_from: str, hint: str = ""
+) -> list[str]:
+    """Notes on the unit [m] and the up axis of a kind of file, unless the file itself gives them.
+
+    unit_from, axis_from : of `source_of`; hint : more to try where the axis is assumed.
+    """
+    said = {
+        OPTION: (f"metersPerUnit = {unit:g}, as asked for", f"upAxis = {axis}, as asked for"),
+        ASSUMED: (
+            f"{kind} files name no unit: {unit:g} m per unit is assumed (--meters-per-unit)",
+            f"{kind} files name no up axis: {axis} is assumed (--up-axis{hint})",
+        ),
+    }
+    return [
+        said[origin][which] for which, origin in enumerate((unit_from, axis_from)) if origin != FILE
+    ]
 
 
 def _some(places: list[str]) -> str:

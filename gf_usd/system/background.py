@@ -1,4 +1,4 @@
-"""Work beside the main thread, one piece at a time: saving while the next frame is simulated.
+"""Work in the background, one piece at a time: saving while the next frame is simulated.
 
 USD writes a layer without holding the interpreter's lock, and Taichi holds it through a launch: so
 the two do not wait for each other.  Whoever takes several threads should ask `at_work` first.
@@ -15,12 +15,12 @@ _at_work: set[threading.Thread] = set()
 
 
 def at_work() -> int:
-    """Threads that work beside the main one now."""
+    """Number of threads that work in the background now."""
     return len(_at_work)
 
 
-class Beside:
-    """At most one piece of work at a time; what it raises is raised by `settle`."""
+class BackgroundWriter:
+    """Runs at most one piece of work at a time; what it raises is raised by `settle`."""
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
@@ -43,7 +43,7 @@ class Beside:
             finally:
                 _at_work.discard(threading.current_thread())
 
-        self._thread = threading.Thread(target=run, name="gf-usd beside")
+        self._thread = threading.Thread(target=run, name="gf-usd writer")
         _at_work.add(self._thread)
         self._thread.start()
 

@@ -35,7 +35,7 @@ def free_disk(folder: Path) -> float:
             folder = folder.parent
 
 
-def _swap() -> float:
+def free_swap() -> float:
     """[bytes] of free swap; none is counted under the limit of a control group."""
     if system_file("/sys/fs/cgroup/memory.max").isdigit():
         return 0.0

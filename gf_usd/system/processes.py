@@ -1,10 +1,14 @@
-"""One process of a job: what it says is heard line by line, and it ends when it must.
+"""Child processes: bakes that a batch starts, and readers of untrusted files.
 
-A bake that a batch started ends when the batch is gone, whatever killed it.
+A child is started afresh, never forked from this process, whose other threads may hold locks.  Its
+output is read while it runs, it is stopped when its time is over, and it ends when its parent is
+gone, whatever killed that.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import signal
 import subprocess
@@ -19,7 +23,7 @@ TAIL = 6000  # characters of stderr that are kept
 GRACE = 10.0  # [s] between the request to end and the end
 
 
-PARENT = "GF_USD_PARENT"  # set by batch.child: the process that waits for this one
+PARENT = "GF_USD_PARENT"  # set by `Child`: the process that waits for this one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +38,34 @@ class Ended:
     peak_memory: int  # [bytes]
     timed_out: bool
     stopped: bool  # by `Child.stop`
+    reply: bytes = b""  # stdout of a child whose output is binary; `out` is empty then
 
 
 class Child:
-    """A process in a session of its own, so that a signal reaches all that it started."""
+    """A process in a session of its own, so that a signal reaches all that it started.
 
-    def __init__(self, command: Sequence[str], *, inherit: Sequence[int] = ()) -> None:
+    Parameters
+    ----------
+    inherit : file descriptors that it gets.
+    binary : its stdout is not text.
+    grace : [s] between the request to end and the end; 0: it is ended without a request.  None:
+        GRACE.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        inherit: Sequence[int] = (),
+        binary: bool = False,
+        grace: float | None = None,
+    ) -> None:
         self._began = time.monotonic()
+        self._binary = binary
+        self._grace = GRACE if grace is None else grace
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, errors="replace",
             start_new_session=True,
             pass_fds=tuple(inherit),
             env={
@@ -61,13 +82,16 @@ class Child:
     def stop(self) -> None:
         """Ask it to end, and end it if it does not within the grace."""
         self._stopped = True
+        if not self._grace:
+            self._signal(signal.SIGKILL)
+            return
         self._signal(signal.SIGTERM)
-        timer = threading.Timer(GRACE, self._signal, (signal.SIGKILL,))
+        timer = threading.Timer(self._grace, self._signal, (signal.SIGKILL,))
         timer.daemon = True
         timer.start()
 
     def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
-        """Hear it out.
+        """Read its output to the end, and end what it leaves running.
 
         Parameters
         ----------
@@ -78,7 +102,7 @@ class Child:
         stdout, stderr = process.stdout, process.stderr
         assert stdout is not None
         assert stderr is not None
-        out: list[str] = []
+        out: list[bytes] = []
         reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
         reader.start()
         timer = threading.Timer(timeout or 0.0, self._time_out)
@@ -86,27 +110,31 @@ class Child:
             timer.daemon = True
             timer.start()
         tail = ""
-        for line in stderr:
+        for line in io.TextIOWrapper(stderr, encoding="utf-8", errors="replace"):
             tail = (tail + line)[-TAIL:]
             on_line(line.rstrip("\n"))
         reader.join()
+        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
+            # ended but not yet reaped, its number still names its group
+            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+            self._signal(signal.SIGKILL)
         # not Popen.wait: only this call also tells what the process used
         _, code, usage = os.wait4(process.pid, 0)
         with self._lock:
             self._reaped = True
         timer.cancel()
         stdout.close()
-        stderr.close()
         process.returncode = os.waitstatus_to_exitcode(code)
         return Ended(
             status=process.returncode,
-            out="".join(out),
+            out="" if self._binary else out[0].decode(errors="replace"),
             err=tail,
             seconds=time.monotonic() - self._began,
             cpu_seconds=usage.ru_utime + usage.ru_stime,
             peak_memory=usage.ru_maxrss * (1 if os.uname().sysname == "Darwin" else 1024),
             timed_out=self._timed_out,
             stopped=self._stopped and not self._timed_out,
+            reply=out[0] if self._binary else b"",
         )
 
     def _time_out(self) -> None:
@@ -117,7 +145,8 @@ class Child:
         with self._lock:
             # before it is reaped its number cannot be another process's
             if not self._reaped:
-                os.killpg(self._process.pid, number)
+                with contextlib.suppress(PermissionError):  # macOS: of a group that has ended
+                    os.killpg(self._process.pid, number)
 
 
 class Children:
@@ -169,9 +198,9 @@ EVERY = 0.5  # [s]
 
 
 def end_with_parent() -> None:
-    """Watch the parent that started this process to hear it out, if one did.
+    """End this process with the one that started it as a `Child`, if one did.
 
-    Without it nobody would hear the result, while the lock on its files would still be held.
+    Nobody would read its result, while it would still hold the lock on its files.
     """
     parent = os.environ.pop(PARENT, "")
     if parent.isdigit():

@@ -1,35 +1,49 @@
-"""Untrusted files are read in a child process first, under limits on time, memory and output.
+"""Untrusted files are read in a child process, under limits on time, memory and output.
 
-Parsers in native code can crash, hang or eat memory, and take the process with them.  A forked
-child does the reading; only where it came to an end, in words or with success, does the parent
-read the file itself.  Without fork (Windows) nothing is tried and nothing is limited.
+Parsers in native code can crash, hang or eat memory, and take the process with them.  A child does
+the reading and returns what it read, or the refusal; this process never opens a file that a child
+did not get through.  Only POSIX systems are known to this: on Windows a task runs in this process,
+without limits.
 """
 
 from __future__ import annotations
 
 import contextlib
 import faulthandler
+import gc
+import json
 import math
 import os
 import re
-import select
+import shutil
 import signal
 import sys
 import tempfile
-import time
+import threading
+import weakref
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
+from importlib import import_module
+from io import BytesIO
 from pathlib import Path
-from typing import NoReturn
+from types import TracebackType
+from typing import Any, NoReturn
 
+from gf_usd.core import errors
 from gf_usd.core.errors import GfUsdError, InputError, UsageError
+from gf_usd.system import exchange
+from gf_usd.system.processes import Child, Ended, end_with_parent
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-STILL = 0.1  # of its time: a child that ran for less stood still
 TRUST = "if you trust the file, raise the limit or turn it off: --limits"
-FINE = b"fine"
-NO_MEMORY = b"memory"
-FAILED = b"failed "
+NO_MEMORY = "memory"  # said by a child instead of the words of its error
+FAILED = 1  # exit status of a child that says why
+REFUSALS = ("InputError", "UsageError", "BakeError", "GfUsdError")  # that pass between processes
+# -P: a module of the folder that it runs in is none of ours.
+START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
+    " from gf_usd.system.sandbox import serve; serve(sys.argv[2])"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,128 +80,175 @@ def parse_limits(text: str | None) -> Limits | None:
     return limits
 
 
-def _isolates(path: Path, limits: Limits | None) -> bool:
-    """Whether a file is tried in a child at all: what is no file is refused without one."""
-    return limits is not None and hasattr(os, "fork") and path.is_file()
+class Scratch:
+    """A temporary folder that goes when the object does, or at the end of the program."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="gf-usd-")).resolve()
+        # Windows will not remove a file that USD still maps.
+        self._finalizer = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+    def remove(self) -> None:
+        """Remove it now."""
+        self._finalizer()
+
+    def release(self) -> Path:
+        """The folder, which stays from now on."""
+        self._finalizer.detach()
+        return self.path
 
 
-def attempt(path: Path, work: Callable[[], object], limits: Limits | None) -> None:
-    """Do `work` on a file in a child process; return if it ended, or ended in a GfUsdError.
+def attempt(path: Path, task: str, limits: Limits | None, *args: Any) -> Any:
+    """What a task returns that reads a file; see `Isolated` for arguments and errors."""
+    with Isolated(path, task, limits, *args) as isolated:
+        return isolated.result()
 
-    Call it before Taichi is started: the child is a fork, which takes along the locks that other
-    threads hold at that moment, and nobody there opens them.  A child that stood still all its time
-    is taken for one that met such a lock, and another is tried.  What a child writes to the
-    temporary folder goes with it.
 
-    Raises InputError where the child crashed, failed with an error that is not ours, took longer
-    than `limits.time` or asked for more than `limits.memory`.
+class Isolated:
+    """A task that reads a file in a child process, beside what this process does meanwhile.
+
+    Parameters
+    ----------
+    path : the file, for messages.  Where it is none, the task runs in this process, to refuse it.
+    task : the function, as "module:name"; what it takes and returns passes `exchange`.
+    limits : of the child; None: no child, the task runs in this process when its result is wanted.
     """
-    if limits is None or not _isolates(path, limits):
-        return
-    said, status, ran = _child(work, limits)
-    if said is None and ran < STILL * limits.time:
-        said, status, _ = _child(work, limits)
-    if said is None:
+
+    def __init__(self, path: Path, task: str, limits: Limits | None, *args: Any) -> None:
+        self.scratch: Scratch | None = None  # the child's temporary folder
+        self._path, self._task, self._args = path, task, args
+        self._limits = limits
+        self._delivered = False
+        self._child: Child | None = None
+        self._ended: list[Ended] = []
+        if limits is None or os.name != "posix" or not path.is_file():
+            return
+        self.scratch = Scratch()
+        request = BytesIO()
+        exchange.write(
+            {
+                "task": task,
+                "args": args,
+                "limits": asdict(limits),
+                "scratch": self.scratch.path,
+            },
+            request,
+        )
+        self._child = Child(
+            [sys.executable, "-P", "-c", START, json.dumps(sys.path), request.getvalue().decode()],
+            binary=True,
+            grace=0.0,
+        )
+        self._reader = threading.Thread(target=self._read, args=(self._child, limits), daemon=True)
+        self._reader.start()
+
+    def _read(self, child: Child, limits: Limits) -> None:
+        self._ended.append(child.wait(lambda line: None, limits.time))
+
+    @property
+    def in_child(self) -> bool:
+        """Whether a child does it."""
+        return self._child is not None
+
+    def result(self) -> Any:
+        """What the task returned.
+
+        Raises what it raised, where that is an error of ours; InputError where the child crashed,
+        failed with another error, took longer than `limits.time` or asked for more than
+        `limits.memory`.
+        """
+        if self._child is None or self._limits is None:
+            return _function(self._task)(*self._args)
+        self._reader.join()
+        value = _answer(self._path, self._ended[0], self._limits)
+        self._delivered = True
+        return value
+
+    def __enter__(self) -> Isolated:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the child, if it still runs; without a result what it wrote goes as well."""
+        if self._child is not None:
+            self._child.stop()
+            self._reader.join()
+        if self.scratch is not None and not self._delivered:
+            self.scratch.remove()
+
+
+def _answer(path: Path, ended: Ended, limits: Limits) -> Any:
+    """What a child returned; raises what it raised, or InputError for how it ended."""
+    if ended.timed_out:
         raise InputError(
             f"{path}: reading it took longer than {limits.time:g} s",
             f"the file may be damaged; {TRUST} time=SECONDS",
         )
-    if said == NO_MEMORY:
+    if ended.status == 0:
+        answer = exchange.read(ended.reply)
+        if answer["refusal"] is not None:
+            name, message, hint = answer["refusal"]
+            raise getattr(errors, name)(message, hint)
+        return answer["value"]
+    if ended.err == NO_MEMORY:
         raise InputError(
             f"{path}: reading it asked for more than {limits.memory / 1e9:g} GB of memory",
             f"the file may be damaged; {TRUST} memory=BYTES",
         )
-    if said.startswith(FAILED):
+    if ended.status == FAILED and ended.err:
         raise InputError(
-            f"{path} made its reader fail: {said.removeprefix(FAILED).decode(errors='replace')}",
+            f"{path} made its reader fail: {ended.err}",
             "the file is likely damaged: export it again; a sound file that does this is a fault"
             " of gf-usd, worth a report",
         )
-    if said != FINE:
-        number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
-        how = f"signal {number}, {signal.Signals(number).name}" if number else "without a word"
-        raise InputError(
-            f"{path} made its reader crash ({how})",
-            "the file is likely damaged: export it again, or open it in a USD viewer first",
-        )
+    number = -ended.status
+    how = f"signal {number}, {signal.Signals(number).name}" if number > 0 else "without a word"
+    raise InputError(
+        f"{path} made its reader crash ({how})",
+        "the file is likely damaged: export it again, or open it in a USD viewer first",
+    )
 
 
-def _child(work: Callable[[], object], limits: Limits) -> tuple[bytes | None, int, float]:
-    """What a child said, its wait status, and how long [s] it ran; it has ended."""
-    with tempfile.TemporaryDirectory(prefix="gf-usd-") as scratch:
-        read_end, write_end = os.pipe()
-        child = os.fork()
-        if child == 0:
-            _in_child(work, limits, write_end, scratch)
-        os.close(write_end)
-        try:
-            said = _said(read_end, limits.time)
-        finally:
-            os.close(read_end)
-            status, ran = _end(child)
-    return said, status, ran
+def _function(task: str) -> Callable[..., Any]:
+    module, name = task.split(":")
+    return getattr(import_module(module), name)
 
 
-def _said(pipe: int, seconds: float) -> bytes | None:
-    """All that a child writes until it ends; None where that takes longer than `seconds`."""
-    until, said = time.monotonic() + seconds, b""
-    while True:
-        ready, _, _ = select.select([pipe], [], [], max(0.0, until - time.monotonic()))
-        if not ready:
-            return None
-        block = os.read(pipe, 4096)
-        if not block:
-            return said
-        said += block
+def serve(request: str) -> NoReturn:
+    """The child: do what `Isolated` asks for, write what came of it to stdout, and end.
 
-
-def _end(child: int) -> tuple[int, float]:
-    """Wait status of a child, the processor time [s] it took, and the end of its group.
-
-    The group may hold programs that it started.
+    An error that is not ours ends it by its exit hook: what a parser written by others may raise
+    cannot be listed.
     """
-    os.kill(child, signal.SIGKILL)  # it may not lead its group yet
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(child, signal.SIGKILL)
-    _, status, used = os.wait4(child, 0)
-    return status, used.ru_utime + used.ru_stime
+    reply, words = os.dup(1), os.dup(2)
+    quiet = os.open(os.devnull, os.O_RDWR)
+    for standard in (0, 1, 2):
+        os.dup2(quiet, standard)
 
+    def failed(kind: type[BaseException], error: BaseException, at: TracebackType | None) -> None:
+        os.write(words, _words(error).encode(errors="replace"))
+        os._exit(FAILED)
 
-def _in_child(work: Callable[[], object], limits: Limits, pipe: int, scratch: str) -> NoReturn:
-    """Do the work and say how it ended; whatever happens, no line of the parent's runs here.
-
-    This is the one place that takes any error: it is the end of a process, there is nobody above
-    to pass it to, and what a parser written by others may raise cannot be listed.  Nothing is
-    hidden by it: an error of ours is raised again, as it is, by the parent's own reading, and any
-    other becomes an InputError with its type and words.
-    """
-    said = FINE
+    sys.excepthook = failed
+    faulthandler.disable()  # the parent says how it crashed
+    gc.disable()  # it ends before that would pay
+    end_with_parent()
+    asked = exchange.read(request.encode())
+    tempfile.tempdir = os.environ["TMPDIR"] = str(asked["scratch"])
+    _limit(Limits(**asked["limits"]))
+    value, refusal = None, None
     try:
-        os.setpgid(0, 0)
-        faulthandler.disable()  # the parent says how it crashed
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
-        quiet = os.open(os.devnull, os.O_RDWR)
-        for standard in (0, 1, 2):
-            os.dup2(quiet, standard)
-        tempfile.tempdir = os.environ["TMPDIR"] = scratch
-        _limit(limits)
-        try:
-            work()
-        except GfUsdError as error:
-            # The parent meets it in the order of its own checks.  But a reader that ran into the
-            # limit and says so in words would meet no limit there.
-            if "bad_alloc" in str(error):
-                said = NO_MEMORY
-    finally:
-        error = sys.exc_info()[1]
-        if error is not None:
-            said = _words(error)
-        os.write(pipe, said)
-        os._exit(0)  # no teardown: freeing a stage takes time, and its end is nobody's concern
+        value = _function(asked["task"])(*asked["args"])
+    except GfUsdError as error:
+        if "bad_alloc" in str(error):
+            raise MemoryError from error
+        name = next(of.__name__ for of in type(error).__mro__ if of.__name__ in REFUSALS)
+        refusal = (name, error.message, error.hint)
+    with os.fdopen(reply, "wb") as file:
+        exchange.write({"value": value, "refusal": refusal}, file)
+    os._exit(0)  # no teardown: freeing a stage takes time, and its end is nobody's concern
 
 
-def _words(error: BaseException) -> bytes:
+def _words(error: BaseException) -> str:
     """NO_MEMORY, or type and first line of an error, whatever its words are."""
     try:
         first = (str(error).strip().splitlines() or [""])[0][:300]
@@ -195,7 +256,7 @@ def _words(error: BaseException) -> bytes:
         first = "its words are not UTF-8"
     if isinstance(error, MemoryError) or "bad_alloc" in first:
         return NO_MEMORY
-    return FAILED + f"{type(error).__name__}: {first}".encode(errors="replace")
+    return f"{type(error).__name__}: {first}"
 
 
 def _limit(limits: Limits) -> None:

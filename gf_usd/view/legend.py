@@ -2,10 +2,9 @@
 
 Numbers as colours: a ramp of even perceptual steps, and scenes painted with it.
 
-The ramp is a curve through CIELAB (D65) from dark violet over blue, teal and green to light
-yellow.  It is walked at constant speed, so that equal differences of the number are equal colour
-differences, and its lightness L* rises all the way: it reads the same in grey and to a
-colour-blind eye.
+The ramp goes from dark violet over blue, teal and green to light yellow.  Equal differences of the
+number are equal distances in CIELAB, and lightness L* rises all the way: it reads the same in gray
+and to a color-blind eye.
 
 Round numbers for a scale, and how they are written.
 """
@@ -24,7 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Texture
 from gf_usd.core.errors import UsageError
-from gf_usd.core.radiance import linear_to_srgb
+from gf_usd.core.radiance import linear_to_srgb, srgb_to_linear
 from gf_usd.core.scene import Quantity, RenderMesh, Scene
 
 Pixels = NDArray[np.uint8]
@@ -158,56 +157,20 @@ def label(pixels: Pixels, text: str) -> Pixels:
 
 
 STEPS = 256
-# lightness, chroma and hue [deg] in CIELAB that the curve passes through
-STOPS = np.array(
-    [
-        (28.0, 50.0, 303.0),
-        (40.0, 47.0, 282.0),
-        (50.0, 31.0, 242.0),
-        (63.0, 36.0, 186.0),
-        (76.0, 52.0, 140.0),
-        (87.0, 68.0, 110.0),
-        (93.0, 74.0, 99.0),
-    ]
-)
-# CIE 1931 XYZ of a CIELAB white, and linear Rec. 709 of XYZ (IEC 61966-2-1)
-WHITE = np.array([0.95047, 1.0, 1.08883])
-XYZ_OF_RGB = np.array(
-    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+# Colors in sRGB at even distances in CIELAB (D65), lightness L* from 28 to 93.
+STOPS = (
+    "433683 394a99 285da9 1f6aab 1b74a8 1a7fa5 188ca4 1699a3 25a6a0"
+    " 3db199 54bb90 6ac486 7fcd7c 98d572 b0db68 c8e15e e1e755 feee54"
 )
 MATT = 0.9  # roughness of what is painted: a highlight would read as a high value
 
 
-def lab_to_linear(lab: Floats) -> NDArray[np.float64]:
-    """Linear Rec. 709 (..., 3) of CIELAB (..., 3), D65; may leave 0..1."""
-    lab = np.asarray(lab, dtype=np.float64)
-    y = (lab[..., 0] + 16.0) / 116.0
-    f = np.stack([y + lab[..., 1] / 500.0, y, y - lab[..., 2] / 200.0], axis=-1)
-    small = 3.0 * (6.0 / 29.0) ** 2 * (f - 4.0 / 29.0)
-    xyz = WHITE * np.where(f > 6.0 / 29.0, f**3, small)
-    return xyz @ np.linalg.inv(XYZ_OF_RGB).T
-
-
 @cache
-def ramp() -> NDArray[np.float64]:
-    """(256, 3) linear Rec. 709, low to high.  Do not write to it."""
-    hue = np.radians(STOPS[:, 2])
-    lab = np.stack([STOPS[:, 0], STOPS[:, 1] * np.cos(hue), STOPS[:, 1] * np.sin(hue)], axis=1)
-    # a Catmull-Rom curve through the stops, then even steps along its length
-    padded = np.concatenate([2 * lab[:1] - lab[1:2], lab, 2 * lab[-1:] - lab[-2:-1]])
-    t = np.linspace(0.0, 1.0, 64, endpoint=False)[:, None]
-    pieces = [_catmull_rom(padded[i : i + 4], t) for i in range(len(lab) - 1)]
-    curve = np.concatenate([*pieces, lab[-1:]])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    even = np.linspace(0.0, length[-1], STEPS)
-    walked = np.stack([np.interp(even, length, channel) for channel in curve.T], axis=1)
-    return np.clip(lab_to_linear(walked), 0.0, 1.0)
-
-
-def _catmull_rom(p: Floats, t: Floats) -> Floats:
-    """Points (n, 3) between p[1] and p[2] of four (4, 3), t (n, 1) in 0..1."""
-    a, b, c, d = p
-    return b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
+def ramp() -> NDArray[np.floating]:
+    """(256, 3) linear Rec. 709, low to high, by way of `STOPS`.  Do not write to it."""
+    stops = np.array([list(bytes.fromhex(stop)) for stop in STOPS.split()]) / 255.0
+    at, known = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(stops))
+    return srgb_to_linear(np.stack([np.interp(at, known, channel) for channel in stops.T], axis=1))
 
 
 def fraction(values: Floats, low: float, high: float) -> NDArray[np.float64]:

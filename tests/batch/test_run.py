@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,13 +21,15 @@ from gf_usd.system.file_locks import acquire
 from gf_usd.system.processes import Children, Ended
 
 RESULT = {"warnings": [], "check": [], "bakes": [{"frames": 2, "health": {}}]}
-KILLED = (-9, "", "")
+KILLED = (-9, {}, "")
+NO_SOLID = {"event": "error", "status": 3, "message": "no solid", "hint": "close it"}
+FULL = {"event": "error", "status": 1, "message": "full", "hint": "make room"}
 
 
 class Bakes(Children):
     """Stands in for processes: each bake ends as the script of its job says, in turn."""
 
-    def __init__(self, script: dict[str, list[tuple[int, str, str]]]) -> None:
+    def __init__(self, script: dict[str, list[tuple[int, dict[str, Any], str]]]) -> None:
         super().__init__()
         self.script, self.locked = script, list[bool]()
         self.before: Callable[[str], None] = lambda name: None
@@ -41,14 +44,20 @@ class Bakes(Children):
         name = root.stem
         self.before(name)
         self.locked.append(acquire(root) is None)
-        status, out, err = self.script[name].pop(0)
-        if status == 0 and not out:
+        status, last, err = self.script[name].pop(0)
+        told = [last] if last else []
+        if status == 0:
             root.write_text("#usda 1.0\n", encoding="utf-8")
-            on_line("frame 1/2, 120 particles")
-            on_line("frame 2/2, 120 particles")
-            out = json.dumps({**RESULT, "outputs": [str(root)]})
+            told = [{"event": "frame", "done": k, "total": 2, "particles": 120} for k in (1, 2)]
+            told.append({"event": "finished", **RESULT, "outputs": [str(root)]})
+        writer = int(command[command.index("--events") + 1])
+        assert writer in how["inherit"]
+        for event in told:
+            os.write(writer, json.dumps(event).encode() + b"\n")
+        if status < 0:
+            os.write(writer, b'{"event": "fini')  # cut short
         return Ended(
-            status=status, out=out, err=err, seconds=1.0, cpu_seconds=1.0, peak_memory=1,
+            status=status, out="", err=err, seconds=1.0, cpu_seconds=1.0, peak_memory=1,
             timed_out=False, stopped=False,
         )  # fmt: skip
 
@@ -69,10 +78,10 @@ def test_each_job_ends_in_its_own_way(tmp_path: Path, monkeypatch: pytest.Monkey
     names = ("good", "twice", "dead", "bad")
     jobs = [job(tmp_path, name) for name in names]
     children = Bakes({
-        "good": [(0, "", "")],
-        "twice": [KILLED, (0, "", "")],
-        "dead": [KILLED, KILLED, (0, "", "")],
-        "bad": [(3, "", "error: no solid\n\nhint: close it\n"), (0, "", "")],
+        "good": [(0, {}, "")],
+        "twice": [KILLED, (0, {}, "")],
+        "dead": [KILLED, KILLED, (0, {}, "")],
+        "bad": [(3, NO_SOLID, "error: no solid\n"), (0, {}, "")],
     })  # fmt: skip
     states, events = ran(children, jobs, retries=1)
     assert states == {"good": "done", "twice": "done", "dead": "crashed", "bad": "refused"}
@@ -87,14 +96,14 @@ def test_each_job_ends_in_its_own_way(tmp_path: Path, monkeypatch: pytest.Monkey
     states, events = ran(children, jobs, retries=1)
     assert states == {"good": "kept", "twice": "kept", "dead": "done", "bad": "done"}
     assert sorted({e["job"] for e in events if e["event"] == "started"}) == ["bad", "dead"]
-    children.script["good"] = [(0, "", "")]
+    children.script["good"] = [(0, {}, "")]
     states, _ = ran(children, jobs[:1], overwrite=True)
     assert states == {"good": "done"}
 
 
 def test_an_asset_that_changes_under_the_bake_is_not_done(tmp_path: Path) -> None:
     jobs = [job(tmp_path, "good")]
-    children = Bakes({"good": [(0, "", "")] * 3})
+    children = Bakes({"good": [(0, {}, "")] * 3})
     children.before = lambda name: jobs[0].asset.write_text("#usda 1.0\n# other\n")
     states, _ = ran(children, jobs)
     assert states == {"good": "failed"}
@@ -107,7 +116,7 @@ def test_what_is_held_is_left_and_what_is_stopped_does_not_begin(tmp_path: Path)
     jobs = [job(tmp_path, "a"), job(tmp_path, "b")]
     held = acquire(jobs[0].root)
     assert held is not None
-    children = Bakes({"b": [(0, "", "")]})
+    children = Bakes({"b": [(0, {}, "")]})
     assert ran(children, jobs)[0] == {"a": "busy", "b": "done"}
     held.release()
     children.stop()
@@ -120,7 +129,7 @@ def test_a_fault_outside_the_bake_ends_one_job_not_the_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     jobs = [job(tmp_path, name) for name in "abc"]
-    children = Bakes({name: [(0, "", "")] for name in "abc"})
+    children = Bakes({name: [(0, {}, "")] for name in "abc"})
 
     def short(name: str) -> None:
         if name == "b":
@@ -145,7 +154,7 @@ def test_a_disk_that_takes_no_record_fails_the_job(
         raise BakeError("no space left", "make room")
 
     monkeypatch.setattr(task, "write_record", full)
-    children = Bakes({"a": [(0, "", "")], "b": [(1, "", "error: full\n\nhint: make room\n")]})
+    children = Bakes({"a": [(0, {}, "")], "b": [(1, FULL, "error: full\n")]})
     jobs = [job(tmp_path, name) for name in "ab"]
     states, events = ran(children, jobs)
     assert states == {"a": "failed", "b": "failed"}

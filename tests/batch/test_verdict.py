@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from pathlib import Path
 from typing import Any
@@ -20,23 +19,22 @@ RESULT = {
     "bakes": [{"frames": 4, "health": {"rollbacks": 1, "min_J": 0.9}}, {"frames": 4, "health": {}}],
 }
 DAMAGED = "/x.usda is damaged: 12:3\nin two lines"
-SLICED = (
-    "frame 3/5, 150 particles\nrubber: 3 of 5 frames are done, and the slice of 2 clips ends here;"
-    " x is kept\n\nhint: the same command with --resume continues\n"
-)
+FINISHED = {"finished": {"event": "finished", **RESULT}}
+SLICED = {"sliced": {"event": "sliced", "look": "rubber", "done": 3, "frames": 5}}
 GOES_ON = "the same command goes on with it"
-ERROR = f"note: centimetres\nerror: {DAMAGED}\n\nhint: export it again\n"
+ERROR = {"error": {"event": "error", "status": 3, "message": DAMAGED, "hint": "export it again"}}
+STDERR = f"note: centimetres\nerror: {DAMAGED}\n\nhint: export it again\n"
 
 
-def ended(status: int, out: str = "", err: str = "", **more: Any) -> Ended:
+def ended(status: int, err: str = "", **more: Any) -> Ended:
     kwargs = {"timed_out": False, "stopped": False, **more}
     return Ended(
-        status=status, out=out, err=err, seconds=2.0, cpu_seconds=1.0, peak_memory=5, **kwargs
+        status=status, out="", err=err, seconds=2.0, cpu_seconds=1.0, peak_memory=5, **kwargs
     )
 
 
 def test_a_whole_result_is_done(tmp_path: Path) -> None:
-    bake = judge(job(tmp_path), ended(0, json.dumps(RESULT)))
+    bake = judge(job(tmp_path), ended(0), FINISHED)
     assert bake.outcome.state == "done"
     assert bake.outcome.frames == 8
     assert bake.outcome.health == {"rollbacks": 1, "min_J": 0.9}
@@ -44,26 +42,30 @@ def test_a_whole_result_is_done(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("process", "state", "message", "hint"),
+    ("process", "events", "state", "message", "hint"),
     [
-        (ended(1, err=ERROR), "failed", DAMAGED, "export it again"),
-        (ended(2, err=ERROR), "refused", DAMAGED, "export it again"),
-        (ended(3, err=ERROR), "refused", DAMAGED, "export it again"),
-        (ended(0, '{"outputs": ['), "crashed", "the bake ended without a result", ""),
-        (ended(-11), "crashed", "the bake was ended by SIGSEGV", ""),
-        (ended(143), "crashed", "the bake was ended by SIGTERM", ""),
-        (ended(143, stopped=True), "stopped", "interrupted before its end", ""),
-        (ended(143, timed_out=True), "timeout", "no end after 2 s", "raise --timeout"),
-        (ended(1, err="Traceback\n  line\nMemoryError: 3\n"), "crashed", "MemoryError: 3", ""),
-        (ended(1), "crashed", "no words", ""),
-        (ended(5, err=SLICED), "sliced", "rubber: 3 of 5 frames are done", GOES_ON),
-        (ended(5, stopped=True), "stopped", "interrupted before its end", ""),
+        (ended(1, STDERR), ERROR, "failed", DAMAGED, "export it again"),
+        (ended(2, STDERR), ERROR, "refused", DAMAGED, "export it again"),
+        (ended(3, STDERR), ERROR, "refused", DAMAGED, "export it again"),
+        (ended(0), {}, "crashed", "the bake ended without a result", ""),
+        (ended(-11), {}, "crashed", "the bake was ended by SIGSEGV", ""),
+        (ended(-11), FINISHED, "crashed", "the bake was ended by SIGSEGV", ""),
+        (ended(143), {}, "crashed", "the bake was ended by SIGTERM", ""),
+        (ended(143), ERROR, "crashed", "the bake was ended by SIGTERM", ""),
+        (ended(143, stopped=True), {}, "stopped", "interrupted before its end", ""),
+        (ended(143, timed_out=True), {}, "timeout", "no end after 2 s", "raise --timeout"),
+        (ended(1, "Traceback\n  line\nMemoryError: 3\n"), {}, "crashed", "MemoryError: 3", ""),
+        (ended(1), {}, "crashed", "no words", ""),
+        (ended(5), SLICED, "sliced", "rubber: 3 of 5 frames are done", GOES_ON),
+        (ended(5, stopped=True), {}, "stopped", "interrupted before its end", ""),
+        # words on stderr decide nothing
+        (ended(1, STDERR), {}, "crashed", "hint: export it again", ""),
     ],
 )  # fmt: skip
 def test_every_other_end_has_its_name(
-    tmp_path: Path, process: Ended, state: str, message: str, hint: str
+    tmp_path: Path, process: Ended, events: Any, state: str, message: str, hint: str
 ) -> None:
-    bake = judge(job(tmp_path), process)
+    bake = judge(job(tmp_path), process, events)
     assert (bake.outcome.state, bake.outcome.message, bake.outcome.hint) == (state, message, hint)
     assert bake.outcome.log == process.err
     assert not bake.files
@@ -71,20 +73,20 @@ def test_every_other_end_has_its_name(
 
 
 def test_a_kill_that_may_be_the_systems_hints_at_memory(tmp_path: Path) -> None:
-    assert "--jobs" in judge(job(tmp_path), ended(-signal.SIGKILL)).outcome.hint
+    assert "--jobs" in judge(job(tmp_path), ended(-signal.SIGKILL), {}).outcome.hint
 
 
 def test_a_result_with_faults_is_complete_but_not_sound(tmp_path: Path) -> None:
     finding = {"rule": "finite", "prim": "/A", "message": "NaN", "fix": "bake again"}
-    bake = judge(job(tmp_path), ended(0, json.dumps({**RESULT, "check": [finding]})))
+    bake = judge(job(tmp_path), ended(0), {"finished": {**RESULT, "check": [finding]}})
     assert bake.outcome.state == "unsound"
     assert "finite </A>: NaN" in bake.outcome.message
     assert bake.files
     warning = {"look": "rubber", "about": "energy", "message": "it rose", "hint": "drop it lower"}
-    strict = judge(job(tmp_path), ended(4, json.dumps({**RESULT, "warnings": [warning]}), ERROR))
+    warned = {"finished": {**RESULT, "warnings": [warning]}}
+    strict = judge(job(tmp_path), ended(4), {**warned, **ERROR})
+    assert (strict.outcome.message, strict.outcome.hint) == (DAMAGED, "export it again")
     assert strict.outcome.state == "unsound"
     assert strict.outcome.warnings == (warning,)
     # without --strict a warning is no fault
-    assert judge(
-        job(tmp_path), ended(0, json.dumps({**RESULT, "warnings": [warning]}))
-    ).outcome.good
+    assert judge(job(tmp_path), ended(0), warned).outcome.good

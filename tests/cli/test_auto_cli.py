@@ -261,7 +261,7 @@ def test_a_model_that_babbles_is_an_error(gf_usd, here, stage, server, vision, m
 
 
 def test_the_picture_is_a_png_of_the_asset(tmp_path):
-    plan = prepare(SAMPLES / "duck.usda", output=str(tmp_path) + "/", particles=100)
+    plan = prepare(SAMPLES / "duck.usda", output=str(tmp_path) + "/", particles=100).plan
     path = tmp_path / "duck.png"
     path.write_bytes(advise.picture(plan.asset, draw))
     with Image.open(path) as picture:

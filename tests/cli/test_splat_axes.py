@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 from small_bakes import BLOCK
 
 from gf_usd.core.matrices import gaussian_axes
-from gf_usd.core.radiance import rotate
+from gf_usd.physics.per_particle import rotated
 from gf_usd.readers.splats.ply import read_splat_ply
 from gf_usd.readers.splats.spz import read_spz
 
@@ -35,7 +35,7 @@ def same(ply, spz, turn: np.ndarray) -> None:
     axes = gaussian_axes(spz.orientations, spz.scales)
     size = np.abs(expected).max(axis=(1, 2), keepdims=True)
     assert (np.abs(axes @ axes.swapaxes(1, 2) - expected) < COARSE * size).all()
-    turned = rotate(ply.harmonics, np.tile(turn, (len(ply), 1, 1)))
+    turned = rotated(ply.harmonics, np.tile(turn, (len(ply), 1, 1)))
     np.testing.assert_allclose(spz.harmonics, turned, atol=0.51 / 255 / 0.15)
 
 

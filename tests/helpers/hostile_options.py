@@ -99,9 +99,9 @@ def planned(path: Path, options: dict[str, Any]) -> bool:
     """
     small = {} if {"particles", "spacing"} & set(options) else {"particles": 100}
     try:
-        plan = prepare(path, **{**small, **options})
-        for material in plan.materials:
-            plan.substeps(material)  # builds the solver
+        prepared = prepare(path, **{**small, **options})
+        for variant in prepared.plan.variants:
+            prepared.solvers.substeps(variant)  # builds the solver
     except (UsageError, InputError) as refusal:
         if not (refusal.message.strip() and refusal.hint.strip()):
             raise AssertionError(f"no words: {refusal!r}") from refusal

@@ -40,14 +40,15 @@ def planner(tmp_path: Path) -> Callable[..., Plan]:
     def plan(*prims: str, layer: str = head(), **options: Any) -> Plan:
         path = tmp_path / "asset.usda"
         path.write_text(layer + "".join(prims), encoding="utf-8")
-        return prepare(path, output=tmp_path / "out.usda", overwrite=True, **{**FEW, **options})
+        asked = {"output": tmp_path / "out.usda", "overwrite": True, **FEW, **options}
+        return prepare(path, **asked).plan
 
     return plan
 
 
 def table(plan: Plan) -> Any:
     """The materials of the first look."""
-    return plan.table(plan.materials[0])
+    return plan.variants[0].table
 
 
 def mass(plan: Plan, body: int) -> float:

@@ -24,7 +24,7 @@ from gf_usd.core.materials import Material
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheSummary, CacheWriter
 from gf_usd.layers.root import RootSummary, write_root
-from gf_usd.layers.variants import BakedLook
+from gf_usd.layers.variants import BakedVariant
 from gf_usd.system.atomic_files import publish
 
 ALL = Choices()
@@ -253,7 +253,7 @@ def finish(cache: Path, asset: Asset, particles: Particles, info: BakeInfo) -> R
         for frame in frames_of(asset, particles, info):
             writer.write(frame)
     publish(cache)
-    look = BakedLook(name=info.look, cache=cache, info=info)
+    look = BakedVariant(name=info.look, cache=cache, info=info)
     return write_root(cache.with_name("root.usda"), asset, [look])
 
 
@@ -271,7 +271,7 @@ def bake(
     for look in looks:
         cache = folder / f"{stem}.{look}.cache.usdc"
         _, particles, info = write_cache(cache, asset, look=look, choices=choices, **options)
-        baked.append(BakedLook(name=look, cache=cache, info=info, health={"minJ": 0.5}))
+        baked.append(BakedVariant(name=look, cache=cache, info=info, health={"minJ": 0.5}))
     path = folder / f"{stem}.{'_'.join(looks)}.usda"
     root = write_root(path, asset, baked, choices=choices)
     return root, particles, info

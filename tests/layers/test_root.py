@@ -18,7 +18,7 @@ from small_stages import bake, frames_of, info_of, open_with, write
 
 from gf_usd.core.errors import InputError
 from gf_usd.layers.root import write_root
-from gf_usd.layers.variants import BakedLook
+from gf_usd.layers.variants import BakedVariant
 
 EVERYTHING = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
 
@@ -255,7 +255,7 @@ def test_a_new_bake_reaches_a_stage_that_is_open(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     root, _, _ = bake(asset, tmp_path, looks=("rubber",))
     stage = Usd.Stage.Open(str(root.path))
-    look = BakedLook(name="jelly", cache=tmp_path / "c.usdc", info=info_of(asset))
+    look = BakedVariant(name="jelly", cache=tmp_path / "c.usdc", info=info_of(asset))
     write_root(root.path, asset, [look])
     assert stage.GetPrimAtPath("/duck").GetVariantSet("gaussianFlesh").GetVariantNames() == [
         "jelly",

@@ -12,7 +12,7 @@ from small_stages import bake, info_of, open_with
 
 from gf_usd.core.errors import UsageError
 from gf_usd.layers.root import write_root
-from gf_usd.layers.variants import BakedLook
+from gf_usd.layers.variants import BakedVariant
 from gf_usd.system.atomic_files import partial_path
 
 
@@ -104,7 +104,7 @@ def test_instancing_outside_the_bake_is_kept(tmp_path: Path) -> None:
 def test_variant_names_that_do_not_do(names: tuple[str, ...], message: str, tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     info = info_of(asset)
-    looks = [BakedLook(name=n, cache=tmp_path / "c.usdc", info=info) for n in names]
+    looks = [BakedVariant(name=n, cache=tmp_path / "c.usdc", info=info) for n in names]
     path = tmp_path / "root.usda"
     with pytest.raises(UsageError) as caught:
         write_root(path, asset, looks)
@@ -115,7 +115,7 @@ def test_variant_names_that_do_not_do(names: tuple[str, ...], message: str, tmp_
 
 def test_a_display_that_is_not_there(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
-    look = BakedLook(name="a", cache=tmp_path / "c.usdc", info=info_of(asset))
+    look = BakedVariant(name="a", cache=tmp_path / "c.usdc", info=info_of(asset))
     with pytest.raises(UsageError) as caught:
         write_root(tmp_path / "root.usda", asset, [look], display="voxels")
     assert str(caught.value) == (

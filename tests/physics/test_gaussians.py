@@ -1,22 +1,53 @@
 """Deformed Gaussians: Sigma = F Sigma0 F^T, and axes that do not jump in time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
 from gf_usd.core.frames import GaussianPose, Pose
-from gf_usd.core.matrices import (
-    jacobi,
-    matrix_from_quaternion,
-    quaternion_from_matrix,  # fmt: skip
-)
+from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.physics.gaussians import GaussianTrack
-from gf_usd.physics.per_particle import nearest_rotation
+from gf_usd.physics.per_particle import diagonalize, keep, matrix, nearest_rotation, quaternion
+from gf_usd.system.taichi_runtime import ensure_running, import_taichi
+
+ti = import_taichi()
 
 DISC = np.array([0.15, 0.6, 0.6])  # (sigma_r, sigma_t, sigma_t), the rest shape of the sampler
+
+
+Many = ti.types.ndarray(dtype=ti.f64, ndim=1)
+
+
+@ti.kernel
+def each_quaternion(R: Many, q: Many):
+    for p in range(q.shape[0] // 4):
+        one = quaternion(matrix(R, p))
+        for a in ti.static(range(4)):
+            q[4 * p + a] = one[a]
+
+
+@ti.kernel
+def each_diagonal(S: Many, D: Many, Q: Many):
+    for p in range(S.shape[0] // 9):
+        diagonal = matrix(S, p)
+        keep(Q, p, diagonalize(diagonal))
+        keep(D, p, diagonal)
+
+
+def quaternion_from_matrix(R: np.ndarray) -> np.ndarray:
+    ensure_running()
+    q = np.empty((len(R), 4))
+    each_quaternion(np.ascontiguousarray(R).reshape(-1), q.reshape(-1))
+    return q
+
+
+def jacobi(S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    ensure_running()
+    D, Q = np.empty(S.shape), np.empty(S.shape)
+    each_diagonal(np.ascontiguousarray(S).reshape(-1), D.reshape(-1), Q.reshape(-1))
+    upper = np.triu(D)
+    return upper + np.triu(upper, 1).swapaxes(1, 2), Q
 
 
 def quaternions(n: int, seed: int) -> np.ndarray:
@@ -155,7 +186,7 @@ def test_an_inversion_is_passed_through_without_a_jump_of_the_shape():
     assert change < 0.6 * 0.02 + 1e-9  # a step of .02 in a stretch moves a scale by .6 of it
 
 
-def test_jacobi_diagonalises_with_a_rotation_near_the_identity():
+def test_jacobi_diagonalizes_with_a_rotation_near_the_identity():
     Q = special_ortho_group.rvs(3, 100, random_state=9)
     d = np.random.default_rng(10).uniform(0.0, 2.0, (100, 3))
     S = (Q * d[:, None, :]) @ Q.swapaxes(1, 2)
@@ -172,7 +203,7 @@ def test_jacobi_diagonalises_with_a_rotation_near_the_identity():
 
 @pytest.mark.parametrize("size", [1e-3, 0.2, 1.0])
 def test_the_nearest_rotation_is_that_of_the_signed_svd(size):
-    # More than a chunk, upright and inverted, some of them nearly flat.
+    # Upright and inverted, some of them nearly flat.
     F = np.eye(3) + size * np.random.default_rng(3).normal(size=(5000, 3, 3))
     U, s, Vt = np.linalg.svd(F)
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +16,11 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
 from gf_usd.geometry.skinning import KEPT_BYTES
-from gf_usd.pipeline.budget import PAIR_SECONDS, duration, estimate, require_affordable
+from gf_usd.pipeline import budget
+from gf_usd.pipeline.budget import PAIR_SECONDS, Solvers, duration, require_affordable
+from gf_usd.pipeline.run import Prepared
 from gf_usd.prepare.outputs import outputs
-from gf_usd.prepare.plan import Plan
+from gf_usd.prepare.plan import Plan, Variant
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +35,25 @@ def plan() -> Plan:
         materials=(look("rubber", particles),),
         settings=settings(frames=31, gravity=(0.0, -9.81, 0.0), floor=-1.5),
         outputs=outputs(Path("ball.usda"), ["rubber"], None),
+        source=Path("ball.usda"),
         riders=(),
         drop=1.0,
         notes=(),
     )
+
+
+def cost(plan: Plan) -> Mapping[str, Any]:
+    """What a plan is estimated to cost, whatever its materials are called."""
+    names = [material.name for material in plan.materials]
+    return Prepared(plan=replace(plan, outputs=outputs(Path("ball.usda"), names, None))).cost
+
+
+def require(plan: Plan, hours: float) -> None:
+    """See `require_affordable`."""
+    require_affordable(
+        cost(plan), hours, path=plan.asset.facts.path, settings=plan.settings,
+        materials=plan.materials, particles=len(plan.particles), drop=plan.drop,
+    )  # fmt: skip
 
 
 def stiff(plan: Plan, factor: float) -> Material:
@@ -46,14 +65,14 @@ def stiff(plan: Plan, factor: float) -> Material:
 
 def test_substeps_grow_with_the_root_of_stiffness(plan: Plan) -> None:
     made = [replace(plan, materials=(stiff(plan, f),)) for f in (1e4, 1e6, 1e8)]
-    steps = [estimate(p)["per_material"][0]["substeps_per_frame"] for p in made]
+    steps = [cost(p)["per_material"][0]["substeps_per_frame"] for p in made]
     # whole numbers of hundreds and more
     assert [b / a for a, b in pairwise(steps)] == pytest.approx([10.0, 10.0], rel=0.01)
 
 
 def test_what_more_work_costs(plan: Plan) -> None:
     def seconds(p: Plan) -> float:
-        return estimate(p)["estimated_seconds"]
+        return cost(p)["estimated_seconds"]
 
     rubber, jelly = plan.materials[0], replace(plan.materials[0], name="jelly")
     both = replace(plan, materials=(rubber, jelly))
@@ -70,8 +89,8 @@ def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> N
         wide = replace(shape, points=np.resize(shape.points, (count, 3)))
         bare = replace(plan, asset=replace(plan.asset, surfaces=(wide,)))
         skinned = replace(bare, settings=replace(bare.settings, skin="paper"))
-        cost = (estimate(p)["estimated_seconds"] for p in (skinned, bare))
-        return (next(cost) - next(cost)) / plan.settings.frames
+        spent = (cost(p)["estimated_seconds"] for p in (skinned, bare))
+        return (next(spent) - next(spent)) / plan.settings.frames
 
     n = len(plan.particles)
     kept, anew = KEPT_BYTES // (8 * n), 10 * KEPT_BYTES // (8 * n)
@@ -82,17 +101,41 @@ def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> N
 
 
 def test_the_solver_that_was_asked_is_the_one_that_bakes(plan: Plan) -> None:
-    fresh = replace(plan)
-    material = fresh.materials[0]
-    substeps = fresh.substeps(material)
-    first = fresh.solver(material)
+    made = []
+
+    def build(variant: Variant) -> Any:
+        made.append(prepared.solvers.take(variant))
+        return made[-1]
+
+    prepared, (variant,) = Prepared(plan=plan), plan.variants
+    solvers = Solvers(build, len(plan.particles))
+    substeps = solvers.substeps(variant)
+    first = solvers.take(variant)
+    assert made == [first], "it is built once"
     assert first.substeps == substeps
     next(first.frames())
-    again = fresh.solver(material)
+    again = solvers.take(variant)
     assert again is not first, "a solver that has moved starts no other bake"
-    assert fresh.substeps(material) == substeps
-    changed = replace(fresh, settings=replace(fresh.settings, substeps=7))
-    assert changed.substeps(material) == 7, "a plan with other settings asks its own solver"
+    assert solvers.substeps(variant) == substeps
+    changed = Prepared(plan=replace(plan, settings=replace(plan.settings, substeps=7)))
+    (variant,) = changed.plan.variants
+    assert changed.solvers.substeps(variant) == 7, "a plan with other settings asks its own solver"
+
+
+def test_a_solver_that_is_too_large_to_wait_is_built_again(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(budget, "KEPT", len(plan.particles) - 1)
+    made = []
+
+    def build(variant: Variant) -> Any:
+        made.append(Prepared(plan=plan).solvers.take(variant))
+        return made[-1]
+
+    (variant,), solvers = plan.variants, Solvers(build, len(plan.particles))
+    assert solvers.substeps(variant) == solvers.substeps(variant)
+    assert len(made) == 1, "its substeps are kept"
+    assert solvers.take(variant) is made[1]
 
 
 @pytest.mark.parametrize(
@@ -113,11 +156,11 @@ def test_times_for_reading(seconds: float, words: str) -> None:
 
 def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:
     hard = replace(plan, materials=(*plan.materials, stiff(plan, 1e12)))
-    hours = estimate(hard)["estimated_seconds"] / 3600.0
-    require_affordable(hard, hours * 1.01)
+    hours = cost(hard)["estimated_seconds"] / 3600.0
+    require(hard, hours * 1.01)
     with pytest.raises(InputError) as caught:
-        require_affordable(hard, hours * 0.99)
-    substeps = estimate(hard)["substeps_per_frame"]["stiff"]
+        require(hard, hours * 0.99)
+    substeps = cost(hard)["substeps_per_frame"]["stiff"]
     message = caught.value.message
     assert message.startswith(f"ball.usda: the bake would take about {duration(hours * 3600)}: ")
     assert (
@@ -125,17 +168,17 @@ def test_too_long_is_refused_with_the_numbers(plan: Plan) -> None:
     )
     assert f"need {substeps} substeps of {1 / 24 / substeps:.2g} s in each of 31 frames" in message
     allowed = float(caught.value.hint.split("--max-hours ")[1].split()[0])
-    require_affordable(hard, allowed)
+    require(hard, allowed)
 
 
 def test_first_contact_is_a_fall(plan: Plan) -> None:
     # sqrt(2 * 1 m / g) = 0.4515 s, 10.8 frames
-    assert estimate(plan)["first_contact_frame"] == 11
-    assert estimate(replace(plan, drop=20.0))["first_contact_frame"] is None, "after the bake"
+    assert cost(plan)["first_contact_frame"] == 11
+    assert cost(replace(plan, drop=20.0))["first_contact_frame"] is None, "after the bake"
     none = replace(plan, settings=replace(plan.settings, floor=None))
-    assert estimate(none)["first_contact_frame"] is None
+    assert cost(none)["first_contact_frame"] is None
     # On a slope of 60 degrees, 1 m of height is half a metre along the normal, and so is g: the
     # time is the same.
     n = (math.sin(math.pi / 3.0), math.cos(math.pi / 3.0), 0.0)
     tilted = replace(plan, settings=replace(plan.settings, floor_normal=n))
-    assert estimate(tilted)["first_contact_frame"] == 11
+    assert cost(tilted)["first_contact_frame"] == 11

@@ -21,4 +21,8 @@ def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(p
         surface = int(seen.particles.surface[particle])
         prim = ("/One", "/Two")[surface]
         error = SolverError("frame 3: it is torn", "", frame=3, particle=particle)
-        assert place(seen, "rubber", error)["prim"] == prim
+        found = place(
+            error, "rubber", asset=seen.asset, riders=seen.riders, particles=seen.particles,
+            settings=seen.settings,
+        )  # fmt: skip
+        assert found["prim"] == prim

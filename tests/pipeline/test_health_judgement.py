@@ -11,9 +11,9 @@ from solids import ball, look, settings
 
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Health
-from gf_usd.pipeline import health as judgement
-from gf_usd.pipeline.health import RULES, HealthLog, judge
-from gf_usd.pipeline.result import BakeResult, LookResult, require_healthy
+from gf_usd.pipeline import health as rules
+from gf_usd.pipeline.health import RULES, HealthLog, health_warnings
+from gf_usd.pipeline.result import BakeResult, VariantResult, require_healthy
 
 
 def summary(*frames: Health, **changes: Any) -> dict[str, Any]:
@@ -100,38 +100,38 @@ def test_every_rule_has_its_case() -> None:
 @pytest.mark.parametrize("about", CASES)
 def test_both_sides_of_a_limit(about: str) -> None:
     sound, unsound, words = CASES[about]
-    assert judge(sound) == ()
-    (caution,) = judge(unsound)
-    assert caution.about == about
-    assert words in caution.message
-    assert caution.hint
-    assert caution.as_json() == {
-        "about": about, "message": caution.message, "hint": caution.hint,
+    assert health_warnings(sound) == ()
+    (warning,) = health_warnings(unsound)
+    assert warning.about == about
+    assert words in warning.message
+    assert warning.hint
+    assert warning.as_json() == {
+        "about": about, "message": warning.message, "hint": warning.hint,
     }  # fmt: skip
 
 
 def test_friction_at_its_limit_is_how_a_sample_sticks() -> None:
-    assert judge(summary(Health(friction_capped=10**9))) == ()
+    assert health_warnings(summary(Health(friction_capped=10**9))) == ()
 
 
 def test_what_is_not_known_is_not_warned_of() -> None:
     assert summary(Health(mass=1.0))["momentum_drift"] is not None
     unknown = summary(momentum_drift=None, angular_momentum_drift=None)
-    assert judge(unknown) == ()
+    assert health_warnings(unknown) == ()
 
 
 def test_a_hard_landing_may_be_redone() -> None:
     # one of two frames: a share says little of a short bake
-    assert judge(summary(Health(rollbacks=1))) == ()
-    assert judge(summary(Health(rollbacks=2))) != ()
+    assert health_warnings(summary(Health(rollbacks=1))) == ()
+    assert health_warnings(summary(Health(rollbacks=2))) != ()
 
 
 def result(*healths: dict[str, Any]) -> BakeResult:
     material = look("rubber", ball(100)[0])
     bakes = [
-        LookResult(
+        VariantResult(
             look=f"look{i}", cache=Path("c.usdc"), material=material, frames=2, health=health,
-            warnings=judge(health),
+            warnings=health_warnings(health),
         )
         for i, health in enumerate(healths)
     ]  # fmt: skip
@@ -173,4 +173,4 @@ def test_limits_leave_room_for_what_sound_bakes_do() -> None:
     # never be met.
     from gf_usd.physics.frame_loop import GAIN
 
-    assert judgement.ENERGY_GAIN < GAIN
+    assert rules.ENERGY_GAIN < GAIN

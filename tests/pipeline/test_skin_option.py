@@ -25,12 +25,13 @@ SPHERE = Path(__file__).resolve().parents[2] / "samples" / "sphere.usda"
     ],
 )
 def test_choice(options: dict[str, Any], skin: str, tmp_path: Path) -> None:
-    plan = prepare(SPHERE, particles=120, output=f"{tmp_path}/", **options)
+    prepared = prepare(SPHERE, particles=120, output=f"{tmp_path}/", **options)
+    plan = prepared.plan
     assert plan.settings.skin == skin
     assert ("--skin" in plan.command) == ("skin" in options), "the command says what was asked"
     # What is wrong with the paper's skin is said in every bake that has it.
     assert any(note.startswith("skin paper: ") for note in plan.notes) == (skin == "paper")
-    riders = plan.solver(plan.materials[0]).riders
+    riders = prepared.solvers.take(plan.variants[0]).riders
     assert list(riders) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])
 
 

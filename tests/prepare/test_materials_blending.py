@@ -79,12 +79,12 @@ def paint(stage: Usd.Stage, values, interpolation: str, name="youngsModulus") ->
 def prepared(stage: Usd.Stage, tmp_path: Path, **options) -> Plan:
     stage.Save()
     source = Path(stage.GetRootLayer().realPath)
-    return prepare(source, output=tmp_path / "out.usda", **{**FEW, **options})
+    return prepare(source, output=tmp_path / "out.usda", **{**FEW, **options}).plan
 
 
 def moduli(plan: Plan) -> np.ndarray:
     """(N,) [Pa] of each particle."""
-    return spread(plan.particles, plan.table(plan.materials[0]))["youngs_modulus"]
+    return spread(plan.particles, plan.variants[0].table)["youngs_modulus"]
 
 
 def test_halves_blend_over_the_width_that_is_asked(stage, tmp_path):
@@ -121,7 +121,7 @@ def test_a_stated_mass_stays_when_densities_blend(stage, tmp_path):
     UsdPhysics.RigidBodyAPI.Apply(stage.GetPrimAtPath("/Bar"))
     UsdPhysics.MassAPI.Apply(stage.GetPrimAtPath("/Bar")).CreateMassAttr(7.0)
     plan = prepared(stage, tmp_path, blend_width=10.0)
-    per = spread(plan.particles, plan.table(plan.materials[0]))
+    per = spread(plan.particles, plan.variants[0].table)
     assert per["density"] @ plan.particles.V0 == pytest.approx(7.0, rel=1e-12)
     assert per["density"].min() < 0.6 * per["density"].max()
 
@@ -167,10 +167,10 @@ def test_density_and_poissons_ratio_are_painted_alike(stage, tmp_path):
     paint(stage, [0.002], "constant", "density")
     paint(stage, [0.3], "constant", "poissonsRatio")
     plan = prepared(stage, tmp_path)
-    per = spread(plan.particles, plan.table(plan.materials[0]))
+    per = spread(plan.particles, plan.variants[0].table)
     np.testing.assert_allclose(per["density"], 2000.0, rtol=10.0 * EPS)
     np.testing.assert_allclose(per["poissons_ratio"], 0.3, rtol=10.0 * EPS)
-    rubber = plan.table(plan.materials[0])[0]
+    rubber = plan.variants[0].table[0]
     np.testing.assert_allclose(per["youngs_modulus"], rubber.youngs_modulus, rtol=10.0 * EPS)
 
 

@@ -67,7 +67,11 @@ def test_sensible_options_pass() -> None:
 
 def made(look: str = "rubber", solver: str = "tl", **options: Any) -> Settings:
     material = LOOKS[look].material(RADIUS)
-    return of_material(settings(solver=solver), Request(solver=solver, **options), material, RADIUS)
+    asked = {"wls": None, "procrustes": None, "clamp": None, "stress_cap": None, **options}
+    paper, pinned = asked.pop("preset", None) == "paper", bool(asked.pop("pins", ()))
+    return of_material(
+        settings(solver=solver), material, RADIUS, paper=paper, pinned=pinned, **asked
+    )
 
 
 def of(made: Settings) -> tuple[Any, ...]:

@@ -5,16 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import pickle
 import shlex
-from dataclasses import asdict, replace
+from dataclasses import FrozenInstanceError, asdict, fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from physics_stages import head, mesh
+from planned import at
 from solids import asset, facts, fill, look, settings, solid, sphere
 
 import gf_usd
 from gf_usd.core.frames import Settings
-from gf_usd.pipeline.result import BakeResult, LookResult
+from gf_usd.pipeline.result import BakeResult, VariantResult
+from gf_usd.pipeline.run import Prepared, prepare
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, command_line, describe, input_hash, settings_json
 
@@ -40,6 +45,7 @@ def plan(source: Path) -> Plan:
         materials=(look("rubber", particles), look("jelly", particles)),
         settings=settings(frames=5, fps=30.0, seed=3, gravity=(0.0, -9.81, 0.0)),
         outputs=outputs(source, ["rubber", "jelly"], "out/"),
+        source=source,
         riders=(("/World/Hat", "open"),),
         drop=1.5,
         notes=("a note",),
@@ -48,7 +54,7 @@ def plan(source: Path) -> Plan:
 
 def result(plan: Plan, **changes) -> BakeResult:
     looks = tuple(
-        LookResult(
+        VariantResult(
             look=m.name,
             cache=cache,
             material=m,
@@ -80,7 +86,9 @@ def test_a_description_answers_what_a_dry_run_is_asked(plan: Plan, source: Path)
     d = describe(plan)
     assert strict(d)["bodies"] == [PATH]
     assert d["source"] == str(source)
-    assert d["input_sha256"] == hashlib.sha256(source.read_bytes()).hexdigest() == input_hash(plan)
+    assert (
+        d["input_sha256"] == hashlib.sha256(source.read_bytes()).hexdigest() == input_hash(source)
+    )
     assert d["version"] == gf_usd.__version__
     assert d["riders"] == [["/World/Hat", "open"]]
     assert d["particles"] == len(plan.particles)
@@ -120,11 +128,11 @@ def test_the_command_has_every_digit() -> None:
 
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
-    solver = plan.solver(plan.materials[1])
+    solver = Prepared(plan=plan).solvers.take(plan.variants[1])
     assert solver.riders.keys() == plan.points.keys() == {PATH}
     assert solver.settings is plan.settings
     alone = replace(plan, settings=replace(plan.settings, skin="idw"))
-    assert alone.solver(plan.materials[0]).riders == {}
+    assert Prepared(plan=alone).solvers.take(alone.variants[0]).riders == {}
 
 
 def test_a_result_has_the_documented_keys(plan: Plan) -> None:
@@ -169,3 +177,27 @@ def test_the_first_material_stands_for_the_bake(plan: Plan) -> None:
         {"restitution": None},
         5,
     )
+
+
+def test_a_plan_is_values_alone(tmp_path: Path) -> None:
+    """No closure, no open file, no solver: what cannot be written down is not in it."""
+    source = tmp_path / "two.usda"
+    moving = "float3 physics:velocity = (1, 0, 0)\nfloat3 physics:angularVelocity = (0, 90, 0)"
+    apis = ("PhysicsRigidBodyAPI",)
+    prims = mesh("One", moving, apis=apis) + mesh("Two", at(3.0))
+    source.write_text(head() + prims, encoding="utf-8")
+    made = prepare(
+        source, output=tmp_path / "out.usda", particles=200, frames=3, material="rubber,jelly",
+        pins=("box:-1,-1,-1,9,0.3,9",),
+    ).plan  # fmt: skip
+    again = pickle.loads(pickle.dumps(made))
+    assert describe(again) == describe(made)
+    assert again.variants == made.variants
+    X = made.particles.X[:5]
+    for one, other in zip(made.velocity, again.velocity, strict=True):
+        if callable(one):
+            np.testing.assert_array_equal(one(X), other(X))
+    assert any(callable(one) for one in made.velocity)
+    for field in fields(made):
+        with pytest.raises(FrozenInstanceError):
+            setattr(made, field.name, None)

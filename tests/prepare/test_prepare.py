@@ -65,7 +65,8 @@ CLOTH = mesh("Cloth", [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], [[0, 1, 2, 3
 def test_a_sample_is_bakeable_and_its_numbers_are_those_of_the_plan(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen = inspect(DUCK, **FEW)
-    plan = prepare(DUCK, **FEW)
+    prepared = prepare(DUCK, **FEW)
+    plan = prepared.plan
     assert seen.refusal is None
     assert seen.warnings == ()
     out = seen.as_json()
@@ -75,7 +76,7 @@ def test_a_sample_is_bakeable_and_its_numbers_are_those_of_the_plan(tmp_path, mo
     assert (body["fill"], body["watertight"], body["quads"]) == ("filled", True, 3488)
     assert out["body"]["particles"] == len(plan.particles)
     assert out["body"]["volume_m3"] == pytest.approx(body["volume_m3"])
-    assert out["materials"][0]["substeps_per_frame"] == plan.solver(plan.materials[0]).substeps
+    assert out["materials"][0]["substeps_per_frame"] == prepared.solvers.substeps(plan.variants[0])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -150,8 +151,10 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path, stage):
 def test_what_the_fill_tolerates_is_said_and_what_repair_did(stage, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = stage(ball(rows=slice(3, None)))
-    assert any("in spite of" in note and "--repair" in note for note in prepare(path, **FEW).notes)
-    plan = prepare(path, repair=True, **FEW)
+    assert any(
+        "in spite of" in note and "--repair" in note for note in prepare(path, **FEW).plan.notes
+    )
+    plan = prepare(path, repair=True, **FEW).plan
     assert not any("in spite of" in note for note in plan.notes)
     assert any("</Root/Ball> repaired for the fill: closed" in note for note in plan.notes)
     seen = inspect(path, repair=True, **FEW)
@@ -164,7 +167,7 @@ def test_what_the_fill_tolerates_is_said_and_what_repair_did(stage, tmp_path, mo
 def test_repair_leaves_the_skin_as_it_is(stage, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = stage(ball(rows=slice(3, None)))
-    plain, mended = (prepare(path, repair=r, **FEW).asset.surfaces[0] for r in (False, True))
+    plain, mended = (prepare(path, repair=r, **FEW).plan.asset.surfaces[0] for r in (False, True))
     assert len(mended.triangles) > len(plain.triangles)
     np.testing.assert_array_equal(mended.points, plain.points)
     np.testing.assert_array_equal(mended.face_indices, plain.face_indices)

@@ -66,7 +66,8 @@ def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind:
         path = labelled_stage(tmp_path / "ball.usda")
     else:
         path = labelled_ply(tmp_path / "ball.ply", kind)
-    plan = prepare(path, output=tmp_path / "out.usda", material_labels=("label=3:metal",), **FEW)
+    asked = {"output": tmp_path / "out.usda", "material_labels": ("label=3:metal",), **FEW}
+    plan = prepare(path, **asked).plan
     X = plan.particles.X
     apart = np.linalg.norm(X[:, None] - ball.positions[None], axis=2)
     metal = ball.labels["label"][apart.argmin(axis=1)] == 3
@@ -83,7 +84,7 @@ def test_boxes_hold_before_labels(tmp_path: Path) -> None:
     plan = prepare(
         path, output=tmp_path / "out.usda", material_boxes=("foam:-1,0,-1,1,1,1",),
         material_labels=("label=3:metal", "label=7:rubber"), **FEW,
-    )  # fmt: skip
+    ).plan  # fmt: skip
     above = plan.particles.X[:, 1] >= 0.0
     assert set(names(plan)[above]) == {"foam"}
     assert set(names(plan)[~above]) == {"metal", "rubber"}

@@ -32,6 +32,9 @@ def test_what_is_assumed_is_said_and_can_be_asked_otherwise(cube):
     assert asset.facts.units.length == 1.0
     assert asset.facts.up_axis == "Y"
     assert asset.facts.notes == ASSUMED
+    assert (asset.facts.unit_from, asset.facts.axis_from) == ("assumed", "assumed")
+    one = read_asset(cube, meters_per_unit=0.01).facts
+    assert (one.unit_from, one.axis_from) == ("option", "assumed")
     asset = read_asset(cube, meters_per_unit=0.01, up_axis="z")
     np.testing.assert_allclose(asset.surfaces[0].points, 0.01 * CORNERS, atol=1e-9)
     assert asset.facts.up_axis == "Z"
@@ -39,6 +42,7 @@ def test_what_is_assumed_is_said_and_can_be_asked_otherwise(cube):
         "metersPerUnit = 0.01, as asked for",
         "upAxis = Z, as asked for",
     )
+    assert (asset.facts.unit_from, asset.facts.axis_from) == ("option", "option")
     for options in ({"meters_per_unit": 0.0}, {"meters_per_unit": np.nan}, {"up_axis": "X"}):
         with pytest.raises(InputError, match=r"is not a size|USD knows Y and Z"):
             read_asset(cube, **options)

@@ -226,6 +226,6 @@ def test_impossible_motions_end_with_finite_files_and_warnings(
     here: Path, options: dict[str, Any], about: str
 ) -> None:
     result = bake(**options, particles=120)
-    assert about in [caution.about for _, caution in result.warnings]
+    assert about in [warning.about for _, warning in result.warnings]
     # Velocities change a lot between two such frames, which the rule on them cannot know.
     assert [f for f in result.findings if f["rule"] != "velocities"] == []

@@ -73,7 +73,7 @@ def test_the_first_frame_is_the_source_at_that_time(name: str, tmp_path: Path) -
 def test_without_time_samples_the_rate_is_the_frames(tmp_path: Path) -> None:
     source = write(tmp_path / "still.usda", "", f'def Mesh "World"\n{{\n{mesh(10.0)}\n}}\n')
     assert not read_asset(source).facts.animated
-    plan = prepare(source, output=f"{tmp_path}/out/", particles=60, fps=48.0)
+    plan = prepare(source, output=f"{tmp_path}/out/", particles=60, fps=48.0).plan
     assert plan.settings.time_codes_per_second == 48.0
 
 

@@ -1,4 +1,4 @@
-"""Work beside the main thread: one piece at a time, and what it raises is heard."""
+"""Work in the background: one piece at a time, and what it raises is heard."""
 
 from __future__ import annotations
 
@@ -7,44 +7,44 @@ import threading
 import pytest
 
 from gf_usd.core.errors import BakeError
-from gf_usd.system.background import Beside, at_work
+from gf_usd.system.background import BackgroundWriter, at_work
 
 
 def test_work_goes_on_while_the_caller_does() -> None:
     gate, said = threading.Event(), []
-    beside = Beside()
+    writer = BackgroundWriter()
     before = at_work()
-    beside.start(lambda: said.append(gate.wait(10.0)))
-    assert beside.busy
+    writer.start(lambda: said.append(gate.wait(10.0)))
+    assert writer.busy
     assert at_work() == before + 1
     assert said == []
     gate.set()
-    beside.settle()
+    writer.settle()
     assert said == [True]
-    assert not beside.busy
+    assert not writer.busy
     assert at_work() == before
-    beside.settle()  # nothing to wait for
+    writer.settle()  # nothing to wait for
 
 
 def test_one_piece_at_a_time() -> None:
     gate = threading.Event()
-    beside = Beside()
-    beside.start(gate.wait)
+    writer = BackgroundWriter()
+    writer.start(gate.wait)
     with pytest.raises(AssertionError, match="not waited for"):
-        beside.start(gate.wait)
+        writer.start(gate.wait)
     gate.set()
-    beside.settle()
+    writer.settle()
 
 
 def test_what_it_raises_is_raised_once_and_by_settle() -> None:
     def fails() -> None:
         raise BakeError("the disk is full.", "free some space")
 
-    beside = Beside()
-    beside.start(fails)
+    writer = BackgroundWriter()
+    writer.start(fails)
     with pytest.raises(BakeError, match="the disk is full"):
-        beside.settle()
-    beside.settle()
+        writer.settle()
+    writer.settle()
     assert at_work() == 0
-    beside.start(lambda: None)
-    beside.settle()
+    writer.start(lambda: None)
+    writer.settle()

@@ -2,96 +2,86 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import logging
 import os
 import signal
+import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+import trimesh
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.inspect import inspect
 from gf_usd.pipeline.run import prepare
-from gf_usd.readers.trial import read_untrusted, try_asset
-from gf_usd.system.sandbox import Limits, attempt, parse_limits
+from gf_usd.readers.isolated import Reading, read_source
+from gf_usd.system import exchange
+from gf_usd.system.sandbox import Isolated, Limits, attempt, parse_limits
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing is isolated here")
-
-
-def crash() -> None:
-    os.kill(os.getpid(), signal.SIGSEGV)
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="nothing is isolated here")
 
 
-def hang() -> None:
-    time.sleep(60.0)
-
-
-def eat() -> None:
-    bytearray(10**13)
-
-
-def fail() -> None:
-    raise KeyError("points")
-
-
-def vanish() -> None:
-    os._exit(7)
+TETRAHEDRON = """#usda 1.0
+def Mesh "Body" {
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    int[] faceVertexCounts = [3, 3, 3, 3]
+    int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]
+}
+"""
 
 
 @pytest.mark.parametrize(
     ("work", "words"),
     [
-        (crash, "made its reader crash (signal 11, SIGSEGV)"),
-        (hang, "took longer than 0.2 s"),
-        (eat, "asked for more than 16 GB"),
-        (fail, "made its reader fail: KeyError: 'points'"),
-        (vanish, "made its reader crash (without a word)"),
+        ("crash", "made its reader crash (signal 11, SIGSEGV)"),
+        ("hang", "took longer than 0.2 s"),
+        ("eat", "asked for more than 16 GB"),
+        ("fail", "made its reader fail: KeyError: 'points'"),
+        ("vanish", "made its reader crash (without a word)"),
     ],
 )
-def test_what_goes_wrong_is_said(tmp_path: Path, work: Callable[[], None], words: str) -> None:
+def test_what_goes_wrong_is_said(tmp_path: Path, work: str, words: str) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
-    seconds = 0.2 if work is hang else 60.0
+    seconds = 0.2 if work == "hang" else 60.0
     with pytest.raises(InputError) as caught:
-        attempt(file, work, Limits(time=seconds))
+        attempt(file, f"isolated_tasks:{work}", Limits(time=seconds))
     assert words in caught.value.message
     assert str(file) in caught.value.message
     assert caught.value.hint
 
 
-def test_a_refusal_is_left_to_the_parent_and_temporary_files_go(tmp_path: Path) -> None:
+def test_a_refusal_is_raised_here_and_temporary_files_go(tmp_path: Path) -> None:
     file, seen = tmp_path / "a.usda", tmp_path / "seen"
     file.write_text("#usda 1.0\n")
-
-    def refuse() -> None:
-        with tempfile.NamedTemporaryFile(delete=False) as left:
-            seen.write_text(left.name)
-        raise InputError("no", "none")
-
-    attempt(file, refuse, Limits())
+    with pytest.raises(InputError) as caught:
+        attempt(file, "isolated_tasks:refuse_beside", Limits(), seen)
+    assert (caught.value.message, caught.value.hint) == ("no", "none")
+    assert type(caught.value) is InputError
     assert seen.read_text()
     assert not Path(seen.read_text()).exists()
 
 
-def test_a_refusal_for_want_of_memory_is_not_tried_again_without_a_limit(tmp_path: Path) -> None:
+def test_a_refusal_for_want_of_memory_names_the_limit(tmp_path: Path) -> None:
     file = tmp_path / "a.usdc"
     file.write_bytes(b"PXR-USDC")
-
-    def refuse() -> None:
-        raise InputError("a.usdc is damaged: Encountered: std::bad_alloc", "none")
-
     with pytest.raises(InputError, match="asked for more than 16 GB"):
-        attempt(file, refuse, Limits())
+        attempt(file, "isolated_tasks:refuse_for_memory", Limits())
 
 
 def test_output_is_limited(tmp_path: Path) -> None:
     file, large = tmp_path / "a.usda", tmp_path / "large"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError, match="OSError"):
-        attempt(file, lambda: large.write_bytes(bytes(5000)), Limits(output=1000))
+        attempt(file, "isolated_tasks:write", Limits(output=1000), large, 5000)
     assert large.stat().st_size <= 1000
 
 
@@ -110,39 +100,23 @@ def test_wrong_limits_are_refused(text: str) -> None:
         parse_limits(text)
 
 
-def words_that_fail() -> None:
-    b"\xff".decode()
-
-
-def quoting() -> None:
-    class Quoting(RuntimeError):
-        def __str__(self) -> str:
-            return b"\xff".decode()
-
-    raise Quoting
-
-
 @pytest.mark.parametrize(
     ("work", "words"),
-    [(words_that_fail, "UnicodeDecodeError: "), (quoting, "Quoting: its words are not UTF-8")],
+    [("words_that_fail", "UnicodeDecodeError: "), ("quoting", "Quoting: its words are not UTF-8")],
 )
-def test_errors_of_others_are_named(tmp_path: Path, work: Callable[[], None], words: str) -> None:
+def test_errors_of_others_are_named(tmp_path: Path, work: str, words: str) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     with pytest.raises(InputError, match=words) as caught:
-        attempt(file, work, Limits())
+        attempt(file, f"isolated_tasks:{work}", Limits())
     assert "worth a report" in caught.value.hint
-
-
-def crash_in_child(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gf_usd.readers.trial.read_untrusted", lambda path, **options: crash())
 
 
 @pytest.mark.parametrize("look", [prepare, inspect])
 def test_options_are_judged_before_a_file_is_tried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, look: Callable[..., object]
 ) -> None:
-    crash_in_child(monkeypatch)
+    monkeypatch.setattr("gf_usd.readers.isolated.TASK", "isolated_tasks:crash")
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
     with pytest.raises(UsageError, match="--fps is 0"):
@@ -153,59 +127,165 @@ def test_options_are_judged_before_a_file_is_tried(
         look(file, limits=Limits())
 
 
-def test_what_a_child_reads_with_is_imported_before_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Else child and parent import it one after the other."""
-    seen = tmp_path / "seen"
-
-    def note(path: Path, **options: object) -> None:
-        before = set(sys.modules)
-        read_untrusted(path)
-        seen.write_text("\n".join(m for m in set(sys.modules) - before if m.startswith("gf_usd")))
-
+def test_a_child_loads_what_reading_takes_and_no_more(tmp_path: Path) -> None:
+    """It is started for each file: what it imports is the price of it."""
     file = tmp_path / "a.usda"
     file.write_text('#usda 1.0\ndef Sphere "Ball" {}\n')
-    monkeypatch.setattr("gf_usd.readers.trial.read_untrusted", note)
-    try_asset(file, Limits())
-    assert seen.read_text() == ""
+    names = set(attempt(file, "isolated_tasks:loaded", Limits(), file))
+    assert "gf_usd.readers.usd.asset" in names
+    assert names.isdisjoint({"scipy", "taichi", "trimesh", "PIL", "igl", "typer", "rich"})
 
 
-def starts(folder: Path, seconds: float, work: Callable[[int], None]) -> tuple[int, str]:
-    """How many children there were that did `work` with their number, and what came of it."""
-    folder.mkdir()
-    file, count = folder / "a.usda", folder / "starts"
+def test_this_process_reads_nothing_itself(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from gf_usd.readers.isolated import Reading;"
+        "from gf_usd.system.sandbox import Limits;"
+        "reading = Reading(Path(sys.argv[1]), Limits()); read = reading.result();"
+        "print(len(read.asset.surfaces[0].points), 'pxr' in sys.modules)"
+    )
+    file = tmp_path / "a.usda"
+    file.write_text(TETRAHEDRON)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["4", "False"]
+
+
+@pytest.mark.parametrize("seconds", [0.0, 60.0], ids=["sleeps", "works"])
+def test_a_child_that_takes_too_long_is_not_tried_again(tmp_path: Path, seconds: float) -> None:
+    file, count = tmp_path / "a.usda", tmp_path / "starts"
     file.write_text("#usda 1.0\n")
+    began = time.monotonic()
+    with pytest.raises(InputError, match="took longer than 2 s"):
+        attempt(file, f"isolated_tasks:{'count' if seconds else 'count_and_hang'}", Limits(time=2.0),
+                count, seconds)  # fmt: skip
+    assert count.read_text() == "x"
+    assert time.monotonic() - began < 30.0
 
-    def counted() -> None:
-        with count.open("a") as out:
-            out.write("x")
-        work(len(count.read_text()))
 
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that nobody has reaped yet does not."""
     try:
-        attempt(file, counted, Limits(time=seconds))
-        said = ""
-    except InputError as error:
-        said = error.message
-    return len(count.read_text()), said
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
 
 
-def test_a_child_that_stands_still_is_tried_again(tmp_path: Path) -> None:
-    def once(number: int) -> None:
-        if number == 1:
-            hang()
-
-    assert starts(tmp_path / "once", 0.5, once) == (2, "")
-    tried, said = starts(tmp_path / "ever", 0.5, lambda _: hang())
-    assert tried == 2
-    assert "took longer than 0.5 s" in said
+def gone(pids: list[int]) -> bool:
+    """Whether processes end within some seconds."""
+    until = time.monotonic() + 20.0
+    while any(map(alive, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return not any(map(alive, pids))
 
 
-def test_a_child_that_works_all_its_time_is_not(tmp_path: Path) -> None:
-    def busy(_: int) -> None:
-        while True:
-            pass
+def numbers(file: Path) -> list[int]:
+    """The process numbers that `isolated_tasks.stay` leaves."""
+    until = time.monotonic() + 60.0
+    while not file.exists():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return [int(word) for word in file.read_text().split()]
 
-    tried, said = starts(tmp_path / "busy", 1.0, busy)
-    assert tried == 1
-    assert "took longer than 1 s" in said
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux who runs")
+def test_a_child_and_what_it_started_end_when_nobody_wants_the_result(tmp_path: Path) -> None:
+    file, note = tmp_path / "a.usda", tmp_path / "numbers"
+    file.write_text("#usda 1.0\n")
+    with Isolated(file, "isolated_tasks:stay", Limits(), note):
+        pids = numbers(note)
+        assert all(map(alive, pids))
+    assert gone(pids)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux who runs")
+def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    file, note = tmp_path / "a.usda", tmp_path / "numbers"
+    file.write_text("#usda 1.0\n")
+    code = (
+        f"import sys; sys.path[:] = {sys.path!r}; from pathlib import Path;"
+        "from gf_usd.system.sandbox import Limits, attempt;"
+        f"attempt(Path({str(file)!r}), 'isolated_tasks:stay', Limits(), Path({str(note)!r}))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code])
+    reader, program = numbers(note)
+    parent.kill()
+    parent.wait()
+    assert gone([reader])
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(program, signal.SIGKILL)
+
+
+def test_many_at_once_with_threads_beside_them(tmp_path: Path) -> None:
+    """Nothing of this process's threads and locks reaches a child."""
+    file = tmp_path / "a.usda"
+    file.write_text(TETRAHEDRON)
+    stop = threading.Event()
+
+    def noise() -> None:
+        while not stop.is_set():
+            tempfile.mkstemp(dir=tmp_path)
+            logging.getLogger("noise").debug("x")
+
+    threads = [threading.Thread(target=noise) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        readings = [Reading(file, Limits(time=60.0)) for _ in range(4)]
+        found = [reading.result() for reading in readings]
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    assert [len(read.asset.surfaces[0].points) for read in found] == [4] * 4
+
+
+def test_what_a_task_prints_is_not_its_result(tmp_path: Path, capfd) -> None:
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    assert attempt(file, "isolated_tasks:talk", Limits()) == "done"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_does_not_pass_between_processes_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    with pytest.raises(InputError, match="TypeError: <class 'object'> does not pass"):
+        attempt(file, "isolated_tasks:unknown", Limits())
+
+
+def test_a_module_of_the_folder_it_runs_in_is_not_imported(tmp_path: Path, monkeypatch) -> None:
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    (tmp_path / "json.py").write_text("raise SystemExit(9)\n")
+    monkeypatch.chdir(tmp_path)
+    assert attempt(file, "isolated_tasks:same", Limits(), 1) == (1,)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".obj"])
+def test_what_a_child_returns_is_what_is_read_here(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"box{suffix}"
+    box = trimesh.creation.box()
+    if suffix == ".obj":
+        file.write_text(trimesh.exchange.obj.export_obj(box))
+    else:
+        file.write_text(TETRAHEDRON)
+    with Reading(file, Limits()) as reading:
+        theirs = reading.result()
+    ours = read_source(file)
+    first, second = BytesIO(), BytesIO()
+    exchange.write(theirs.asset, first)
+    exchange.write(ours.asset, second)
+    assert first.getvalue() == second.getvalue()
+    assert (theirs.words is None) == (suffix == ".obj")
+    if theirs.converted is not None and ours.converted is not None:
+        assert theirs.converted.record == ours.converted.record
+        assert theirs.converted.notes == ours.converted.notes
+        layer = theirs.converted.layer
+        assert layer.is_file()
+        written = theirs.converted.write(tmp_path / "out" / "box.source.usdc")
+        assert ours.converted.is_at(written)
+        del theirs, reading
+        gc.collect()
+        assert not layer.parent.parent.exists()

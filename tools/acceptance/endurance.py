@@ -77,10 +77,11 @@ class Lasted:
 def last(run: Run, particles: int, scale: float) -> Lasted:
     """Run to the end, or to where it cannot go on."""
     asked = max(2, round(scale * run.frames))
-    plan = prepare(
+    prepared = prepare(
         SAMPLES / run.asset, material=run.material, law=run.law, particles=particles,
         frames=asked, overwrite=True,
     )  # fmt: skip
+    plan = prepared.plan
     material = plan.materials[0]
     r = plan.particles.radius
     unit = material.density * plan.particles.volume * 9.81 * r
@@ -89,7 +90,7 @@ def last(run: Run, particles: int, scale: float) -> Lasted:
     frames, rollbacks, inverted, kinetic, fault = 0, 0, 0, 0.0, ""
     began = time.process_time()
     try:
-        for frame in plan.solver(material).frames():
+        for frame in prepared.solvers.take(plan.variants[0]).frames():
             h = frame.health
             frames, rollbacks = frames + 1, rollbacks + h.rollbacks
             inverted, kinetic = inverted + h.inverted, h.kinetic

@@ -89,25 +89,25 @@ def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
     """Bake a ball, stage by stage."""
     from gf_usd.core.frames import BakeInfo
     from gf_usd.layers.cache import CacheWriter
-    from gf_usd.pipeline.frames import Carrier, Moving
-    from gf_usd.pipeline.run import prepare
+    from gf_usd.pipeline.run import frame_builder, prepare, splat_deformer
     from gf_usd.prepare.plan import input_hash
 
     stages, file = Stages(), folder / "ball.usdc"
     sphere(file, points)
     with stages.stage("read, check, fill"):
-        plan = prepare(
+        prepared = prepare(
             file, particles=particles, frames=frames, material="rubber", no_shortcuts=True,
             time_scale="1e-4",  # so short a frame that two substeps are enough
             output=str(folder / "out") + "/",
         )  # fmt: skip
-    look = plan.materials[0]
+    plan = prepared.plan
+    (variant,) = plan.variants
     with stages.stage("solver"):
-        moving = Moving(plan, look, Carrier(plan, 0, None))
-    solver = moving.solver
+        solver = prepared.solvers.take(variant)
+    builder = frame_builder(plan, variant, solver, splat_deformer(plan, variant))
     info = BakeInfo(
-        look=look.name, materials=plan.table(look), settings=plan.settings, command="",
-        version=plan.version, input_hash=input_hash(plan),
+        look=variant.name, materials=variant.table, settings=plan.settings, command="",
+        version=plan.version, input_hash=input_hash(file),
     )  # fmt: skip
     plan.outputs.caches[0].parent.mkdir(exist_ok=True)
     with stages.stage("open the cache"):
@@ -120,8 +120,7 @@ def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
             with stages.stage("poses and health"):
                 frame = solver.read(index)
             with stages.stage("Gaussians"):
-                gaussians = moving.track.advance(frame.particles)
-                baked = moving._baked(frame, gaussians, frame.riders)
+                baked = builder.sample(frame)
             with stages.stage("write"):
                 cache.write(baked)
         with stages.stage("close the cache"):

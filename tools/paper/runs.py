@@ -13,7 +13,7 @@ from gf_usd.core.frames import Frame
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.skinning import MeshSkin
-from gf_usd.physics.per_particle import singular_values
+from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.shape_correction import WIDTH, wls_gradient
 from gf_usd.pipeline.run import prepare
 from tools.paper.drift import drift
@@ -87,7 +87,7 @@ class Observer:
         if self._gradient is not None:
             # the unclamped WLS F, which is what the paper reads its strains from
             F = slopes(self._gradient, pose.x)
-        U, s = vertical_stretch(F), singular_values(F)[:, 0]
+        U, s = vertical_stretch(F), strains(F)[0][:, 0]
         series.spread.append(float(np.ptp(U)))
         series.least_U.append(float(U.min()))
         series.sigma.append(float(s.mean()))
@@ -132,15 +132,16 @@ def run(
     """
     from gf_usd.core.errors import BakeError
 
-    plan = prepare(
+    prepared = prepare(
         SAMPLES / asset, material=material, preset=options.pop("preset", "paper"), seed=seed,
         frames=frames, overwrite=True, drop=options.pop("drop", "3r"), **options,
     )  # fmt: skip
+    plan = prepared.plan
     wls = plan.settings.wls
     observer = Observer(plan, drift_every=drift_every or 10**9, wls=wls, resolution=resolution)
     series = Series(name=name or material, seed=seed)
     best: Frame | None = None
-    solver = plan.solver(plan.materials[0])
+    solver = prepared.solvers.take(plan.variants[0])
     began, watched = time.process_time(), 0.0
     try:
         for frame in solver.frames():

@@ -30,7 +30,6 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
 from gf_usd.core.neighbors import nearest, operator, slopes
 from gf_usd.physics import taichi_arrays
-from gf_usd.physics.per_particle import strains_by_numpy
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.energies import stored_energy
 
@@ -62,7 +61,9 @@ def clip_stretches(F: Floats, low: float, high: float) -> tuple[Floats, Floats]:
 
     Where J < 0 the smallest singular value counts as negative, as in `option_kernel.clip`.
     """
-    near = to_be_clipped(*strains_by_numpy(F), low, high)
+    from gf_usd.physics.per_particle import strains
+
+    near = to_be_clipped(*strains(F), low, high)
     out, changed = np.array(F), np.zeros(len(F), bool)
     if near.any():
         out[near], changed[near] = _clipped(F[near], low, high)

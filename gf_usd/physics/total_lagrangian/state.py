@@ -17,9 +17,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Pose
-from gf_usd.physics import per_particle, taichi_arrays
+from gf_usd.physics import taichi_arrays
 from gf_usd.physics.grid.embedding import gradient, placed
-from gf_usd.physics.per_particle import strains_by_numpy
 
 if TYPE_CHECKING:
     from gf_usd.physics.grid.reference import Stencil
@@ -72,18 +71,20 @@ class Moment:
         F : (N, 3, 3) where it is known.  What comes of it is kept for the frame and F0 of the last
         call; F0 is another array whenever it changes.
         """
+        from gf_usd.physics.per_particle import strains
+
         known, F0 = self._strains, self._solver.reanchor.F0
         if known is None or known[0] != index or known[1] is not F0:
             found = self._solver.gradients(self, index) if F is None else F
-            self._strains = known = index, F0, strains_by_numpy(found)
+            self._strains = known = index, F0, strains(found)
         return known[2]
 
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
-        """Strains of another F (N, 3, 3); of few, in the same calls as those of F at `index`."""
+        """Strains of another F (N, 3, 3), in the same call as those of F at `index`."""
+        from gf_usd.physics.per_particle import strains
+
         n = len(other)
-        if per_particle.serves(2 * n):
-            return strains_by_numpy(other)
-        s, J = strains_by_numpy(np.concatenate([other, self._solver.gradients(self, index)]))
+        s, J = strains(np.concatenate([other, self._solver.gradients(self, index)]))
         self._strains = index, self._solver.reanchor.F0, (s[n:], J[n:])
         return s[:n], J[:n]
 

@@ -23,7 +23,6 @@ from gf_usd.core.stage import Pin
 from gf_usd.physics import taichi_arrays, time_step
 from gf_usd.physics.frame_loop import Guard, Marcher, Passage, first_bad
 from gf_usd.physics.grid.reference import build_stencil
-from gf_usd.physics.per_particle import strains_by_numpy
 from gf_usd.physics.time_step import strained_step
 from gf_usd.physics.total_lagrangian.setup import largest_step, per_particle, to_device
 from gf_usd.physics.updated_lagrangian import setup
@@ -219,11 +218,13 @@ class UpdatedLagrangian(Marcher):
 
     def read(self, index: int) -> Frame:
         """See `Marcher`."""
+        from gf_usd.physics.per_particle import strains
+
         x, v, F, L = self.state()
         cells = x / self.h - self.phase
         x = x + self.offset
         pose = Pose(x=x, v=v, F=F)
-        stretch, J = strains_by_numpy(pose.F)
+        stretch, J = strains(pose.F)
         self.strained = self._strained(stretch, J, cells)
         C = self.array("C").reshape(-1, 3, 3)
         self.kernels.energy(self.pack, len(x), self.value, self.converged)

@@ -170,53 +170,23 @@ def load(path: Path, data: bytes, kind: str) -> list[tuple[str, Floats, Ints]]:
 
     Raises InputError for a file that trimesh cannot read, or in which it finds no triangle.
     """
+    import trimesh  # most assets are USD and never need it
+
+    try:
+        with _quiet():
+            loaded: Any = trimesh.load(BytesIO(data), file_type=kind, process=False)
+    except UNREADABLE as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InputError(f"{path} cannot be read as {kind.upper()}: {reason}", REPAIR) from error
+    found = getattr(loaded, "geometry", None) or {"mesh": loaded}
     meshes = [
         (name, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
-        for name, mesh in load_meshes(path, data, kind).items()
+        for name, mesh in found.items()
         if len(getattr(mesh, "faces", ()))
     ]
     if not meshes:
         raise InputError(f"{path}: there is no face in it", "give a file with a mesh in it")
     return meshes
-
-
-def load_meshes(
-    path: Path, data: bytes, kind: str, files: Mapping[str, bytes] | None = None
-) -> dict[str, Any]:
-    """trimesh's objects by name, their points and faces as in the file.
-
-    `files`: what the data refers to by name.  Raises InputError as `load` does.
-    """
-    import trimesh  # most assets are USD and never need it
-
-    try:
-        with _quiet():
-            resolver: Any = _Files(files or {})  # by its methods; trimesh's type names classes
-            loaded: Any = trimesh.load(
-                BytesIO(data), file_type=kind, process=False, resolver=resolver
-            )
-    except UNREADABLE as error:
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise InputError(f"{path} cannot be read as {kind.upper()}: {reason}", REPAIR) from error
-    geometry = getattr(loaded, "geometry", None)
-    return dict(geometry) if geometry is not None else {"mesh": loaded}
-
-
-class _Files:
-    """The resolver that trimesh asks for files by name: only those it is given."""
-
-    def __init__(self, files: Mapping[str, bytes]) -> None:
-        self._files = files
-
-    def get(self, name: str) -> bytes:
-        """The bytes of a file; KeyError for one that is not there."""
-        return self._files[name]
-
-    __getitem__ = get
-
-    def keys(self) -> list[str]:
-        """Every name."""
-        return list(self._files)
 
 
 @contextmanager

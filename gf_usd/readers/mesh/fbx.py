@@ -11,9 +11,11 @@ from pathlib import Path
 
 from pxr import Tf, Usd
 
+from gf_usd.core.asset import OPTION
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import refuse_pointer
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
+from gf_usd.readers.notes import source_of, unit_and_axis
 
 PROGRAM = "usd-convert-asset"
 PATIENCE = 600  # [s] for one conversion
@@ -56,26 +58,31 @@ def convert_fbx(
             + (f": {said[-1]}" if said else ""),
             "check that the file opens elsewhere; or export the asset as glb or obj",
         )
-    notes = _flatten(path, made, folder.layer, meters_per_unit, up_axis)
-    return MeshSource(path, folder, record_of(path, [path], meters_per_unit, up_axis), notes)
+    _flatten(path, made, folder.layer, meters_per_unit, up_axis)
+    unit_from, axis_from = source_of(meters_per_unit, True), source_of(up_axis, True)
+    said = unit_and_axis("FBX", meters_per_unit or 0.0, up_axis or "", unit_from, axis_from)
+    sources = {"unit_from": unit_from, "axis_from": axis_from}
+    return MeshSource(
+        path,
+        folder,
+        record_of(path, [path], meters_per_unit, up_axis),
+        (f"FBX was converted by {PROGRAM}", *said),
+        {name: origin for name, origin in sources.items() if origin == OPTION},
+    )
 
 
 def _flatten(
     path: Path, made: Path, target: Path, meters_per_unit: float | None, up_axis: str | None
-) -> tuple[str, ...]:
+) -> None:
     """Write one layer of what the program wrote, and leave only pictures behind."""
-    notes = [f"FBX was converted by {PROGRAM}"]
     try:
         flat = Usd.Stage.Open(str(made), Usd.Stage.LoadAll).Flatten()
     except Tf.ErrorException as error:
         raise InputError(f"{path}: what {PROGRAM} wrote is no USD", HINT) from error
     if meters_per_unit is not None:
         flat.pseudoRoot.SetInfo("metersPerUnit", float(meters_per_unit))
-        notes.append(f"metersPerUnit = {meters_per_unit:g}, as asked for")
     if up_axis is not None:
         flat.pseudoRoot.SetInfo("upAxis", up_axis)
-        notes.append(f"upAxis = {up_axis}, as asked for")
     flat.Export(str(target))
     for layer in made.parent.rglob("*.usd*"):
         layer.unlink()
-    return tuple(notes)

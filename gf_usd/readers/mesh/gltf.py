@@ -343,6 +343,11 @@ NODE = table(
     rotation=numbers(4),
     scale=numbers(3),
 )
+SPARSE = table(
+    count=index,
+    indices=table(bufferView=index, byteOffset=index, componentType=index),
+    values=table(bufferView=index, byteOffset=index),
+)
 FILE = table(
     scene=index,
     scenes=rows(table(nodes=rows(index))),
@@ -363,6 +368,7 @@ FILE = table(
             count=index,
             type=text,
             normalized=flag,
+            sparse=SPARSE,
         )
     ),
     bufferViews=rows(table(buffer=index, byteOffset=index, byteLength=index, byteStride=index)),

@@ -1,13 +1,11 @@
-"""The primitives of a glTF file as arrays, decoded by trimesh.
+"""The primitives of a glTF file as arrays.
 
-trimesh gets the file rewritten: every primitive is a mesh of its own whose name says which it is,
-and each attribute also stands under a name with an underscore, which it hands on as it is.  So
-nothing is lost to its own ideas of colours and texture coordinates.
+Accessors are decoded as glTF 2.0 says in 3.6.2: every component type, rows apart by a stride, whole
+numbers that stand for fractions, and sparse ones; Draco's by DracoPy, where it is installed.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +13,19 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.readers.mesh.data import REPAIR, load_meshes
+from gf_usd.readers.mesh.data import REPAIR
 from gf_usd.readers.mesh.gltf import DRACO, Gltf
 from gf_usd.readers.notes import Notes
 
 GAUSSIANS = "KHR_gaussian_splatting"
 TRIANGLES, STRIP = 4, 5
-# what a whole number stands for where its accessor is normalised: componentType -> largest
-WHOLE = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+INDICES = (5121, 5123, 5125)
+# rows and columns of an element
+SHAPES = {"SCALAR": (1, 1), "VEC2": (2, 1), "VEC3": (3, 1), "VEC4": (4, 1)} | {
+    "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4)
+}  # fmt: skip
+ALIGNED = 4  # bytes, between the columns of a matrix
 # fewest and most numbers in a row of an attribute
 WIDTHS = {"NORMAL": (3, 3), "TEXCOORD": (2, 2), "COLOR": (3, 4), "JOINTS": (4, 4)} | {
     "WEIGHTS": (4, 4)
@@ -42,8 +45,8 @@ class Primitive:
 def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive]:
     """Every primitive made of triangles, by (number of mesh, number in the mesh).
 
-    Raises InputError for sparse accessors, compressed data that could not be decoded, and what
-    trimesh cannot read.
+    Raises InputError for accessors that do not fit their buffers or each other, and for compressed
+    data that cannot be decoded.
     """
     rows = [
         (m, p, primitive)
@@ -58,26 +61,7 @@ def read_primitives(gltf: Gltf, notes: Notes) -> dict[tuple[int, int], Primitive
         )
     if not rows:
         raise InputError(f"{gltf.path}: there is no mesh in it", "give a file with a mesh in it")
-    tree = {
-        "asset": {"version": "2.0"},
-        "buffers": [
-            {"uri": f"{i}", "byteLength": len(data)} for i, data in enumerate(gltf.buffers)
-        ],
-        "bufferViews": gltf.rows("bufferViews"),
-        "accessors": gltf.rows("accessors"),
-        "meshes": [
-            {"name": f"{m}.{p}", "primitives": [_with_aliases(gltf, row)]} for m, p, row in rows
-        ],
-        "nodes": [{"mesh": i} for i in range(len(rows))],
-        "scenes": [{"nodes": list(range(len(rows)))}],
-        "scene": 0,
-    }
-    files = {f"{i}": data for i, data in enumerate(gltf.buffers)}
-    loaded = load_meshes(gltf.path, json.dumps(tree).encode(), "gltf", files)
-    return {
-        (m, p): _primitive(gltf, f"mesh {m}, primitive {p}", row, loaded.get(f"{m}.{p}"))
-        for m, p, row in rows
-    }
+    return {(m, p): _primitive(gltf, f"mesh {m}, primitive {p}", row) for m, p, row in rows}
 
 
 def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
@@ -89,50 +73,26 @@ def _is_surface(primitive: dict[str, Any], mesh: int, notes: Notes) -> bool:
     return mode in (TRIANGLES, STRIP)
 
 
-def _with_aliases(gltf: Gltf, primitive: dict[str, Any]) -> dict[str, Any]:
-    attributes = primitive.get("attributes", {})
-    if "POSITION" not in attributes:
-        raise InputError(f"{gltf.path}: a primitive has no POSITION", REPAIR)
-    for index in (*attributes.values(), *[primitive[k] for k in ("indices",) if k in primitive]):
-        accessor = gltf.row("accessors", index)
-        if "sparse" in accessor:
-            raise InputError(
-                f"{gltf.path}: accessor {index} is sparse, which is not read",
-                "export it again without sparse accessors",
-            )
-        if "bufferView" in accessor:
-            gltf.view(accessor["bufferView"])
-    kept = {k: v for k, v in primitive.items() if k in ("indices", "mode")}
-    if DRACO in primitive.get("extensions", {}):
-        kept["extensions"] = {DRACO: primitive["extensions"][DRACO]}
-    kept["attributes"] = {**attributes, **{f"_{key}": value for key, value in attributes.items()}}
-    return kept
-
-
-def _primitive(gltf: Gltf, where: str, row: dict[str, Any], mesh: Any) -> Primitive:
-    if mesh is None:
-        raise InputError(f"{gltf.path}: {where} could not be read", REPAIR)
-    raw = mesh.vertex_attributes
-    attributes = {
-        key: _numbers(gltf, index, np.asarray(raw[f"_{key}"]))
-        for key, index in row["attributes"].items()
-        if f"_{key}" in raw
-    }
-    points = attributes.pop("POSITION")
+def _primitive(gltf: Gltf, where: str, row: dict[str, Any]) -> Primitive:
+    named = row.get("attributes", {})
+    if "POSITION" not in named:
+        raise InputError(f"{gltf.path}: {where} has no POSITION", REPAIR)
+    if _is_compressed(gltf, row):
+        raw, corners = _decompressed(gltf, where, row)
+    else:
+        raw = {key: decoded(gltf, index) for key, index in named.items()}
+        corners = _corners(gltf, where, row, len(raw["POSITION"]))
+    points = raw.pop("POSITION")
     if points.shape[1] != 3:
         raise InputError(f"{gltf.path}: {where}: POSITION is no triple of numbers", REPAIR)
     if len(points) and not np.ptp(points, axis=0).any():
-        compressed = DRACO in row.get("extensions", {})
         raise InputError(
-            f"{gltf.path}: {where} has no size: its {len(points)} points are all in one place"
-            + (f"; it is compressed with {DRACO}, which was not decoded" if compressed else ""),
-            "export it without Draco compression, or: pip install DracoPy"
-            if compressed
-            else REPAIR,
+            f"{gltf.path}: {where} has no size: its {len(points)} points are all in one place",
+            REPAIR,
         )
-    for key, values in attributes.items():
-        wanted = WIDTHS.get(key.split("_")[0], (1, 4))
-        if len(values) != len(points) or not wanted[0] <= values.shape[1] <= wanted[1]:
+    for key, values in raw.items():
+        low, high = WIDTHS.get(key.split("_")[0], (1, 16))
+        if len(values) != len(points) or not low <= values.shape[1] <= high:
             raise InputError(
                 f"{gltf.path}: {where}: {key} holds {len(values)} rows of {values.shape[1]} for "
                 f"{len(points)} points",
@@ -140,17 +100,156 @@ def _primitive(gltf: Gltf, where: str, row: dict[str, Any], mesh: Any) -> Primit
             )
     return Primitive(
         points=points,
-        triangles=np.asarray(mesh.faces, np.int64).reshape(-1, 3),
-        attributes=attributes,
+        triangles=_triangles(gltf, where, row, corners),
+        attributes=raw,
         material=row.get("material"),
     )
 
 
-def _numbers(gltf: Gltf, index: int, values: np.ndarray) -> Floats:
+def _corners(gltf: Gltf, where: str, row: dict[str, Any], points: int) -> Ints:
+    """(C,) the points of the corners; without indices every point is one."""
+    if "indices" not in row:
+        return np.arange(points)
+    accessor = gltf.row("accessors", row["indices"])
+    if accessor.get("componentType") not in INDICES or accessor.get("type") != "SCALAR":
+        raise InputError(
+            f"{gltf.path}: {where}: its indices are {accessor.get('type')} of component type "
+            f"{accessor.get('componentType')}, not unsigned whole numbers",
+            REPAIR,
+        )
+    if "bufferView" not in accessor and "sparse" not in accessor:
+        raise InputError(f"{gltf.path}: {where}: its indices have no data", REPAIR)
+    return _elements(gltf, row["indices"]).reshape(-1).astype(np.int64)
+
+
+def _triangles(gltf: Gltf, where: str, row: dict[str, Any], corners: Ints) -> Ints:
+    """(T, 3) of a list of corners, or of a strip: glTF 2.0, 3.7.2.1."""
+    if row.get("mode", TRIANGLES) == STRIP:
+        k = np.arange(max(len(corners) - 2, 0))
+        return np.stack([corners[k], corners[k + 1 + k % 2], corners[k + 2 - k % 2]], axis=1)
+    if len(corners) % 3:
+        raise InputError(
+            f"{gltf.path}: {where}: its {len(corners)} corners are no whole triangles", REPAIR
+        )
+    return corners.reshape(-1, 3)
+
+
+def decoded(gltf: Gltf, index: int | None) -> Floats:
     """(n, k) of an accessor; whole numbers that stand for fractions become those."""
     accessor = gltf.row("accessors", index)
+    return _numbers(accessor, _elements(gltf, index))
+
+
+def _numbers(accessor: dict[str, Any], values: np.ndarray) -> Floats:
     width = int(np.prod(values.shape[1:]))
     numbers = values.astype(np.float64).reshape(len(values), width)
     if not accessor.get("normalized") or values.dtype.kind == "f":
         return numbers
-    return np.maximum(numbers / WHOLE.get(accessor.get("componentType", 0), 1.0), -1.0)
+    return np.maximum(numbers / np.iinfo(values.dtype).max, -1.0)
+
+
+def _elements(gltf: Gltf, index: int | None) -> np.ndarray:
+    """(n, k) as stored; zeros where an accessor has no data but what a sparse one puts in."""
+    accessor = gltf.row("accessors", index)
+    where = f"{gltf.path}: accessor {index}"
+    count, (rows, columns) = accessor.get("count", 0), SHAPES.get(accessor.get("type", ""), (0, 0))
+    component = COMPONENTS.get(accessor.get("componentType", 0))
+    if component is None or not rows:
+        raise InputError(
+            f"{where} holds {accessor.get('type')} of component type "
+            f"{accessor.get('componentType')}: there is no such thing",
+            REPAIR,
+        )
+    dtype = np.dtype(component)
+    if "bufferView" in accessor:
+        found = _rows(gltf, where, accessor, dtype, count, rows, columns)
+    elif count * rows * columns > sum(map(len, gltf.buffers)):
+        raise InputError(f"{where} holds {count} rows, and no data for them", REPAIR)
+    else:
+        found = np.zeros((count, rows * columns), dtype)
+    if "sparse" not in accessor:
+        return found
+    return _replaced(gltf, where, found, accessor["sparse"], rows, columns)
+
+
+def _rows(
+    gltf: Gltf, where: str, at: dict[str, Any], dtype: np.dtype, count: int, rows: int, columns: int
+) -> np.ndarray:
+    """(count, rows * columns) of a buffer view, column by column as matrices are stored."""
+    view, start = at.get("bufferView"), at.get("byteOffset", 0)
+    data = gltf.view(view)
+    packed = rows * dtype.itemsize
+    column = packed if columns == 1 else -(-packed // ALIGNED) * ALIGNED
+    size = (columns - 1) * column + packed
+    stride = gltf.row("bufferViews", view).get("byteStride") or columns * column
+    end = start + (count - 1) * stride + size if count else start
+    if stride < size or end > len(data):
+        raise InputError(
+            f"{where} wants {count} rows of {size} bytes, {stride} apart, from byte {start} of a "
+            f"buffer view of {len(data)}",
+            REPAIR,
+        )
+    if not count:
+        return np.zeros((0, rows * columns), dtype)
+    steps = (stride, column, dtype.itemsize)
+    found = np.ndarray((count, columns, rows), dtype, data, start, steps)
+    return found.reshape(count, rows * columns)
+
+
+def _replaced(
+    gltf: Gltf, where: str, base: np.ndarray, sparse: dict[str, Any], rows: int, columns: int
+) -> np.ndarray:
+    """Rows with those that a sparse accessor has otherwise: glTF 2.0, 3.6.2.3."""
+    count, at, values = (sparse.get(key) for key in ("count", "indices", "values"))
+    kind = at.get("componentType") if at else None
+    if count is None or not at or not values or kind not in INDICES:
+        raise InputError(
+            f"{where} is sparse, and does not say how many rows it has, which and what", REPAIR
+        )
+    where, dtype = f"{where}, sparse,", np.dtype(COMPONENTS[kind])
+    index = _rows(gltf, where, at, dtype, count, 1, 1)[:, 0]
+    new = _rows(gltf, where, values, base.dtype, count, rows, columns)
+    if count and int(index.max()) >= len(base):
+        raise InputError(f"{where} replaces row {int(index.max())} of {len(base)}", REPAIR)
+    out = base.copy()
+    out[index] = new
+    return out
+
+
+def _is_compressed(gltf: Gltf, row: dict[str, Any]) -> bool:
+    """Whether a primitive has data in Draco's form only."""
+    if DRACO not in row.get("extensions", {}):
+        return False
+    plain = (gltf.row("accessors", index) for index in row["attributes"].values())
+    return not all("bufferView" in accessor for accessor in plain)
+
+
+def _decompressed(gltf: Gltf, where: str, row: dict[str, Any]) -> tuple[dict[str, Floats], Ints]:
+    """Attributes by glTF name and corners (C,) of a primitive that Draco compressed."""
+    try:
+        import DracoPy
+    except ImportError as error:
+        raise InputError(
+            f"{gltf.path}: {where} is compressed with {DRACO}, which is only read where DracoPy is "
+            "installed",
+            "export it without Draco compression, or: pip install DracoPy",
+        ) from error
+    blob = row["extensions"][DRACO]
+    try:
+        mesh = DracoPy.decode(gltf.view(blob.get("bufferView")))
+    except (ValueError, RuntimeError, TypeError, DracoPy.FileTypeException) as error:
+        raise InputError(
+            f"{gltf.path}: {where} is compressed with {DRACO}, and its data cannot be decoded: "
+            f"{error}",
+            REPAIR,
+        ) from error
+    faces = getattr(mesh, "faces", None)
+    by_id = {one["unique_id"]: one["data"] for one in mesh.attributes}
+    found = {
+        key: _numbers(gltf.row("accessors", row["attributes"][key]), np.asarray(by_id[number]))
+        for key, number in blob.get("attributes", {}).items()
+        if number in by_id and key in row["attributes"]
+    }
+    if "POSITION" not in found or faces is None:
+        raise InputError(f"{gltf.path}: {where}: its compressed data holds no mesh", REPAIR)
+    return found, np.asarray(faces, np.int64).reshape(-1)

@@ -23,7 +23,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileNode, MeshFile, require_sound
 from gf_usd.readers.mesh.gltf import Gltf, open_gltf
 from gf_usd.readers.mesh.gltf_materials import GltfMaterials
-from gf_usd.readers.mesh.gltf_mesh import Primitive, read_primitives
+from gf_usd.readers.mesh.gltf_mesh import Primitive, decoded, read_primitives
 from gf_usd.readers.notes import Notes
 
 
@@ -149,7 +149,7 @@ def _joined(
     return np.concatenate(rows)
 
 
-FLOAT, MAT4 = 5126, "MAT4"
+FLOAT = 5126
 
 
 class Skins:
@@ -214,13 +214,13 @@ class Skins:
 
     def _matrices(self, index: Any, count: int) -> Floats:
         row = self._gltf.row("accessors", index)
-        data = self._gltf.view(row.get("bufferView"))[row.get("byteOffset", 0) :]
-        if row.get("componentType") != FLOAT or row.get("type") != MAT4 or len(data) < 64 * count:
+        kind = row.get("componentType"), row.get("type")
+        if kind != (FLOAT, "MAT4") or row.get("count", 0) < count:
             raise InputError(
                 f"{self._gltf.path}: accessor {index} holds no {count} inverse bind matrices",
                 REPAIR,
             )
-        return np.frombuffer(data, "<f4", count=16 * count).astype(np.float64).reshape(-1, 4, 4)
+        return decoded(self._gltf, index)[:count].reshape(-1, 4, 4)
 
     def _world(self, index: Any) -> Floats:
         matrix, above = np.eye(4), 0

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_matrix
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
@@ -278,6 +277,10 @@ def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode
 def _bodies(tables: Tables, face_of: Ints) -> list[tuple[Ints, list[int]]]:
     """(faces, parts) of each body: parts joined where they share a point, in the file's order."""
     n = len(tables.part_names)
+    if n == 1:
+        return [(np.arange(len(tables.counts)), [0])]
+    from scipy.sparse import coo_matrix
+
     owner = tables.parts[face_of]
     graph = coo_matrix(
         (np.ones(len(owner)), (owner, n + tables.corners)), shape=(n + len(tables.points),) * 2

@@ -19,10 +19,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shutil
-import tempfile
-import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,17 +32,22 @@ from gf_usd.core.errors import BakeError
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
 from gf_usd.readers.usd.asset import read_usd
 from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.sandbox import Scratch
 
 RECORD = "convertedFrom"  # in customLayerData
 
 
 class Folder:
-    """A temporary folder that goes when the object does, or at the end of the program."""
+    """A temporary folder, or one inside such a folder, that goes when nobody holds it any more."""
 
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="gf-usd-")).resolve()
-        # Windows will not remove a file that USD still maps.
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+    def __init__(self, path: Path | None = None, inside: Scratch | None = None) -> None:
+        self._held = inside or Scratch()
+        self.path = path or self._held.path
+
+    def release(self) -> Path:
+        """The folder, which stays from now on."""
+        self._held.release()
+        return self.path
 
     @property
     def layer(self) -> Path:
@@ -67,6 +69,7 @@ class MeshSource:
     folder : holds its USD form and what is to be extracted beside that.
     record : what the layer was made of, to be found again in it.
     notes : what was assumed or left out on the way.
+    sources : `unit_from` and `axis_from` of the facts, where the layer does not tell them itself.
     """
 
     def __init__(
@@ -75,15 +78,23 @@ class MeshSource:
         folder: Folder,
         record: dict[str, str],
         notes: tuple[str, ...],
+        sources: Mapping[str, str],
     ) -> None:
         self.path = path
         self.notes = notes
-        self._folder = folder
-        self._record = record
+        self.sources = sources
+        self.folder = folder
+        self.record = record
 
     @classmethod
     def of(
-        cls, file: MeshFile, *, meters_per_unit: float, up_axis: str, notes: tuple[str, ...]
+        cls,
+        file: MeshFile,
+        *,
+        meters_per_unit: float,
+        up_axis: str,
+        notes: tuple[str, ...],
+        sources: Mapping[str, str],
     ) -> MeshSource:
         """Make the layer of a mesh file."""
         folder = Folder()
@@ -91,17 +102,18 @@ class MeshSource:
             file, folder.layer, folder.pictures, meters_per_unit=meters_per_unit, up_axis=up_axis
         )
         record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
-        return cls(file.path, folder, record, notes)
+        return cls(file.path, folder, record, notes, sources)
 
     @property
     def layer(self) -> Path:
         """The USD form, until the object goes."""
-        return self._folder.layer
+        return self.folder.layer
 
     def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
         """The surfaces and facts; `facts.path` is the original.  See `readers.read_asset`."""
-        asset = read_usd(self._folder.layer, prims=prims, time_code=time_code, named=self.path)
-        return replace(asset, facts=replace(asset.facts, notes=(*self.notes, *asset.facts.notes)))
+        asset = read_usd(self.folder.layer, prims=prims, time_code=time_code, named=self.path)
+        notes = (*self.notes, *asset.facts.notes)
+        return replace(asset, facts=replace(asset.facts, notes=notes, **self.sources))
 
     def is_at(self, target: Path) -> bool:
         """Whether `target` was made of the same bytes in the same way, and is whole."""
@@ -111,7 +123,7 @@ class MeshSource:
             there = Sdf.Layer.OpenAsAnonymous(str(target))
         except Tf.ErrorException:
             return False
-        if there is None or dict(there.customLayerData.get(RECORD, {})) != self._record:
+        if there is None or dict(there.customLayerData.get(RECORD, {})) != self.record:
             return False
         return all(picture.is_file() for picture in self.textures(target))
 
@@ -128,15 +140,15 @@ class MeshSource:
             return target
         extracted = textures_folder(target)
         self.extract(target)
-        layer = Sdf.Layer.OpenAsAnonymous(str(self._folder.layer))
-        layer.customLayerData = {**layer.customLayerData, RECORD: self._record}
+        layer = Sdf.Layer.OpenAsAnonymous(str(self.folder.layer))
+        layer.customLayerData = {**layer.customLayerData, RECORD: self.record}
 
         def moved(path: str) -> str:
             file = Path(path)
             if not file.is_absolute():
                 return path
-            if file.is_relative_to(self._folder.pictures):
-                file = extracted / file.relative_to(self._folder.pictures)
+            if file.is_relative_to(self.folder.pictures):
+                file = extracted / file.relative_to(self.folder.pictures)
             return _relative(file, target.parent)
 
         UsdUtils.ModifyAssetPaths(layer, moved)
@@ -155,15 +167,15 @@ class MeshSource:
     def extract(self, target: Path) -> dict[Path, Path]:
         """Write the pictures beside a layer of that name; returns from where to where."""
         folder = textures_folder(target)
-        placed = {self._folder.pictures / name: folder / name for name in self._names()}
+        placed = {self.folder.pictures / name: folder / name for name in self._names()}
         for picture, place in placed.items():
             _write_bytes(place, picture.read_bytes())
         return placed
 
     def _names(self) -> list[str]:
         """Pictures that came out of the file, as paths in their folder."""
-        files = (p for p in self._folder.pictures.rglob("*") if p.is_file())
-        return sorted(p.relative_to(self._folder.pictures).as_posix() for p in files)
+        files = (p for p in self.folder.pictures.rglob("*") if p.is_file())
+        return sorted(p.relative_to(self.folder.pictures).as_posix() for p in files)
 
 
 def record_of(

@@ -87,7 +87,7 @@ class BakedMotion:
             baked=tuple(str(prim.GetPath()) in self._bodies for prim in self._meshes),
             gaussians=self._gaussians,
             about=self.about,
-            notes=tuple(n for n in self._notes.lines() if not n.endswith(ANIMATED)),
+            notes=self._notes.lines(without=ANIMATED),
         )
 
     def frames(self, time_codes: Sequence[float] | None = None) -> Iterator[MotionFrame]:

@@ -167,10 +167,10 @@ class PictureStage:
             ellipsoids=tuple(solid),
             ground=self.motion.ground,
             # that the motion is not simulated further is no news for a picture
-            notes=tuple(
-                line
-                for line in (*self._stage_notes.lines(), *notes.lines(), *self._value_notes())
-                if not line.endswith(ANIMATED)
+            notes=(
+                *self._stage_notes.lines(),
+                *notes.lines(without=ANIMATED),
+                *self._value_notes(),
             ),
         )
 

@@ -10,7 +10,7 @@ import numpy as np
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
-from gf_usd.readers.notes import Notes
+from gf_usd.readers.notes import Notes, source_of, unit_and_axis
 from gf_usd.readers.splats.ply import holds_splats
 from gf_usd.readers.usd.splats import write_splat_layer
 
@@ -61,16 +61,14 @@ def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | 
     name, _ = PARSERS[path.suffix.lower()]
     notes = Notes()
     unit = 1.0 if meters_per_unit is None else meters_per_unit
-    if meters_per_unit is None:
-        notes.add(f"{name} files name no unit: 1 m per unit is assumed (--meters-per-unit)")
-    else:
-        notes.add(f"metersPerUnit = {unit:g}, as asked for")
-    if up_axis is not None:
-        notes.add(f"upAxis = {axis}, as asked for")
-    elif path.suffix.lower() not in SAYS_AXIS:
-        notes.add(f"{name} files name no up axis: Y is assumed (--up-axis, -Y where it hangs)")
+    unit_from = source_of(meters_per_unit, False)
+    axis_from = source_of(up_axis, path.suffix.lower() in SAYS_AXIS)
+    for line in unit_and_axis(name, unit, axis, unit_from, axis_from, ", -Y where it hangs"):
+        notes.add(line)
     splats = read_splat_file(path, notes)
     folder = Folder()
     up, turn = AXES[axis]
     write_splat_layer(splats, folder.layer, path.stem, meters_per_unit=unit, up_axis=up, turn=turn)
-    return MeshSource(path, folder, record_of(path, (path,), unit, axis), notes.lines())
+    record = record_of(path, (path,), unit, axis)
+    sources = {"unit_from": unit_from, "axis_from": axis_from}
+    return MeshSource(path, folder, record, notes.lines(), sources)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import StageFacts
+from gf_usd.core.asset import ASSUMED, FILE, OPTION, StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -124,13 +124,17 @@ def stage_facts(
     default = stage.GetDefaultPrim()
     if root.HasDefaultPrim() and not default:
         notes.add(f"defaultPrim names '{root.defaultPrim}', which does not exist: every root prim")
+    unit, unit_from = _meters_per_unit(stage, path, notes, meters_per_unit)
+    axis, axis_from = _up_axis(stage, path, notes, up_axis)
     return StageFacts(
         path=path,
         units=StageUnits(
-            meters_per_unit=_meters_per_unit(stage, path, notes, meters_per_unit),
+            meters_per_unit=unit,
             kilograms_per_unit=_positive(stage, path, "kilogramsPerUnit") or 1.0,
         ),
-        up_axis=_up_axis(stage, path, notes, up_axis),
+        up_axis=axis,
+        unit_from=unit_from,
+        axis_from=axis_from,
         time_codes_per_second=None if rate is None else float(rate),
         start_time_code=root.startTimeCode if root.HasStartTimeCode() else None,
         end_time_code=root.endTimeCode if root.HasEndTimeCode() else None,
@@ -180,7 +184,10 @@ def _positive(stage: Usd.Stage, path: Path, key: str) -> float | None:
     return float(str(single)) if float(single) == value else float(value)
 
 
-def _meters_per_unit(stage: Usd.Stage, path: Path, notes: Notes, override: float | None) -> float:
+def _meters_per_unit(
+    stage: Usd.Stage, path: Path, notes: Notes, override: float | None
+) -> tuple[float, str]:
+    """[m] of the unit of length, and where it comes from."""
     if override is not None:
         if not (math.isfinite(override) and override > 0.0):
             raise InputError(
@@ -188,29 +195,30 @@ def _meters_per_unit(stage: Usd.Stage, path: Path, notes: Notes, override: float
                 "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
             )
         notes.add(f"metersPerUnit = {override:g}, as asked for")
-        return override
+        return override, OPTION
     authored = _positive(stage, path, "metersPerUnit")
     if authored is None:
         notes.add("metersPerUnit is not authored: 0.01 (centimetres) is assumed, as USD says")
-        return float(UsdGeom.LinearUnits.centimeters)
-    return authored
+        return float(UsdGeom.LinearUnits.centimeters), ASSUMED
+    return authored, FILE
 
 
-def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -> str:
+def _up_axis(stage: Usd.Stage, path: Path, notes: Notes, override: str | None) -> tuple[str, str]:
+    """Y or Z, and where it comes from."""
     hint = "give --up-axis Y or --up-axis Z"
     if override is not None:
         axis = override.upper()
         if axis not in ("Y", "Z"):
             raise InputError(f"up axis {override!r}: USD knows Y and Z", hint)
         notes.add(f"upAxis = {axis}, as asked for")
-        return axis
+        return axis, OPTION
     if not stage.HasAuthoredMetadata("upAxis"):
         notes.add("upAxis is not authored: Y is assumed, as USD says")
-        return "Y"
+        return "Y", ASSUMED
     axis = str(_metadata(stage, "upAxis"))
     if axis not in ("Y", "Z"):
         raise InputError(f"{path}: upAxis = {axis!r}; USD knows Y and Z", hint)
-    return axis
+    return axis, FILE
 
 
 # Below this fraction of its scale cubed a 3 x 3 matrix has no usable inverse in double precision.

@@ -18,7 +18,9 @@ class Warned:
 
     message: str
     hint: str = ""
-    about: str = ""  # the rule of gf_usd.judgement that it came from; "" where that is not said
+    about: str = (
+        ""  # the rule of gf_usd.pipeline.health that it came from; "" where that is not said
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,7 +84,7 @@ FIRST = {
     "energy_start_J", "energy_end_J", "energy_gain_max_share",
 }  # fmt: skip
 
-# which rows a warning is about, by the names of gf_usd.judgement.RULES
+# which rows a warning is about, by the names of gf_usd.pipeline.health.RULES
 MARKS: dict[str, tuple[str, ...]] = {
     "energy": ("energy_gain_max_J", "energy_gain_max_share"),
     "inside-out": ("inverted_particle_frames", "min_J"),

@@ -18,7 +18,7 @@ from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import review
 from gf_usd.layers.root import write_root
 from gf_usd.layers.tracks.health import FRAME, PREFIX, TOTAL, author_totals
-from gf_usd.layers.variants import BakedLook
+from gf_usd.layers.variants import BakedVariant
 from gf_usd.pipeline.health import HealthLog
 from gf_usd.system import usd_schema
 from gf_usd.system.atomic_files import publish
@@ -59,7 +59,7 @@ def bakes(folder: Path, source: Source = PLAIN, *, units: StageUnits | None = No
                 writer.write(replace(frame, health=replace(health, substeps=7 + frame.index)))
         publish(cache)
         looks.append(
-            BakedLook(
+            BakedVariant(
                 name=name, cache=cache, info=info, health=totals(info, health),
                 warnings=warnings, failure=failure,
             )

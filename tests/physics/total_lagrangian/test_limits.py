@@ -9,7 +9,7 @@ from strained_ball import EXACT, INVERTED, SQUASH, body, clipped, force, made, s
 
 from gf_usd.core.frames import Health, Pose
 from gf_usd.physics.frame_loop import GAIN, Guard
-from gf_usd.physics.per_particle import strains_by_numpy
+from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.energies import elastic_energy, strain_energy, von_mises
 from gf_usd.physics.total_lagrangian.limits import touched
 from gf_usd.physics.total_lagrangian.shape_correction import clip_stretches
@@ -34,7 +34,7 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     strain(bare, clipped(A, low, high))
     # Taichi's SVD of float64 stops its Jacobi sweeps at about 1e-9.
     assert elastic_energy(seen) == pytest.approx(elastic_energy(bare), rel=1e-7)
-    told = strain_energy(seen, *strains_by_numpy(seen.particle_pose(0).F))
+    told = strain_energy(seen, *strains(seen.particle_pose(0).F))
     assert told == pytest.approx(elastic_energy(bare), rel=1e-7)
     wanted = force(bare)
     np.testing.assert_allclose(force(seen), wanted, atol=1e-6 * np.abs(wanted).max())

@@ -14,6 +14,9 @@ from pxr import Sdf
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, signed_volume, weld
 from gf_usd.readers import convert, read_asset
+from gf_usd.readers.mesh.gltf import open_gltf
+from gf_usd.readers.mesh.gltf_mesh import decoded
+from gf_usd.readers.mesh.gltf_scene import read_gltf
 
 EXACT = 1e-6  # float32 after a transform of size a few
 
@@ -45,6 +48,8 @@ def test_what_trimesh_writes_with_a_picture_and_a_node(tmp_path):
     assert asset.facts.units.length == 1.0
     assert asset.facts.up_axis == "Y"
     assert not any("assumed" in note for note in convert(path).notes)
+    facts = convert(path).asset().facts
+    assert (facts.unit_from, facts.axis_from) == ("file", "file")
     assert read.path.endswith("/turned_box")
     np.testing.assert_allclose(
         read.points, trimesh.transform_points(box.vertices, matrix), atol=EXACT
@@ -173,6 +178,125 @@ def test_a_skinned_mesh_stands_as_its_joints_do(tmp_path):
     assert any("is skinned" in note for note in convert(path).notes)
 
 
+ALL = {np.int8: 5120, np.uint8: 5121, np.int16: 5122, np.uint16: 5123, np.uint32: 5125,
+       np.float32: 5126}  # fmt: skip
+SHARES = np.clip(CORNERS[:, :2] * 0.5, 0.0, 1.0)
+
+
+def uvs_of(path):
+    """(8, 2) of the first accessor; the whole file can be read as well."""
+    (node,) = read_gltf(path).nodes
+    assert len(node.mesh.uvs) == 8
+    return decoded(open_gltf(path), 0)
+
+
+def cube_with(maker: GltfMaker, path, **accessor):
+    """A cube whose TEXCOORD_0 is the accessor."""
+    maker.tree["accessors"].append(accessor)
+    primitive = maker.primitive(CORNERS, TRIANGLES)
+    primitive["attributes"]["TEXCOORD_0"] = maker.tree["accessors"].index(accessor)
+    maker.mesh(primitive)
+    return maker.glb(path)
+
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("normalized", [False, True])
+def test_every_component_type_among_others_in_a_row(tmp_path, kind, normalized):
+    """Rows of 20 bytes with the values from the third: as interleaved buffers have them."""
+    most = 1 if kind is np.float32 else np.iinfo(kind).max
+    rows = np.zeros((8, 20), np.uint8)
+    stored = (SHARES * most).astype(kind)
+    if not np.issubdtype(kind, np.unsignedinteger):
+        stored[0] = -stored[-1]
+    width = 2 * stored.itemsize
+    rows[:, 4 : 4 + width] = np.frombuffer(stored.tobytes(), np.uint8).reshape(8, width)
+    maker = GltfMaker()
+    view = maker.view(b"\1" * 8 + rows.tobytes())
+    maker.tree["bufferViews"][view]["byteStride"] = 20
+    path = cube_with(
+        maker, tmp_path / "thing.glb", bufferView=view, byteOffset=12, componentType=ALL[kind],
+        count=8, type="VEC2", normalized=normalized,
+    )  # fmt: skip
+    expected = stored / most if normalized else stored.astype(np.float64)
+    np.testing.assert_array_equal(uvs_of(path), expected)
+
+
+def test_the_least_whole_number_stands_for_minus_one(tmp_path):
+    """glTF 2.0, 3.6.2.2: max(c / 127, -1), so that 0 has a number of its own."""
+    stored = np.full((8, 2), -128, np.int8)
+    maker = GltfMaker()
+    path = cube_with(
+        maker, tmp_path / "thing.glb", bufferView=maker.view(stored.tobytes()), componentType=5120,
+        count=8, type="VEC2", normalized=True,
+    )  # fmt: skip
+    assert uvs_of(path).tolist() == [[-1.0, -1.0]] * 8
+
+
+@pytest.mark.parametrize("base", [True, False], ids=["on rows", "on zeros"])
+def test_a_sparse_accessor_has_some_rows_otherwise(tmp_path, base):
+    maker = GltfMaker()
+    uvs = SHARES.astype(np.float32)
+    indices = maker.view(b"\0\0" + np.array([1, 6], np.uint16).tobytes())
+    values = maker.view(np.array([[0.25, 0.75], [0.125, 0.5]], np.float32).tobytes())
+    sparse = {"count": 2, "indices": {"bufferView": indices, "byteOffset": 2,
+                                      "componentType": 5123}, "values": {"bufferView": values}}  # fmt: skip
+    data = {"bufferView": maker.view(uvs.tobytes())} if base else {}
+    path = cube_with(
+        maker, tmp_path / "thing.glb", **data, componentType=5126, count=8, type="VEC2",
+        sparse=sparse,
+    )  # fmt: skip
+    expected = uvs.astype(float) if base else np.zeros((8, 2))
+    expected[[1, 6]] = [[0.25, 0.75], [0.125, 0.5]]
+    np.testing.assert_array_equal(uvs_of(path), expected)
+
+
+def test_a_strip_and_corners_without_indices(tmp_path):
+    maker = GltfMaker()
+    zigzag = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], float)
+    maker.mesh(maker.primitive(zigzag, range(5)) | {"mode": 5})
+    (strip,) = read_gltf(maker.glb(tmp_path / "strip.glb")).nodes
+    # every triangle is counter-clockwise as seen from +z
+    assert strip.mesh.indices.reshape(-1, 3).tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4]]
+    maker = GltfMaker()
+    primitive = maker.primitive(CORNERS[TRIANGLES].reshape(-1, 3), [0])
+    del primitive["indices"]
+    maker.mesh(primitive)
+    (loose,) = read_gltf(maker.glb(tmp_path / "loose.glb")).nodes
+    assert loose.mesh.indices.tolist() == list(range(36))
+
+
+def test_matrices_of_bytes_have_columns_of_four(tmp_path):
+    """glTF 2.0, 3.6.2.4: a column begins at a multiple of four bytes."""
+    columns = np.arange(8 * 9, dtype=np.uint8).reshape(8, 3, 3)
+    stored = np.zeros((8, 3, 4), np.uint8)
+    stored[..., :3] = columns
+    maker = GltfMaker()
+    maker.tree["accessors"].append(
+        {"bufferView": maker.view(stored.tobytes()), "componentType": 5121, "count": 8,
+         "type": "MAT3"}
+    )  # fmt: skip
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    gltf = open_gltf(maker.glb(tmp_path / "thing.glb"))
+    np.testing.assert_array_equal(decoded(gltf, 0), columns.reshape(8, 9))
+
+
+def test_what_draco_compressed(tmp_path):
+    DracoPy = pytest.importorskip("DracoPy")
+    maker = GltfMaker()
+    draco(maker)
+    blob = DracoPy.encode(CORNERS.astype(np.float32), TRIANGLES, quantization_bits=14)
+    view = maker.view(blob)
+    extension = maker.tree["meshes"][0]["primitives"][0]["extensions"]
+    extension["KHR_draco_mesh_compression"]["bufferView"] = view
+    path = maker.glb(tmp_path / "thing.glb")
+    (node,) = read_gltf(path).nodes
+    faces = node.mesh.points[node.mesh.indices.reshape(-1, 3)]
+    np.testing.assert_allclose(
+        np.sort(faces.mean(axis=1), axis=0), np.sort(CORNERS[TRIANGLES].mean(axis=1), axis=0),
+        atol=3.0 / 2**14,
+    )  # fmt: skip
+
+
 def draco(maker: GltfMaker) -> None:
     """A primitive as a compressor leaves it: accessors without data, an opaque blob beside them."""
     maker.tree["accessors"] = [
@@ -235,10 +359,72 @@ def long_view(maker: GltfMaker) -> None:
     maker.tree["bufferViews"][0]["byteLength"] = 10**6
 
 
+def changed(place: str, **values) -> object:
+    """A sound cube, of which one row of the file says otherwise."""
+
+    def make(maker: GltfMaker) -> None:
+        maker.mesh(maker.primitive(CORNERS, TRIANGLES, TEXCOORD_0=CORNERS[:, :2].astype("f4")))
+        key, number = place.split()
+        maker.tree[key][int(number)] |= values
+
+    return make
+
+
+def without_data(maker: GltfMaker, *, of: int, count: int) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    del maker.tree["accessors"][of]["bufferView"]
+    maker.tree["accessors"][of]["count"] = count
+
+
+def far_row(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, TRIANGLES))
+    indices, values = maker.view(b"\x63\0\0\0"), maker.view(bytes(12))
+    maker.tree["accessors"][0]["sparse"] = {
+        "count": 1, "indices": {"bufferView": indices, "componentType": 5125},
+        "values": {"bufferView": values},
+    }  # fmt: skip
+
+
+def odd_corners(maker: GltfMaker) -> None:
+    maker.mesh(maker.primitive(CORNERS, [[0, 1], [2, 3]]))
+
+
+BROKEN_ACCESSORS = [
+    (changed("accessors 0", componentType=5124), "accessor 0 holds VEC3 of component type 5124"),
+    (changed("accessors 0", type="VEC5"), "accessor 0 holds VEC5 of component type 5126"),
+    (changed("accessors 0", type="VEC2"), "POSITION is no triple of numbers"),
+    (changed("accessors 0", byteOffset=4), "accessor 0 wants 8 rows of 12 bytes, 12 apart, from"),
+    (changed("accessors 0", count=2**52), "accessor 0 wants 4503599627370496 rows of 12 bytes"),
+    (changed("accessors 1", count=7), "TEXCOORD_0 holds 7 rows of 2 for 8 points"),
+    (changed("accessors 2", componentType=5126), "its indices are SCALAR of component type 5126"),
+    (changed("accessors 2", count=2**52), "accessor 2 wants 4503599627370496 rows of 4 bytes"),
+    (changed("bufferViews 0", byteStride=8), "wants 8 rows of 12 bytes, 8 apart"),
+    (changed("bufferViews 0", byteStride=2**52), "rows of 12 bytes, 4503599627370496 apart"),
+    (changed("accessors 0", sparse={"count": -1}), "accessors[0].sparse.count is not a whole"),
+    (lambda maker: without_data(maker, of=0, count=8), "its 8 points are all in one place"),
+    (lambda maker: without_data(maker, of=0, count=2**52), "4503599627370496 rows, and no data"),
+    (lambda maker: without_data(maker, of=1, count=36), "its indices have no data"),
+    (far_row, "accessor 0, sparse, replaces row 99 of 8"),
+    (odd_corners, "its 4 corners are no whole triangles"),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), BROKEN_ACCESSORS, ids=[w for _, w in BROKEN_ACCESSORS])
+def test_accessors_that_do_not_fit_are_refused(tmp_path, make, words):
+    maker = GltfMaker()
+    make(maker)
+    path = maker.glb(tmp_path / "thing.glb")
+    with pytest.raises(InputError) as error:
+        read_asset(path)
+    assert str(path) in error.value.message
+    assert words in error.value.message
+    assert error.value.hint
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (draco, "has no size: its 8 points are all in one place; it is compressed with KHR_draco"),
+        (draco, "mesh 0, primitive 0 is compressed with KHR_draco_mesh_compression"),
         (sparse, "accessor 0 is sparse"),
         (far_index, "1 of 36 indices are outside its 8 points, the first is 99"),
         (not_finite, "1 of 8 points are not finite"),

@@ -282,6 +282,9 @@ def test_units_and_axes(tmp_path):
     assert read_asset(path, up_axis="z").facts.up_axis == "Z"
     with pytest.raises(InputError, match="Gaussians know Y, Z, -Y and -Z"):
         read_asset(path, up_axis="X")
-    assumed = read_asset(path).facts.notes
+    assert (asset.facts.unit_from, asset.facts.axis_from) == ("option", "option")
+    facts = read_asset(path).facts
+    assumed = facts.notes
     assert any("no unit: 1 m per unit is assumed" in note for note in assumed)
     assert any("no up axis: Y is assumed" in note for note in assumed)
+    assert (facts.unit_from, facts.axis_from) == ("assumed", "assumed")

@@ -38,6 +38,7 @@ def test_facts_of_a_stage_that_says_everything(read):
     assert facts.default_prim == "/A"
     assert facts.says_physics
     assert facts.notes == ()
+    assert (facts.unit_from, facts.axis_from) == ("file", "file")
 
 
 def test_facts_of_a_stage_that_says_nothing(read):
@@ -51,6 +52,7 @@ def test_facts_of_a_stage_that_says_nothing(read):
         "metersPerUnit is not authored: 0.01 (centimetres) is assumed, as USD says",
         "upAxis is not authored: Y is assumed, as USD says",
     )
+    assert (facts.unit_from, facts.axis_from) == ("assumed", "assumed")
 
 
 def test_frames_per_second_stand_in_for_time_codes_per_second(read):

@@ -1,0 +1,112 @@
+"""Read an asset in a child process, so that a file that crashes a library harms nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.stage import StageWords
+from gf_usd.system.sandbox import Isolated, Limits
+
+if TYPE_CHECKING:
+    from gf_usd.readers.mesh.to_usd import MeshSource
+
+TASK = "gf_usd.readers.isolated:send"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """All that a bake reads of a file before it fills it."""
+
+    asset: Asset
+    words: StageWords | None  # what its stage says; None: a mesh file, or not asked for yet
+    converted: MeshSource | None = None  # of a mesh file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sent:
+    """A `Source` as a child sends it."""
+
+    asset: Asset
+    words: StageWords | None
+    folder: Path | None  # with the USD form of a mesh file
+    record: dict[str, str]
+    notes: tuple[str, ...]
+    sources: dict[str, str]  # where its unit and axis come from
+
+
+class Reading:
+    """A file that is being read, in a child process where limits are given."""
+
+    def __init__(self, path: Path, limits: Limits | None, **options: Any) -> None:
+        """Options are those of `read_source`."""
+        self._path, self._options = path, options
+        self._isolated = Isolated(path, TASK, limits, path, options)
+
+    def result(self) -> Source:
+        """What was read.  Raises InputError as `read_source` does, or as `Isolated.result`."""
+        if not self._isolated.in_child:
+            return read_source(self._path, **self._options)
+        sent: Sent = self._isolated.result()
+        converted = None
+        if sent.folder is not None:
+            from gf_usd.readers.mesh.to_usd import Folder, MeshSource
+
+            folder = Folder(sent.folder, self._isolated.scratch)
+            converted = MeshSource(self._path, folder, sent.record, sent.notes, sent.sources)
+        return Source(asset=sent.asset, words=sent.words, converted=converted)
+
+    def __enter__(self) -> Reading:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._isolated.__exit__(*error)
+
+
+def send(path: Path, options: dict[str, Any]) -> Sent:
+    """In the child: read a file and leave the USD form of a mesh file where it is."""
+    read = read_source(path, **options)
+    made = read.converted
+    return Sent(
+        asset=read.asset,
+        words=read.words,
+        folder=None if made is None else made.folder.release(),
+        record={} if made is None else made.record,
+        notes=() if made is None else made.notes,
+        sources={} if made is None else dict(made.sources),
+    )
+
+
+def read_source(
+    path: Path,
+    *,
+    prims: Sequence[str] = (),
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    time_code: float | None = None,
+    elastic: bool = True,
+) -> Source:
+    """All that a bake reads of a file before it fills it.
+
+    The options are those of `read_asset` and `read_words`.  Raises InputError as these do.
+    """
+    from gf_usd.readers import convert, read_asset
+
+    converted = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+    if converted is not None:
+        asset = converted.asset(prims=tuple(prims), time_code=time_code)
+        return Source(asset=asset, words=None, converted=converted)
+    # registers itself before any stage opens
+    from gf_usd.readers.usd_bake.spec import read_words
+    from gf_usd.system import usd_schema  # noqa: F401
+
+    asset = read_asset(
+        path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis, time_code=time_code
+    )
+    if asset.splats:  # they get surfaces first, of which the stage is then asked
+        return Source(asset=asset, words=None)
+    asset, words = read_words(asset, path, prims, rest=time_code, elastic=elastic)
+    return Source(asset=asset, words=words)

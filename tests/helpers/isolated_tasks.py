@@ -1,0 +1,134 @@
+"""What a child process of a test does, named as "isolated_tasks:NAME"."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gf_usd.core.errors import GfUsdError, InputError
+from gf_usd.readers.isolated import read_source
+from gf_usd.system.sandbox import Limits, attempt
+
+
+def crash(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def hang() -> None:
+    time.sleep(60.0)
+
+
+def eat() -> None:
+    bytearray(10**13)
+
+
+def fail() -> None:
+    raise KeyError("points")
+
+
+def vanish() -> None:
+    os._exit(7)
+
+
+def words_that_fail() -> None:
+    b"\xff".decode()
+
+
+def quoting() -> None:
+    class Quoting(RuntimeError):
+        def __str__(self) -> str:
+            return b"\xff".decode()
+
+    raise Quoting
+
+
+def refuse_beside(seen: Path) -> None:
+    """Refuse, and leave a temporary file, whose name goes into `seen`."""
+    with tempfile.NamedTemporaryFile(delete=False) as left:
+        seen.write_text(left.name)
+    raise InputError("no", "none")
+
+
+def refuse_for_memory() -> None:
+    raise InputError("a.usdc is damaged: Encountered: std::bad_alloc", "none")
+
+
+def write(path: Path, count: int) -> None:
+    path.write_bytes(bytes(count))
+
+
+def same(*values: object) -> tuple[object, ...]:
+    return values
+
+
+def unknown() -> object:
+    return object()
+
+
+def talk() -> str:
+    """Print, from Python and from a program."""
+    print("x" * 100_000)
+    subprocess.run(["echo", "from a program"], check=True)
+    return "done"
+
+
+def count(file: Path, seconds: float) -> None:
+    """Add a letter to a file, then work for so long."""
+    with file.open("a") as out:
+        out.write("x")
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        pass
+
+
+def count_and_hang(file: Path, seconds: float) -> None:
+    """Add a letter to a file, then sleep."""
+    count(file, seconds)
+    hang()
+
+
+def stay(file: Path) -> None:
+    """Start a program that sleeps, write its number and this one's, and sleep."""
+    child = subprocess.Popen(["sleep", "60"])
+    file.with_suffix(".part").write_text(f"{os.getpid()} {child.pid}")
+    file.with_suffix(".part").rename(file)
+    time.sleep(60.0)
+
+
+def loaded(path: Path) -> list[str]:
+    """The modules that were loaded to read a file."""
+    read_source(path)
+    return sorted(sys.modules)
+
+
+def read_each(files: Sequence[Path]) -> None:
+    """Read files one after the other; refusals in words of ours are as good as success."""
+    for file in files:
+        with contextlib.suppress(GfUsdError):
+            read_source(file)
+
+
+def stopped(files: Sequence[Path], limits: Limits) -> dict[Path, str]:
+    """Files that end in no words of the reader's own, and what the child was stopped for.
+
+    All are tried in one child first, to start only one where nothing is found.
+    """
+    together = replace(limits, time=limits.time * max(1.0, len(files) / 10.0))
+    with contextlib.suppress(InputError):
+        attempt(files[0], "isolated_tasks:read_each", together, files)
+        return {}
+    found = {}
+    for file in files:
+        try:
+            attempt(file, "isolated_tasks:read_each", limits, [file])
+        except InputError as error:
+            found[file] = error.message
+    return found
