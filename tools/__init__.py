@@ -1,1 +1,1 @@
-"""Programs that make, measure and judge: for those who work on gf-usd, from its source."""
+"""Programs for development: they generate files, measure and verify."""

@@ -1,4 +1,4 @@
-"""Run what takes too long for every commit; see tools/acceptance/sections.py.
+"""Run the long acceptance sections; see tools/acceptance/sections.py.
 
 python tools/acceptance.py [--only SECTION]... [--page]
 """

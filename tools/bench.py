@@ -60,7 +60,7 @@ def main() -> None:
         seen = [r["versions"] for runs in found.values() for r in runs if "versions" in r]
         versions = {name: number for one in seen for name, number in one.items()}
         return [
-            f"Held to {len(cores)} core(s). Versions: "
+            f"Restricted to {len(cores)} core(s). Versions: "
             + ", ".join(f"{name} {number}" for name, number in versions.items())
             + f". A process has {speed.LIMIT:.0f} s, with a million particles twice that.",
             "",

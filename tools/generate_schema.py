@@ -39,14 +39,14 @@ INTRODUCTION = """\
 
 # The schema library `gaussianFlesh`
 
-Four API schemas, applied to prims of standard types, say what USD has no words for. A file that
-uses them opens in every USD program: without the library its attributes stay readable, only the
-names of the APIs are unknown. `gf-usd schema-path` prints the folder to add to
+Four API schemas, applied to prims of standard types, hold data that USD's own schemas do not cover.
+A file that uses them opens in every USD program: without the library its attributes stay readable,
+only the names of the APIs are unknown. `gf-usd schema-path` prints the folder to add to
 `PXR_PLUGINPATH_NAME`, which makes the library known to other programs.
 
 Units are those of the stage: a distance counts `metersPerUnit`, a mass `kilogramsPerUnit`; times
-are seconds, never time codes. Not-authored attributes have the fallback shown here; a dash means
-no value.
+are seconds, never time codes. Attributes that are not authored have the fallback shown here; a dash
+means no value.
 """
 
 

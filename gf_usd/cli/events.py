@@ -39,6 +39,9 @@ def event_stream(target: str | None) -> Iterator[Emit]:
                 file.write(line + "\n")
                 file.flush()
             except OSError as error:
+                if file is not sys.stdout:
+                    with contextlib.suppress(OSError):  # what is left in its buffer is lost
+                        file.close()
                 raise BakeError(
                     f"--events {target}: no event can be written: {error.strerror}",
                     "see to it that it is read, and has space left",
@@ -47,8 +50,9 @@ def event_stream(target: str | None) -> Iterator[Emit]:
         try:
             yield emit
         except (GfUsdError, SystemExit) as end:
-            with contextlib.suppress(BakeError):  # the first error is the one to be told
-                _emit_end(emit, end)
+            if not file.closed:
+                with contextlib.suppress(BakeError):  # the first error is the one to be told
+                    _emit_end(emit, end)
             raise
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from small_bakes import BLOCK, Done, names
 
+from gf_usd.batch import cluster
 from gf_usd.layers.check.run import check_file
 from gf_usd.system.file_locks import acquire
 
@@ -194,7 +195,7 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
 def test_wrong_usage_starts_nothing(
     gf_usd: Call, here: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
 ) -> None:
-    monkeypatch.setattr("gf_usd.batch.cluster.CONNECT", 0.5)
+    monkeypatch.setattr(cluster, "CONNECT", 0.5)
     done = gf_usd("batch", *words)
     assert done.status == 2
     assert said in done.err

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -42,11 +40,9 @@ BOX = """
 """
 
 
-def gf_usd(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
-        cwd=folder, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+@pytest.fixture(autouse=True)
+def in_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
@@ -63,10 +59,10 @@ def odd(tmp_path):
     return path
 
 
-def test_a_sound_asset_on_a_page(tmp_path):
-    done = gf_usd(tmp_path, "inspect", DUCK, "-m", "rubber,jelly", *FEW)
-    assert (done.returncode, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
+def test_a_sound_asset_on_a_page(gf_usd, tmp_path):
+    done = gf_usd("inspect", DUCK, "-m", "rubber,jelly", *FEW)
+    assert (done.status, done.err) == (0, "")
+    lines = done.out.splitlines()
     assert lines[0] == str(DUCK)
     assert lines[1].startswith("1 unit = 0.01 m (from the file), Y up (from the file)")
     (body,) = (line for line in lines if line.startswith("/Duck/Geom/Body"))
@@ -79,62 +75,60 @@ def test_a_sound_asset_on_a_page(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_refused_asset_ends_with_the_words_of_bake_and_status_3(sheet, tmp_path):
-    done = gf_usd(tmp_path, "inspect", sheet)
-    refused = gf_usd(tmp_path, "bake", sheet)
-    assert done.returncode == refused.returncode == 3
-    assert done.stderr == refused.stderr
-    assert done.stderr.startswith("error: ")
-    assert "hint: " in done.stderr
-    assert "refused" in done.stdout
-    assert done.stdout.splitlines()[-1] == "warning: with --repair it can be baked"
+def test_a_refused_asset_ends_with_the_words_of_bake_and_status_3(gf_usd, sheet, tmp_path):
+    done = gf_usd("inspect", sheet)
+    refused = gf_usd("bake", sheet)
+    assert done.status == refused.status == 3
+    assert done.err == refused.err
+    assert done.err.startswith("error: ")
+    assert "hint: " in done.err
+    assert "refused" in done.out
+    assert done.out.splitlines()[-1] == "warning: with --repair it can be baked"
 
 
-def test_json_on_stdout_whatever_the_verdict(sheet, odd, tmp_path):
-    refused = gf_usd(tmp_path, "inspect", sheet, "--json")
-    assert refused.returncode == 3
-    out = json.loads(refused.stdout)
+def test_json_on_stdout_whatever_the_verdict(gf_usd, sheet, odd, tmp_path):
+    refused = gf_usd("inspect", sheet, "--json")
+    assert refused.status == 3
+    out = json.loads(refused.out)
     assert out["bakeable"] is False
-    assert (
-        refused.stderr == f"error: {out['refusal']['message']}\n\nhint: {out['refusal']['hint']}\n"
-    )
-    fine = gf_usd(tmp_path, "inspect", odd, "--json", *FEW)
-    assert (fine.returncode, fine.stderr) == (0, "")
-    assert json.loads(fine.stdout)["bakeable"] is True
+    assert refused.err == f"error: {out['refusal']['message']}\n\nhint: {out['refusal']['hint']}\n"
+    fine = gf_usd("inspect", odd, "--json", *FEW)
+    assert (fine.status, fine.err) == (0, "")
+    assert json.loads(fine.out)["bakeable"] is True
 
 
-def test_a_file_that_cannot_be_read_is_json_too(tmp_path):
-    done = gf_usd(tmp_path, "inspect", "none.usda", "--json")
-    assert done.returncode == 3
-    out = json.loads(done.stdout)
+def test_a_file_that_cannot_be_read_is_json_too(gf_usd, tmp_path):
+    done = gf_usd("inspect", "none.usda", "--json")
+    assert done.status == 3
+    out = json.loads(done.out)
     assert (out["file"], out["bakeable"]) == ("none.usda", False)
     assert "does not exist" in out["refusal"]["message"]
 
 
-def test_wrong_options_are_wrong_usage(tmp_path):
-    done = gf_usd(tmp_path, "inspect", DUCK, "--particles", "0")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "--particles is 0" in done.stderr
+def test_wrong_options_are_wrong_usage(gf_usd, tmp_path):
+    done = gf_usd("inspect", DUCK, "--particles", "0")
+    assert (done.status, done.out) == (2, "")
+    assert "--particles is 0" in done.err
 
 
-def test_oddities_and_what_to_do_about_them(odd, tmp_path):
-    done = gf_usd(tmp_path, "inspect", odd, *FEW)
-    assert done.returncode == 0
-    assert "inside out  filled" in done.stdout
-    assert "rides along" in done.stdout
-    assert "</Root/Box> is filled in spite of 1 of 1 shell inside out" in done.stdout
-    assert "with --meters-per-unit 0.01 it would be 1.2 m" in done.stdout
+def test_oddities_and_what_to_do_about_them(gf_usd, odd, tmp_path):
+    done = gf_usd("inspect", odd, *FEW)
+    assert done.status == 0
+    assert "inside out  filled" in done.out
+    assert "rides along" in done.out
+    assert "</Root/Box> is filled in spite of 1 of 1 shell inside out" in done.out
+    assert "with --meters-per-unit 0.01 it would be 1.2 m" in done.out
     options = ["--repair", "--meters-per-unit", "0.01"]
-    mended = gf_usd(tmp_path, "inspect", odd, *options, *FEW)
-    assert "repaired for the fill: turned 1 part that faced the wrong way" in mended.stdout
-    assert "1 unit = 0.01 m (as asked)" in mended.stdout
-    assert "warning" not in mended.stdout
+    mended = gf_usd("inspect", odd, *options, *FEW)
+    assert "repaired for the fill: turned 1 part that faced the wrong way" in mended.out
+    assert "1 unit = 0.01 m (as asked)" in mended.out
+    assert "warning" not in mended.out
 
 
-def test_bake_repairs_and_reports_it(odd, tmp_path):
+def test_bake_repairs_and_reports_it(gf_usd, odd, tmp_path):
     sizes = ["--particles", "300", "--frames", "2"]
-    done = gf_usd(tmp_path, "bake", odd, "--repair", *sizes)
-    assert done.returncode == 0, done.stderr
+    done = gf_usd("bake", odd, "--repair", *sizes)
+    assert done.status == 0, done.err
     report = json.loads((tmp_path / "odd.rubber.report.json").read_text(encoding="utf-8"))
     assert any("turned 1 part" in note for note in report["notes"])
     assert "--repair" in report["command"]

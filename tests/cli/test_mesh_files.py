@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,11 +13,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 SIZES = ["--particles", "300", "--frames", "2", "-q"]
 
 
-def gf_usd(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "gf_usd", *map(str, arguments)],
-        cwd=folder, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+@pytest.fixture(autouse=True)
+def in_the_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
@@ -41,15 +37,16 @@ def glb(tmp_path):
     return path
 
 
-def test_a_textured_glb_from_file_to_layers(glb, tmp_path):
+def test_a_textured_glb_from_file_to_layers(gf_usd, glb, tmp_path, monkeypatch):
     out = tmp_path / "out"
     out.mkdir()
-    dry = gf_usd(out, "bake", glb, *SIZES[:4], "--dry-run", "--json")
-    assert dry.returncode == 0, dry.stderr
+    monkeypatch.chdir(out)
+    dry = gf_usd("bake", glb, *SIZES[:4], "--dry-run", "--json")
+    assert dry.status == 0, dry.err
     assert list(out.iterdir()) == []
-    planned = json.loads(dry.stdout)["outputs"]
-    done = gf_usd(out, "bake", glb, *SIZES)
-    assert done.returncode == 0, done.stderr
+    planned = json.loads(dry.out)["outputs"]
+    done = gf_usd("bake", glb, *SIZES)
+    assert done.status == 0, done.err
     written = sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file())
     assert written == sorted(planned)
     assert "toy.source.usdc" in written
@@ -70,31 +67,31 @@ def test_a_textured_glb_from_file_to_layers(glb, tmp_path):
     assert (colours[:, 2] > 0.5).mean() > 0.3
 
 
-def test_bakes_of_one_file_share_its_layer(tmp_path):
+def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):
     path = tmp_path / "box.obj"
     path.write_text(trimesh.creation.box((0.2, 0.4, 0.6)).export(file_type="obj"))
-    assert gf_usd(tmp_path, "bake", path, *SIZES, "--meters-per-unit", "0.5").returncode == 0
+    assert gf_usd("bake", path, *SIZES, "--meters-per-unit", "0.5").status == 0
     source = tmp_path / "box.source.usdc"
     before = source.read_bytes()
-    again = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "jelly", "--meters-per-unit", "0.5")
-    assert again.returncode == 0, again.stderr
+    again = gf_usd("bake", path, *SIZES, "-m", "jelly", "--meters-per-unit", "0.5")
+    assert again.status == 0, again.err
     assert source.read_bytes() == before
     stage = Usd.Stage.Open(str(tmp_path / "box.jelly.usda"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
-    other = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "metal", "--up-axis", "Z")
-    assert other.returncode == 2
-    assert "box.source.usdc exists already, and was not made of this file" in other.stderr
+    other = gf_usd("bake", path, *SIZES, "-m", "metal", "--up-axis", "Z")
+    assert other.status == 2
+    assert "box.source.usdc exists already, and was not made of this file" in other.err
     assert not (tmp_path / "box.metal.usda").exists()
-    forced = gf_usd(tmp_path, "bake", path, *SIZES, "-m", "metal", "--up-axis", "Z", "--overwrite")
-    assert forced.returncode == 0, forced.stderr
+    forced = gf_usd("bake", path, *SIZES, "-m", "metal", "--up-axis", "Z", "--overwrite")
+    assert forced.status == 0, forced.err
     # this process has the earlier layer open and would show that
     assert Sdf.Layer.OpenAsAnonymous(str(source)).pseudoRoot.GetInfo("upAxis") == "Z"
 
 
-def test_a_refused_file_leaves_nothing(tmp_path):
+def test_a_refused_file_leaves_nothing(gf_usd, tmp_path):
     path = tmp_path / "broken.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")
-    refused = gf_usd(tmp_path, "bake", path, *SIZES)
-    assert refused.returncode == 3
-    assert "broken.obj, line 4: the face names v 4, and there are 3" in refused.stderr
+    refused = gf_usd("bake", path, *SIZES)
+    assert refused.status == 3
+    assert "broken.obj, line 4: the face names v 4, and there are 3" in refused.err
     assert [p.name for p in tmp_path.iterdir()] == ["broken.obj"]

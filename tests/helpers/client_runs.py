@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from client_assets import time_codes
 
-PROBES = Path(__file__).parent / "probes"
+PROBES = Path(__file__).parents[1] / "clients" / "probes"
 ROOT = Path(__file__).resolve().parents[2]
 # where tools/clients.py installed to
 INTO = Path(os.environ.get("GF_USD_CLIENTS") or ROOT / ".clients").resolve()

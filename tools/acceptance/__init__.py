@@ -1,1 +1,1 @@
-"""What takes too long for every commit: does the program last, recover and stay accurate?"""
+"""Long acceptance runs: endurance, recovery and accuracy."""

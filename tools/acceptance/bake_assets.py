@@ -1,4 +1,4 @@
-"""Bake every asset of a folder with few particles and frames, and say what became of each.
+"""Bake every asset of a folder with few particles and frames, and list the results.
 
     python -m tools.acceptance.bake_assets FOLDER [--write FILE.md] [--particles N] [--frames N]
 
@@ -109,7 +109,7 @@ def _checked(result: dict[str, object]) -> tuple[str, str]:
 
 def _reason(stderr: str, path: Path, folder: Path) -> str:
     """Message and hint on one line, with the asset by its name."""
-    text = stderr.strip() or "no word"
+    text = stderr.strip() or "no message"
     for long in (f"{path.absolute()}", f"{path}", f"{folder.absolute()}/", f"{folder}/"):
         text = text.replace(long, path.name if long.endswith(path.name) else "")
     found = re.search(r"error: (.*?)\n\s*hint: (.*)", text, re.DOTALL)

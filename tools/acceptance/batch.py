@@ -1,4 +1,4 @@
-"""A batch through a bad night: killed bakes, a damaged asset, a full disk, SIGTERM, kill -9.
+"""A batch with injected failures: killed bakes, a damaged asset, a full disk, SIGTERM, kill -9.
 
     python -m tools.acceptance.batch [--json] [--seeds N] [--few N] [--only local,dask,openjd]
 
@@ -125,7 +125,7 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
 
     second = session(bundle, kill)
     wrong = set(first.jobs("done")) & set(second.begun)
-    claim("the second run baked none that was done", sorted(wrong), not wrong)
+    claim("the second run baked no finished job again", sorted(wrong), not wrong)
     twice = sorted({job for job in second.begun if second.begun.count(job) > 1})
     claim(
         "a bake that was killed was baked again",
@@ -133,11 +133,11 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
         bool(done.get("killed")) and len(twice) == 1,
     )
     failed = [line for line in second.lines if "openjd_fail: " in line]
-    claim("a damaged asset failed its task, in words", failed[-1:] and failed[-1][-120:],
+    claim("a damaged asset failed its task with a message", failed[-1:] and failed[-1][-120:],
           len(failed) == 1 and second.jobs("refused") == ["corrupt.rubber"])  # fmt: skip
     claim(f"results of {good + 1} jobs", len(results(out)), len(results(out)) == good)
     third = session(bundle)
-    claim("a run after all is done bakes only what cannot be", sorted(third.begun),
+    claim("a final run attempts only the damaged jobs", sorted(third.begun),
           third.begun == ["corrupt.rubber"])  # fmt: skip
     faults = broken(out)
     claim(f"check of {good} results", faults or "no errors", not faults)
@@ -159,7 +159,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
     with tmpfs(out, SMALL) as enlarge:
         first = run(words, lambda r, e: _full_disk_kill_and_term(r, e, out, enlarge))
         disk = [e for e in first.ended("failed") if "space" in json.dumps(e)]
-        claim("jobs that met the full disk failed and said so", len(disk), len(disk) >= FULL)
+        claim("jobs on the full disk failed and reported it", len(disk), len(disk) >= FULL)
         crashed = [e for e in first.events if e["event"] == "retry" and "SIGKILL" in e["why"]]
         again = {e["job"] for e in crashed} & {e["job"] for e in first.ended("done")}
         claim("a bake that was killed was baked again", sorted(again), len(again) == 1)
@@ -176,19 +176,19 @@ def local(folder: Path, seeds: int) -> list[Claim]:
               gone is not None)  # fmt: skip
         kept = {e["job"] for e in first.ended("done")}
         wrong = kept & set(second.begun)
-        claim("the second run baked none that was done", sorted(wrong), not wrong)
+        claim("the second run baked no finished job again", sorted(wrong), not wrong)
 
         third = run(words)
-        claim("a damaged asset failed alone", third.counts,
+        claim("only the damaged asset failed", third.counts,
               third.counts.get("refused") == 2 and set(third.counts) <= {"done", "kept", "refused"}
               and third.process.returncode == 1)  # fmt: skip
         done = kept | {e["job"] for e in second.ended("done")}
         wrong = done & set(third.begun)
-        claim("the third run baked none that was done", sorted(wrong), not wrong)
+        claim("the third run baked no finished job again", sorted(wrong), not wrong)
         claim(f"results of {good + 2} jobs", len(results(out)), len(results(out)) == good)
 
         fourth = run(words)
-        claim("a run after all is done bakes only what cannot be", sorted(fourth.begun),
+        claim("a final run attempts only the damaged jobs", sorted(fourth.begun),
               sorted(fourth.begun) == [f"corrupt.rubber.seed{i}" for i in range(2)])  # fmt: skip
         faults = broken(out)
         claim(f"check of {good} results", faults or "no errors", not faults)
@@ -246,16 +246,16 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
         claim("SIGTERM: seconds until no bake was left", figure(left), left is not None)
         second = run(words)
         twice = [job for job, n in first.begun.items() if n > 1]
-        claim("a job of the dead worker was begun again", twice, bool(twice))
+        claim("a job of the dead worker was started again", twice, bool(twice))
         kept = {e["job"] for e in first.ended("done")}
         wrong = kept & set(second.begun)
-        claim("the second run baked none that was done", sorted(wrong), not wrong)
-        claim("a damaged asset failed alone", second.counts,
+        claim("the second run baked no finished job again", sorted(wrong), not wrong)
+        claim("only the damaged asset failed", second.counts,
               second.counts.get("refused") == 1
               and set(second.counts) <= {"done", "kept", "refused"})  # fmt: skip
         claim(f"results of {good + 1} jobs", len(results(out)), len(results(out)) == good)
         third = run(words)
-        claim("a run after all is done bakes only what cannot be", sorted(third.begun),
+        claim("a final run attempts only the damaged jobs", sorted(third.begun),
               sorted(third.begun) == ["corrupt.rubber"])  # fmt: skip
     faults = broken(out)
     claim(f"check of {good} results", faults or "no errors", not faults)

@@ -1,4 +1,4 @@
-"""Running ``gf-usd batch`` for the acceptance, and interfering with it as a bad night would."""
+"""Runs of ``gf-usd batch`` for the acceptance, with injected failures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Long bakes that must stay sound: finite, bounded, never redone.
+"""Long bakes that must stay sound: finite, bounded, without recomputed frames.
 
     python -m tools.acceptance.endurance [--json] [--frames-scale X] [--particles N]
 

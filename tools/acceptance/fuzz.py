@@ -1,8 +1,8 @@
-"""Break small files by seed and read them in child processes: `python -m tools.acceptance.fuzz`.
+"""Mutate small files by seed and read each in a child process: `python -m tools.acceptance.fuzz`.
 
 With --options no file is broken: options of a bake, right and wrong, are combined and planned.
-Exit status 1 where a reader crashed, hung, ate
-memory or raised an error that is not ours; the files that did it are kept in --keep.
+Exit status 1 if a reader crashed, hung, used
+too much memory or raised an error that is not ours; --keep keeps such files.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Every sample ten times, jittered in seed, place and parameters: all must be sound.
+"""Every sample ten times with random seed, position and parameters: all must be sound.
 
     python -m tools.acceptance.jitter [--json] [--runs N] [--seed S] [--keep FOLDER]
 

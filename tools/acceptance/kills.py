@@ -1,4 +1,4 @@
-"""kill -9 at random moments of a bake: whole files at each, and the same bits after --resume.
+"""kill -9 at random moments of a bake: complete files at each, identical bits after --resume.
 
     python -m tools.acceptance.kills [--json] [--kills N] [--seed S]
 

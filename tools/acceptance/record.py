@@ -113,8 +113,8 @@ def page(records: Sequence[dict[str, Any]]) -> str:
     lines = [
         "# Acceptance",
         "",
-        "Long runs, by `python tools/acceptance.py`.  The newest of each section; the last of"
-        " each day is kept in `docs/acceptance/` with all its figures.",
+        "The newest run of each section of `python tools/acceptance.py`.  The last run of each day"
+        " is kept in `docs/acceptance/` with all its figures.",
     ]
     for r in records:
         outcome = r["outcome"]

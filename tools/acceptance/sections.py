@@ -1,4 +1,4 @@
-"""Run what takes too long for every commit, and write down what came out.
+"""Run the long acceptance sections, and record the results.
 
     python tools/acceptance.py [--only SECTION]... [--page]
 
@@ -87,7 +87,7 @@ def read_endurance(done: subprocess.CompletedProcess[str]) -> Outcome:
         )
     runs = json.loads(done.stdout.splitlines()[-1])["runs"]
     bad = [r["name"] for r in runs if not r["sound"]]
-    head = ("run", "frames", "redone", "inside out", "farthest [r]", "motion at the end", "verdict")
+    head = ("run", "frames", "repeated", "inverted", "farthest [r]", "motion at the end", "verdict")
     rows = [
         (
             r["name"],
@@ -134,7 +134,7 @@ def read_kills(done: subprocess.CompletedProcess[str]) -> Outcome:
     for phase, words in (
         ("start", "before the first clip"),
         ("clips", "after a clip, before the last one"),
-        ("results", "after the last clip, while the results get their names"),
+        ("results", "after the last clip, while the results are renamed"),
     ):
         of = [k for k in kills if k["target"]["phase"] == phase]
         clips = [k["clips"] for k in of]
@@ -195,7 +195,7 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
     return Outcome(
         passed=done.returncode == 0 and not bad,
         summary=f"{len(tree['runs']) - len(bad)} of {len(tree['runs'])} jittered bakes were"
-        " without a finding of check, and without a warning that the scene as it is has not",
+        " without a finding of check, and without a warning that the original scene does not have",
         table=(head, *rows),
         data=tree,
     )
@@ -203,12 +203,12 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
 
 SECTIONS: dict[str, Section] = {
     "batch": Section(
-        title="A batch through a bad night",
+        title="A batch with injected failures",
         command=("python", "-m", "tools.acceptance.batch", "--json"),
         read=read_batch,
     ),
     "jitter": Section(
-        title="Samples, jittered",
+        title="Randomized samples",
         command=("python", "-m", "tools.acceptance.jitter", "--json"),
         read=read_jitter,
     ),

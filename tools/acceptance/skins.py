@@ -278,8 +278,8 @@ def tables() -> str:
     bodies = [Body(name) for name in SAMPLES]
     lines = [line for body in bodies for line in compare(body)]
     lines += [
-        "The power of `idw`: the same maps, and the body at rest with its particles displaced at",
-        f"random by a standard deviation of {NOISE:g} spacings along each axis.",
+        "The power of `idw`, for the same maps and for the body at rest with its particles",
+        f"displaced at random by a standard deviation of {NOISE:g} spacings along each axis.",
         "",
     ]
     return "\n".join([*lines, *(line for body in bodies for line in powers(body))])

@@ -78,7 +78,7 @@ def pages(record: dict[str, Any]) -> dict[Path, str]:
     lines = [
         "# Verification",
         "",
-        "What the solver was compared with, what came out, and where each bound comes from.  Made"
+        "All verification cases with reference, figures and the reason of each bound.  Made"
         f" by `tools/acceptance/verify_page.py` from the run of {record['date'][:10]} (commit"
         f" `{state}`, {record['machine']}, {record['seconds']:.0f} s):"
         f" {record['outcome']['summary']}.  `gf-usd verify` runs the quick form of the same cases,"

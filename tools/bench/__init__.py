@@ -1,1 +1,1 @@
-"""What gf-usd costs, beside other solvers and by itself."""
+"""Benchmarks of gf-usd, alone and compared with other solvers."""

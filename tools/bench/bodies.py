@@ -1,4 +1,4 @@
-"""What contact between bodies costs: rows of balls that run into each other, 2 and 4 of them.
+"""The cost of contact between bodies: rows of 2 and 4 balls that collide.
 
     python -m tools.bench.bodies
 

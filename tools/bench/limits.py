@@ -1,4 +1,4 @@
-"""What the machine itself can do: bytes from memory and multiplications, in Taichi's own code.
+"""Limits of the machine: memory bandwidth and multiplications, measured in Taichi.
 
 The triad a = b + k c runs over three arrays of 64 MiB, beyond any cache here, eight numbers at a
 time: number by number Taichi's loop is bound by its indices, not by memory (measured: 9 GB/s where

@@ -1,4 +1,4 @@
-"""How much memory a long cache takes: frames of particles that nothing simulates, written in turn.
+"""Memory of writing a long cache: frames of particles without a simulation.
 
     python -m tools.bench.long_cache --particles 100000 --frames 1000 --folder /big/disk
 

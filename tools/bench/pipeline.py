@@ -1,4 +1,4 @@
-"""What each stage of a bake costs in CPU time and memory: the tables of docs/performance.md.
+"""CPU time and memory of each stage of a bake: the tables of docs/performance.md.
 
     python -m tools.bench.pipeline --particles 10000
     python -m tools.bench.pipeline --particles 10000 --points 1000000

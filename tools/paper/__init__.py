@@ -1,1 +1,1 @@
-"""The experiments of the GaussianFlesh paper, run again and set beside its figures."""
+"""The experiments of the GaussianFlesh paper, repeated and compared with its figures."""

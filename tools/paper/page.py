@@ -1,6 +1,6 @@
-"""docs/reproduction.md from the results of `python -m tools.paper`: no figure of it is typed in.
+"""docs/reproduction.md from the results of `python -m tools.paper`: no figure is typed by hand.
 
-The paper's tables stand here as printed, and ours are put beside them.
+It has the paper's tables as printed, next to ours.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def table_3(tables: Mapping[str, Runs]) -> str:
 
 
 def fixed_points(tables: Mapping[str, Runs]) -> list[str]:
-    """Whether the least J comes to a standstill, seed by seed."""
+    """Whether the least J becomes constant, seed by seed."""
     out = []
     for key, name in (("tl", "TL"), ("ul", "UL")):
         runs = [s for s in tables["table 3"][key] if not s.failed]
@@ -145,7 +145,7 @@ def fixed_points(tables: Mapping[str, Runs]) -> list[str]:
         still = sum(f["deviation"] < STILL for f in found)
         low, high = (f([x["deviation"] for x in found]) for f in (min, max))
         out.append(
-            f"- {name}: the least J stands still to {STILL:g} in {still} of {len(found)} seeds over"
+            f"- {name}: the least J is constant to {STILL:g} in {still} of {len(found)} seeds over"
             f" the last {LAST} frames; its deviation there is {low:.2g} to {high:.2g}, its mean"
             f" {spread_of([f['mean'] for f in found])}."
         )
@@ -163,7 +163,7 @@ def drift_lines(tables: Mapping[str, Runs]) -> list[str]:
 
 
 def speeds(tables: Mapping[str, Runs]) -> str:
-    """Milliseconds a frame of every look."""
+    """Milliseconds per frame of every preset."""
     rows = [
         [look, MILLISECONDS, spread_of([s.milliseconds for s in runs], 2)]
         for look, runs in tables["table 1"].items()
@@ -192,7 +192,7 @@ def laws(tables: Mapping[str, Runs]) -> str:
 
 
 def trouble(tables: Mapping[str, Runs]) -> list[str]:
-    """Runs that ended early, and how often frames were redone."""
+    """Runs that ended early, and how often frames were recomputed."""
     out = []
     for table, keys in tables.items():
         for key, runs in keys.items():
@@ -204,7 +204,9 @@ def trouble(tables: Mapping[str, Runs]) -> list[str]:
                     f" {ended[0].failed.split(',')[0]}."
                 )
             elif redone:
-                out.append(f"- {table}, {key}: frames were redone {redone} times with half a step.")
+                out.append(
+                    f"- {table}, {key}: frames were recomputed {redone} times with half a step."
+                )
     return out or ["- None."]
 
 
