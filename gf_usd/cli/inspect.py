@@ -56,12 +56,12 @@ def inspect(
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """
-    from gf_usd.pipeline.inspect import inspect as look
+    from gf_usd.pipeline.inspect import inspect as inspect_asset
     from gf_usd.system.sandbox import parse_limits
 
     bounds = parse_limits(limits)
     try:
-        seen = look(
+        seen = inspect_asset(
             asset, material=material, prims=prim or (), repair=repair,
             meters_per_unit=meters_per_unit, up_axis=up_axis, particles=particles,
             spacing=spacing, frames=frames, fps=fps, start=start, drop=drop, solver=solver,

@@ -26,7 +26,7 @@ class Outputs:
     """Where a bake writes."""
 
     root: Path
-    caches: tuple[Path, ...]  # one for each look
+    caches: tuple[Path, ...]  # one for each variant
     report: Path
     source: Path | None = None  # USD layer of an asset that is not USD
     textures: tuple[Path, ...] = ()  # pictures that were inside it
@@ -41,7 +41,7 @@ class Outputs:
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
-        """Where an unfinished bake can be gone on from, one for each look."""
+        """Where an unfinished bake can be gone on from, one for each variant."""
         stems = (cache.name.removesuffix(".cache.usdc") for cache in self.caches)
         return tuple(self.root.with_name(f"{stem}.checkpoint.npz") for stem in stems)
 
@@ -63,21 +63,21 @@ class Outputs:
 
 
 def outputs(
-    source: Path, looks: Sequence[str], output: str | None, flatten: bool = False
+    source: Path, variants: Sequence[str], output: str | None, flatten: bool = False
 ) -> Outputs:
-    """Names of the results; looks are the names of the variants.
+    """Names of the results; variants are their names.
 
     `-o` names the root layer, or a folder if it ends in / or is one; default: the current folder.
-    One look: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
+    One variant: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
     duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
     duck.source.usdc, which all bakes of it share.  Flattened, or named .usdz, a bake is one file.
 
     Raises UsageError for names that collide, with each other or with the asset.
     """
-    _require_names(looks)
+    _require_names(variants)
     if output is not None and "\0" in output:
         raise UsageError("-o holds a null character, which no path has", "choose another -o")
-    name = f"{source.stem}.{'-'.join(looks)}.{'usdc' if flatten else 'usda'}"
+    name = f"{source.stem}.{'-'.join(variants)}.{'usdc' if flatten else 'usda'}"
     if output is None:
         root = Path(name)
     elif output.endswith("/") or Path(output).is_dir():
@@ -90,14 +90,14 @@ def outputs(
                 f"name it {root.name}.usda, or end a folder's name in /",
             )
     flat = flatten or root.suffix == ".usdz"
-    if flat and len(looks) > 1:
+    if flat and len(variants) > 1:
         raise UsageError(
-            f"{root.name} would be one file for {len(looks)} materials: {', '.join(looks)}",
+            f"{root.name} would be one file for {len(variants)} materials: {', '.join(variants)}",
             "a flattened bake holds one material: bake them one by one, or write layers",
         )
     stem = root.name[: -len(root.suffix)]
     is_usd = source.suffix.lower() in USD
-    parts = ("",) if len(looks) == 1 else tuple(f".{look}" for look in looks)
+    parts = ("",) if len(variants) == 1 else tuple(f".{variant}" for variant in variants)
     files = Outputs(
         root=root,
         caches=tuple(root.with_name(f"{stem}{part}.cache.usdc") for part in parts),
@@ -115,17 +115,17 @@ def outputs(
     return files
 
 
-def _require_names(looks: Sequence[str]) -> None:
+def _require_names(variants: Sequence[str]) -> None:
     """Raise UsageError where two variants, and so their caches, would have one name."""
-    for look in looks:
-        if looks.count(look) > 1:
+    for variant in variants:
+        if variants.count(variant) > 1:
             raise UsageError(
-                f"--material has {looks.count(look)} materials named {look!r}",
+                f"--material has {variants.count(variant)} materials named {variant!r}",
                 "name each once; a material of a file is called after its prim",
             )
-        if look == SOURCE_VARIANT:
+        if variant == SOURCE_VARIANT:
             raise UsageError(
-                f"a material is named {look!r}, which is the variant that shows the source",
+                f"a material is named {variant!r}, which is the variant that shows the source",
                 "give its prim another name",
             )
 
@@ -250,16 +250,16 @@ class SplatSequence:
 
 
 def sequences(
-    stem: str, looks: Sequence[str], *, ply: str | None, spz: str | None
+    stem: str, variants: Sequence[str], *, ply: str | None, spz: str | None
 ) -> tuple[tuple[SplatSequence, ...], ...]:
-    """The sequences of each look; none where no folder is given."""
+    """The sequences of each variant; none where no folder is given."""
     asked = [(folder, suffix) for folder, suffix in ((ply, "ply"), (spz, "spz")) if folder]
     return tuple(
         tuple(
-            SplatSequence(folder=Path(folder), stem=f"{stem}.{look}", suffix=suffix)
+            SplatSequence(folder=Path(folder), stem=f"{stem}.{variant}", suffix=suffix)
             for folder, suffix in asked
         )
-        for look in looks
+        for variant in variants
     )
 
 

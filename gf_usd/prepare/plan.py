@@ -30,7 +30,7 @@ from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 TWO_WAY = ("wls",)  # flags whose "no" overrides a preset
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Variant:
     """One of the bakes of a plan, which is a variant of the root layer."""
 
@@ -89,13 +89,7 @@ class Plan:
             self.sequences or [()] * len(self.materials),
             strict=True,
         )
-        return tuple(
-            Variant(
-                material=material, table=table, settings=settings, cache=cache,
-                checkpoint=checkpoint, sequences=files,
-            )
-            for material, table, settings, cache, checkpoint, files in rows
-        )  # fmt: skip
+        return tuple(Variant(*row) for row in rows)
 
     @property
     def points(self) -> dict[str, Floats]:

@@ -65,7 +65,7 @@ def test_a_memory_that_is_too_small_is_refused_before_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(budget, "free_memory", lambda: 1e6)
-    monkeypatch.setattr(budget, "_swap", lambda: 0.0)
+    monkeypatch.setattr(budget, "free_swap", lambda: 0.0)
     with pytest.raises(InputError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=4)
     assert "GB of memory, and 0.001 GB are free" in caught.value.message
@@ -107,7 +107,7 @@ def test_want_of_memory_ends_the_bake_at_its_last_frame(
     def others(done: int, total: int) -> None:
         if done == 3:
             monkeypatch.setattr(budget, "free_memory", lambda: 1e6)
-            monkeypatch.setattr(budget, "_swap", lambda: 0.0)
+            monkeypatch.setattr(budget, "free_swap", lambda: 0.0)
 
     with pytest.raises(BakeError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=6, progress=others)
