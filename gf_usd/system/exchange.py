@@ -49,7 +49,9 @@ class _Writer:
     def __init__(self) -> None:
         self.arrays: list[np.ndarray] = []
         self.objects: list[tuple[str, str, dict[str, Any]]] = []  # module, name, fields
-        self._seen: dict[int, tuple[Any, dict[str, int]]] = {}  # holds the object: its id is its own
+        self._seen: dict[
+            int, tuple[Any, dict[str, int]]
+        ] = {}  # holds the object: its id is its own
 
     def encode(self, value: Any) -> Any:
         """JSON for a value: plain ones as they are, the rest as {kind: content}."""

@@ -210,9 +210,7 @@ def _replaced(
     index = _rows(gltf, where, at, dtype, count, 1, 1)[:, 0]
     new = _rows(gltf, where, values, base.dtype, count, rows, columns)
     if count and int(index.max()) >= len(base):
-        raise InputError(
-            f"{where} replaces row {int(index.max())} of {len(base)}", REPAIR
-        )
+        raise InputError(f"{where} replaces row {int(index.max())} of {len(base)}", REPAIR)
     out = base.copy()
     out[index] = new
     return out
@@ -226,9 +224,7 @@ def _is_compressed(gltf: Gltf, row: dict[str, Any]) -> bool:
     return not all("bufferView" in accessor for accessor in plain)
 
 
-def _decompressed(
-    gltf: Gltf, where: str, row: dict[str, Any]
-) -> tuple[dict[str, Floats], Ints]:
+def _decompressed(gltf: Gltf, where: str, row: dict[str, Any]) -> tuple[dict[str, Floats], Ints]:
     """Attributes by glTF name and corners (C,) of a primitive that Draco compressed."""
     try:
         import DracoPy

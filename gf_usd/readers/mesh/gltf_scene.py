@@ -149,8 +149,6 @@ def _joined(
     return np.concatenate(rows)
 
 
-
-
 FLOAT = 5126
 
 
