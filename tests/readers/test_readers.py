@@ -1,5 +1,6 @@
 """What cannot be read is refused in words; readers are found by suffix, and late."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 from gf_usd.cli.bake import bake
 from gf_usd.core.errors import InputError
 from gf_usd.readers import read_asset
-from gf_usd.readers.formats import SUFFIXES
+from gf_usd.readers.formats import FORMATS, MESH, PROGRAM, SPLATS, SUFFIXES, USD, format_of
 
 
 def test_missing_file_names_its_neighbours(tmp_path):
@@ -60,7 +61,8 @@ def test_every_format_has_a_reader_and_is_told_of(row):
     guide = (Path(__file__).parents[2] / "docs" / "guide.md").read_text(encoding="utf-8")
     for suffix in row.suffixes:
         assert f"`{suffix}`" in guide
-        assert suffix[1:] in " ".join((bake.__doc__ or "").split())
+        if row.kind in (MESH, PROGRAM):
+            assert suffix[1:] in re.findall(r"\w+", bake.__doc__ or "")
 
 
 def test_a_suffix_may_be_of_meshes_and_of_splats():
