@@ -262,6 +262,13 @@ def test_a_module_of_the_folder_it_runs_in_is_not_imported(tmp_path: Path, monke
     assert attempt(file, "isolated_tasks:same", Limits(), 1) == (1,)
 
 
+def test_arguments_may_be_longer_than_a_command_line(tmp_path: Path) -> None:
+    file = tmp_path / "a.usda"
+    file.write_text("#usda 1.0\n")
+    many = tuple(f"/Root/prim_{number}" for number in range(100_000))
+    assert attempt(file, "isolated_tasks:same", Limits(), many) == (many,)
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".obj"])
 def test_what_a_child_returns_is_what_is_read_here(tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"box{suffix}"
