@@ -64,8 +64,8 @@ def test_a_disk_that_is_too_small_is_refused_before_work(disk: Path) -> None:
 def test_a_memory_that_is_too_small_is_refused_before_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory_and_disk, "free_memory", lambda: 1e6)
-    monkeypatch.setattr(memory_and_disk, "_swap", lambda: 0.0)
+    monkeypatch.setattr(budget, "free_memory", lambda: 1e6)
+    monkeypatch.setattr(budget, "_swap", lambda: 0.0)
     with pytest.raises(InputError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=4)
     assert "GB of memory, and 0.001 GB are free" in caught.value.message
@@ -106,8 +106,8 @@ def test_want_of_memory_ends_the_bake_at_its_last_frame(
 
     def others(done: int, total: int) -> None:
         if done == 3:
-            monkeypatch.setattr(memory_and_disk, "free_memory", lambda: 1e6)
-            monkeypatch.setattr(memory_and_disk, "_swap", lambda: 0.0)
+            monkeypatch.setattr(budget, "free_memory", lambda: 1e6)
+            monkeypatch.setattr(budget, "_swap", lambda: 0.0)
 
     with pytest.raises(BakeError) as caught:
         gf_usd.bake(SAMPLE, output=f"{tmp_path}/", **FEW, frames=6, progress=others)
@@ -119,8 +119,8 @@ def test_want_of_memory_ends_the_bake_at_its_last_frame(
 # The disk says that it has room, and has none: what a quota does.
 LYING = """
 import sys
-from gf_usd import room
-room.free_disk = lambda folder: 1e12
+from gf_usd.pipeline import budget
+budget.free_disk = lambda folder: 1e12
 {more}
 from gf_usd.cli.main import run
 sys.argv = ["gf-usd", "bake", {asset!r}, "-o", {out!r}, "--particles", "200", "--frames", "200",

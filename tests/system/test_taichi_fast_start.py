@@ -49,7 +49,7 @@ def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
 
 MANY_WAYS = """
 import sys
-from gf_usd import runtime
+from gf_usd.system import taichi_runtime as runtime
 
 if sys.argv[1] == "plain":
     runtime.quicken = lambda: None
