@@ -1,4 +1,4 @@
-"""Sums over the three numbers of each row of a long array, taken column by column.
+"""Arrays of three numbers a row: their types, and sums over each row taken column by column.
 
 NumPy reduces an axis of three with a loop for every row, which takes several times as long.
 """
@@ -27,6 +27,11 @@ def corners(rows: Floats) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest (3,) of rows (n, 3)."""
     of = columns(rows)
     return of.min(1), of.max(1)
+
+
+def triple(values: Any) -> tuple[float, float, float]:
+    """The first three of some numbers as Python's."""
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 Floats = NDArray[Any]  # of any width: files hold float32, the solver's bookkeeping float64

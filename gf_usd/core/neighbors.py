@@ -1,8 +1,8 @@
 """What is near each other, and what hangs together: SciPy's searches where they are worth it.
 
-Importing `scipy.sparse` takes 0.2 CPU seconds and its graphs and `scipy.spatial` 0.15 more, as long
-as a small body takes to be read, filled and set up.  So they are imported where they are used, and what is few is
-found without them, to the bit as they find it.
+Importing `scipy.sparse` takes 0.2 CPU seconds, its graphs and `scipy.spatial` 0.15 more, as long as
+a small body takes to be read, filled and set up.  So they are imported where they are used, and
+what is few is found without them, to the bit as they find it.
 
 Derivatives at scattered points by least squares over neighbours, as one sparse operator.
 

@@ -26,8 +26,8 @@ from typing import Any
 from pxr import Gf, Sdf, Tf, Usd, Vt
 
 from gf_usd.core.errors import BakeError
-from gf_usd.layers.stage import VARIANT_SET, asset_path, new_layer, refresh, save
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.layers.stage import VARIANT_SET, new_layer, refresh, save
+from gf_usd.system.atomic_files import asset_path, partial_path, publish
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
 MANIFEST = "manifest.usda"

@@ -21,9 +21,9 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import Choices
 from gf_usd.layers.root import RootSummary
-from gf_usd.layers.stage import asset_path, find_home, open_source
+from gf_usd.layers.stage import find_home, open_source
 from gf_usd.layers.variants import hidden
-from gf_usd.system.atomic_files import partial_path
+from gf_usd.system.atomic_files import asset_path, partial_path
 
 PACKAGE = ".usdz"
 NOWHERE = "nowhere"

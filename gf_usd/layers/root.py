@@ -35,7 +35,6 @@ from gf_usd.layers.retarget import repeat_edits, restore_rest
 from gf_usd.layers.stage import (
     VARIANT_SET,
     Home,
-    asset_path,
     author_facts,
     clock,
     find_home,
@@ -54,7 +53,7 @@ from gf_usd.layers.variants import (
     free_display_set,
 )
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import asset_path, partial_path, publish
 
 # metadata of the root layer that is not the source's to say, or that only holds for its own layer
 OWN = {

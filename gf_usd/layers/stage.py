@@ -6,7 +6,6 @@ NumPy arrays as USD's own.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,15 +172,6 @@ def refresh(path: Path) -> None:
     layer = Sdf.Layer.Find(str(path.absolute()))
     if layer:
         layer.Reload(force=True)
-
-
-def asset_path(target: Path, folder: Path) -> str:
-    """``target`` as a layer in ``folder`` refers to it: relative where the drive allows it."""
-    try:
-        relative = Path(os.path.relpath(target.absolute(), folder.absolute())).as_posix()
-    except ValueError:  # another drive on Windows
-        return target.absolute().as_posix()
-    return relative if relative.startswith("../") else f"./{relative}"
 
 
 def to_metadata(value: Any) -> Any:

@@ -18,8 +18,9 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import SOURCE_VARIANT as NONE
 from gf_usd.core.frames import BakeInfo, Choices
-from gf_usd.layers.stage import VARIANT_SET, Home, asset_path, roots_of
+from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
 from gf_usd.layers.tracks.health import author_totals, bake_root
+from gf_usd.system.atomic_files import asset_path
 
 DISPLAY_SET = "display"
 PARTICLES = {"gaussians": "Gaussians", "points": "Points"}  # shape -> prim in the scope

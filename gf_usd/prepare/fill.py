@@ -196,7 +196,9 @@ def _with_stage(
     more: dict[str, Any] = {}
     if request.gravity is None and physics.gravity is not None:
         more["gravity"] = ",".join(repr(g) for g in physics.gravity)
-        notes.append(f"gravity is that of <{physics.scene}>: {_triple(physics.gravity)} m/s^2")
+        notes.append(
+            f"gravity is that of <{physics.scene}>: {material_regions.shown(physics.gravity)} m/s^2"
+        )
     if physics.colliders:
         if request.floor is None:
             more["floor"] = "none"
@@ -217,10 +219,6 @@ def _with_stage(
                 more[name] = said
                 notes.append(f"{name} is {said}, as the stage asks for")
     return replace(request, **more), tuple(notes)
-
-
-def _triple(values: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
 
 
 def _require_one_body(request: Request, count: int) -> None:

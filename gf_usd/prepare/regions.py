@@ -135,14 +135,15 @@ def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
             low, high = X.min(0) / unit, X.max(0) / unit
             raise InputError(
                 f"{BOX_OPTION} {box.text} holds none of the {len(X)} particles, which rest between"
-                f" {_triple(low)} and {_triple(high)}",
+                f" {shown(low)} and {shown(high)}",
                 "give corners in the asset's units and axes, or use more --particles",
             )
         out[mine] = k
     return out
 
 
-def _triple(values: Floats) -> str:
+def shown(values: Sequence[float] | Floats) -> str:
+    """Numbers as a person writes a point."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import parse_only
 from gf_usd.core.materials import G0, time_scale
@@ -217,10 +217,6 @@ def parse_floor(text: str | None, up: Floats, unit: float) -> tuple[float | None
     return at * float(normal @ up), normal
 
 
-def _triple(values: Floats) -> tuple[float, float, float]:
-    return (float(values[0]), float(values[1]), float(values[2]))
-
-
 def parse_gravity(text: str | None, up: Floats) -> tuple[float, float, float]:
     """[m/s^2] of "9.81" (along minus up) or "x,y,z"."""
     parts = str(G0 if text is None else text).split(",")
@@ -231,7 +227,7 @@ def parse_gravity(text: str | None, up: Floats) -> tuple[float, float, float]:
     if np.abs(values).max() > STRONGEST:
         raise UsageError(f"--gravity is {text}", f"give up to {STRONGEST:g} m/s^2")
     g = -values[0] * up if len(values) == 1 else values
-    return _triple(g + 0.0)
+    return triple(g + 0.0)
 
 
 def parse_range(text: str) -> tuple[float | None, float | None]:

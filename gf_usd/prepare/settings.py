@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gf_usd.core.arrays import triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
@@ -31,7 +32,6 @@ from gf_usd.prepare.request import (
     PAPER_SUBSTEPS,
     PAPER_T,
     Request,
-    _triple,
     parse_floor,
     parse_gravity,
     parse_length,
@@ -134,10 +134,10 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         time_codes_per_second=authored or fps,
         start=start,
         gravity=parse_gravity(request.gravity, facts.up),
-        up=_triple(facts.up),
+        up=triple(facts.up),
         floor=floor,
-        floor_normal=None if np.array_equal(normal, facts.up) else _triple(normal),
-        lift=_triple(lift * facts.up),
+        floor_normal=None if np.array_equal(normal, facts.up) else triple(normal),
+        lift=triple(lift * facts.up),
         seed=request.seed or 0,
         filter_rate=float(rate) / T,
         drag=drag,

@@ -1,31 +1,18 @@
-"""Readers of asset files: a suffix, and the function that makes an Asset of such a file.
-
-A reader is named by module and function and imported when a file needs it, so that asking what
-can be read costs nothing.
-"""
+"""Readers of asset files: a file becomes an Asset, or a layer that is read as one."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
+from gf_usd.readers.formats import SUFFIXES, USD, Format, format_of
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
-
-
-USD = (".usd", ".usda", ".usdc", ".usdz")
-MESH = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".fbx")
-SPLATS = (".spz", ".splat")  # and .ply
-READERS: dict[str, str] = {
-    **dict.fromkeys(USD, "gf_usd.readers.usd.asset:read_usd"),
-    **dict.fromkeys((*MESH, *SPLATS), "gf_usd.readers.conversion:read_mesh"),
-}
 
 
 def read_asset(
@@ -52,9 +39,11 @@ def read_asset(
         nothing in it that has a surface.
     """
     path = Path(path)
-    module, function = _reader(path).split(":")
-    reader = getattr(import_module(module), function)
-    return reader(
+    row = _format(path)
+    if row.kind != USD:
+        source = _converted(path, meters_per_unit, up_axis)
+        return source.asset(prims=prims, time_code=time_code)
+    return row.function(
         path,
         prims=prims,
         meters_per_unit=meters_per_unit,
@@ -72,18 +61,21 @@ def convert(
     `read_asset`, so that the file is parsed once; its `write` puts the layer where results lie.
     """
     path = Path(path)
-    _reader(path)
-    if path.suffix.lower() in USD:
+    if _format(path).kind == USD:
         return None
+    return _converted(path, meters_per_unit, up_axis)
+
+
+def _converted(path: Path, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:
     from gf_usd.readers.conversion import convert_mesh
 
     return convert_mesh(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
 
 
-def _reader(path: Path) -> str:
-    """The row of the registry for a file; raises InputError where there is none, or no file."""
+def _format(path: Path) -> Format:
+    """The row of a file's suffix; raises InputError where there is none, or no file."""
     _require_file(path)
-    row = READERS.get(path.suffix.lower())
+    row = format_of(path)
     if row is None:
         what = f"{path} has the suffix '{path.suffix}'" if path.suffix else f"{path} has no suffix"
         raise InputError(f"{what}: there is no reader for it", _what_can_be_read())
@@ -91,7 +83,7 @@ def _reader(path: Path) -> str:
 
 
 def _what_can_be_read() -> str:
-    return f"give a file that ends in {', '.join(sorted(READERS))}"
+    return f"give a file that ends in {', '.join(SUFFIXES)}"
 
 
 def _require_file(path: Path) -> None:
@@ -117,6 +109,6 @@ def _near(path: Path) -> str:
     """Words for the files beside a missing one that have almost its name."""
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist either; "
-    names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in READERS]
+    names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in SUFFIXES]
     close = difflib.get_close_matches(path.name, names, n=3)
     return f"did you mean {' or '.join(close)}? otherwise " if close else ""

@@ -1,8 +1,8 @@
-"""Mesh files: a suffix and its parser; whatever it is, it becomes a USD layer and is read as USD.
+"""Mesh files: each is parsed, becomes a USD layer and is read as USD.
 
 obj, ply, off   metres are assumed, Y up; own readers: polygons and seams stay
 stl             metres are assumed, Z up, as printers have it; trimesh
-glb, gltf       metres, Y up by their standard; trimesh
+glb, gltf       metres, Y up by their standard; own reader
 fbx             what the file says; the program usd-convert-asset
 spz, splat, ply with Gaussians: usd_splat_source
 """
@@ -10,13 +10,11 @@ spz, splat, ply with Gaussians: usd_splat_source
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
+from gf_usd.readers.formats import MESH, PROGRAM, format_of
 from gf_usd.readers.mesh.data import MeshFile
 from gf_usd.readers.notes import source_of, unit_and_axis
 
@@ -24,29 +22,7 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
-PARSERS = {
-    ".obj": "gf_usd.readers.mesh.obj:read_obj",
-    ".ply": "gf_usd.readers.mesh.ply:read_ply",
-    ".stl": "gf_usd.readers.mesh.stl:read_stl",
-    ".off": "gf_usd.readers.mesh.off:read_off",
-    ".glb": "gf_usd.readers.mesh.gltf_scene:read_gltf",
-    ".gltf": "gf_usd.readers.mesh.gltf_scene:read_gltf",
-}
-FBX = ".fbx"
 ASSUMED_UNIT = 1.0  # [m]
-
-
-def read_mesh(
-    path: Path,
-    *,
-    prims: Sequence[str] = (),
-    meters_per_unit: float | None = None,
-    up_axis: str | None = None,
-    time_code: float | None = None,
-) -> Asset:
-    """The surfaces of a mesh file; arguments and errors of `gf_usd.readers.read_asset`."""
-    source = convert_mesh(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
-    return source.asset(prims=prims, time_code=time_code)
 
 
 def convert_mesh(
@@ -78,13 +54,12 @@ def convert_mesh(
             f"up axis {up_axis!r}: USD knows Y and Z", "give --up-axis Y or --up-axis Z"
         )
     axis = None if up_axis is None else up_axis.upper()
-    if path.suffix.lower() == FBX:
-        from gf_usd.readers.mesh.fbx import convert_fbx
-
-        return convert_fbx(path, meters_per_unit=meters_per_unit, up_axis=axis)
-    module, function = PARSERS[path.suffix.lower()].split(":")
+    row = format_of(path, MESH, PROGRAM)
+    assert row is not None
+    if row.kind == PROGRAM:
+        return row.function(path, meters_per_unit=meters_per_unit, up_axis=axis)
     try:
-        file: MeshFile = getattr(import_module(module), function)(path)
+        file: MeshFile = row.function(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of it and its files"

@@ -6,18 +6,16 @@ The files that a USD asset is composed of.
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 from pxr import Ar, UsdUtils
 
 from gf_usd.core.errors import InputError
-from gf_usd.readers import USD
-from gf_usd.readers.conversion import PARSERS
+from gf_usd.readers.formats import MESH, USD, format_of
 from gf_usd.readers.usd.stage import reading
+from gf_usd.system.atomic_files import relative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,25 +67,16 @@ def _unreadable(path: Path, error: OSError) -> InputError:
     )
 
 
-def relative(path: Path, folder: Path) -> str:
-    """A path as seen from a folder, with forward slashes; absolute on another drive."""
-    try:
-        return Path(os.path.relpath(path.absolute(), folder)).as_posix()
-    except ValueError:  # Windows, another drive
-        return path.absolute().as_posix()
-
-
 def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
-    suffix = path.suffix.lower()
     if not path.is_file():
         raise InputError(f"{path} does not exist", "check the spelling of the path")
-    if suffix in USD:
+    if format_of(path, USD):
         return usd_inputs(path)
     from gf_usd.readers.splats.convert import is_splat_file
 
-    if suffix in PARSERS and not is_splat_file(path):
-        module, function = PARSERS[suffix].split(":")
-        read = getattr(import_module(module), function)(path)
+    row = format_of(path, MESH)
+    if row and not is_splat_file(path):
+        read = row.function(path)
         # pictures that are only named become references of the layer made of the file
         slots = (slot for material in read.materials for slot in material.slots)
         pictures = (slot.picture.path for slot in slots if slot.picture.path)

@@ -42,14 +42,14 @@ class Reading:
     """A file that is being read, in a child process where limits are given."""
 
     def __init__(self, path: Path, limits: Limits | None, **options: Any) -> None:
-        """Options are those of `read_source`."""
+        """Options are those of `read_untrusted`."""
         self._path, self._options = path, options
         self._isolated = Isolated(path, TASK, limits, path, options)
 
     def result(self) -> Source:
-        """What was read.  Raises InputError as `read_source` does, or as `Isolated.result`."""
+        """What was read.  Raises InputError as `read_untrusted` does, or as `Isolated.result`."""
         if not self._isolated.in_child:
-            return read_source(self._path, **self._options)
+            return read_untrusted(self._path, **self._options)
         sent: Sent = self._isolated.result()
         converted = None
         if sent.folder is not None:
@@ -68,7 +68,7 @@ class Reading:
 
 def send(path: Path, options: dict[str, Any]) -> Sent:
     """In the child: read a file and leave the USD form of a mesh file where it is."""
-    read = read_source(path, **options)
+    read = read_untrusted(path, **options)
     made = read.converted
     return Sent(
         asset=read.asset,
@@ -80,7 +80,7 @@ def send(path: Path, options: dict[str, Any]) -> Sent:
     )
 
 
-def read_source(
+def read_untrusted(
     path: Path,
     *,
     prims: Sequence[str] = (),

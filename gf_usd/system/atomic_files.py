@@ -80,3 +80,17 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def relative(path: Path, folder: Path) -> str:
+    """A path as seen from a folder, with forward slashes; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+    except ValueError:  # Windows, another drive
+        return path.absolute().as_posix()
+
+
+def asset_path(target: Path, folder: Path) -> str:
+    """``target`` as a layer in ``folder`` refers to it: relative where the drive allows it."""
+    name = relative(target, folder)
+    return name if name.startswith("../") or Path(name).is_absolute() else f"./{name}"

@@ -24,7 +24,6 @@ import weakref
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import import_module
-from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
@@ -124,18 +123,12 @@ class Isolated:
         if limits is None or os.name != "posix" or not path.is_file():
             return
         self.scratch = Scratch()
-        request = BytesIO()
-        exchange.write(
-            {
-                "task": task,
-                "args": args,
-                "limits": asdict(limits),
-                "scratch": self.scratch.path,
-            },
-            request,
-        )
+        # not among the arguments, of which a system takes so many bytes only
+        request = self.scratch.path / "request"
+        with request.open("wb") as file:
+            exchange.write({"task": task, "args": args, "limits": asdict(limits)}, file)
         self._child = Child(
-            [sys.executable, "-P", "-c", START, json.dumps(sys.path), request.getvalue().decode()],
+            [sys.executable, "-P", "-c", START, json.dumps(sys.path), str(request)],
             binary=True,
             grace=0.0,
         )
@@ -232,8 +225,8 @@ def serve(request: str) -> NoReturn:
     faulthandler.disable()  # the parent says how it crashed
     gc.disable()  # it ends before that would pay
     end_with_parent()
-    asked = exchange.read(request.encode())
-    tempfile.tempdir = os.environ["TMPDIR"] = str(asked["scratch"])
+    asked = exchange.read(Path(request).read_bytes())
+    tempfile.tempdir = os.environ["TMPDIR"] = str(Path(request).parent)
     _limit(Limits(**asked["limits"]))
     value, refusal = None, None
     try:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gf_usd.core.errors import GfUsdError, InputError
-from gf_usd.readers.isolated import read_source
+from gf_usd.readers.isolated import read_untrusted
 from gf_usd.system.sandbox import Limits, attempt
 
 
@@ -82,17 +82,21 @@ def talk() -> str:
 
 def count(file: Path, seconds: float) -> None:
     """Add a letter to a file, then work for so long."""
-    with file.open("a") as out:
-        out.write("x")
+    _add(file)
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         pass
 
 
 def count_and_hang(file: Path, seconds: float) -> None:
-    """Add a letter to a file, then sleep."""
-    count(file, seconds)
-    hang()
+    """Add a letter to a file, then sleep for so long."""
+    _add(file)
+    time.sleep(seconds)
+
+
+def _add(file: Path) -> None:
+    with file.open("a") as out:
+        out.write("x")
 
 
 def stay(file: Path) -> None:
@@ -105,7 +109,7 @@ def stay(file: Path) -> None:
 
 def loaded(path: Path) -> list[str]:
     """The modules that were loaded to read a file."""
-    read_source(path)
+    read_untrusted(path)
     return sorted(sys.modules)
 
 
@@ -113,7 +117,7 @@ def read_each(files: Sequence[Path]) -> None:
     """Read files one after the other; refusals in words of ours are as good as success."""
     for file in files:
         with contextlib.suppress(GfUsdError):
-            read_source(file)
+            read_untrusted(file)
 
 
 def stopped(files: Sequence[Path], limits: Limits) -> dict[Path, str]:

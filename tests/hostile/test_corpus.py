@@ -14,7 +14,7 @@ from hostile_files import STAGE, broken, sound
 from isolated_tasks import stopped
 
 from gf_usd.core.errors import InputError
-from gf_usd.readers.isolated import read_source
+from gf_usd.readers.isolated import read_untrusted
 from gf_usd.system.sandbox import Limits
 
 EACH = Limits(time=30.0, memory=8e9, output=1e8)
@@ -158,5 +158,5 @@ def test_refusals_have_a_hint(tmp_path: Path, value: str) -> None:
     file = tmp_path / "a.usda"
     file.write_bytes(stage("timeCodesPerSecond = 24", f"timeCodesPerSecond = {value}"))
     with pytest.raises(InputError) as caught:
-        read_source(file)
+        read_untrusted(file)
     assert caught.value.hint

@@ -12,7 +12,8 @@ from small_sources import PLAIN, SEVERAL_ROOTS
 from small_stages import write
 
 from gf_usd.core.errors import InputError
-from gf_usd.layers.stage import asset_path, find_home, open_source, to_metadata
+from gf_usd.layers.stage import find_home, open_source, to_metadata
+from gf_usd.system.atomic_files import asset_path
 
 
 def test_asset_paths_are_anchored_at_the_layer() -> None:

@@ -1,12 +1,16 @@
 """What cannot be read is refused in words; readers are found by suffix, and late."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from gf_usd.cli.bake import bake
 from gf_usd.core.errors import InputError
-from gf_usd.readers import READERS, read_asset
+from gf_usd.readers import read_asset
+from gf_usd.readers.formats import FORMATS, MESH, PROGRAM, SPLATS, SUFFIXES, USD, format_of
 
 
 def test_missing_file_names_its_neighbours(tmp_path):
@@ -38,7 +42,7 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
         with pytest.raises(InputError) as error:
             read_asset(path)
         assert error.value.message == words
-        assert all(suffix in error.value.hint for suffix in READERS)
+        assert all(suffix in error.value.hint for suffix in SUFFIXES)
 
 
 def test_suffix_in_capitals(write):
@@ -49,3 +53,20 @@ def test_suffix_in_capitals(write):
 def test_registry_does_not_import_usd():
     code = "import gf_usd.readers, sys; sys.exit('pxr' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("row", FORMATS, ids=lambda row: row.name)
+def test_every_format_has_a_reader_and_is_told_of(row):
+    assert callable(row.function)
+    guide = (Path(__file__).parents[2] / "docs" / "guide.md").read_text(encoding="utf-8")
+    for suffix in row.suffixes:
+        assert f"`{suffix}`" in guide
+        if row.kind in (MESH, PROGRAM):
+            assert suffix[1:] in re.findall(r"\w+", bake.__doc__ or "")
+
+
+def test_a_suffix_may_be_of_meshes_and_of_splats():
+    assert format_of(Path("a.PLY"), MESH).name == "PLY"
+    assert format_of(Path("a.ply"), SPLATS).name == "3DGS PLY"
+    assert format_of(Path("a.ply"), USD) is None
+    assert format_of(Path("a.doc")) is None

@@ -17,7 +17,6 @@ Materials of a mesh file as UsdPreviewSurface networks.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -31,7 +30,7 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
 from gf_usd.readers.usd.asset import read_usd
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import asset_path, partial_path, publish
 from gf_usd.system.sandbox import Scratch
 
 RECORD = "convertedFrom"  # in customLayerData
@@ -149,7 +148,7 @@ class MeshSource:
                 return path
             if file.is_relative_to(self.folder.pictures):
                 file = extracted / file.relative_to(self.folder.pictures)
-            return _relative(file, target.parent)
+            return asset_path(file, target.parent)
 
         UsdUtils.ModifyAssetPaths(layer, moved)
         partial = partial_path(target)
@@ -196,14 +195,6 @@ def record_of(
 def textures_folder(target: Path) -> Path:
     """``duck.source.usdc`` -> ``duck.textures``, beside it."""
     return target.with_name(f"{target.stem.removesuffix('.source')}.textures")
-
-
-def _relative(file: Path, folder: Path) -> str:
-    try:
-        relative = Path(os.path.relpath(file.absolute(), folder.absolute())).as_posix()
-    except ValueError:  # another drive on Windows
-        return file.as_posix()
-    return relative if relative.startswith("../") else f"./{relative}"
 
 
 def _write_bytes(path: Path, data: bytes) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
 
+from gf_usd.core.arrays import triple
 from gf_usd.core.asset import Texture
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import (
@@ -367,9 +368,9 @@ def read_camera(
     eye = matrix[3, :3] * unit
     target = eye - back / np.linalg.norm(back)
     return Camera(
-        eye=_triple(eye),
-        target=_triple(target),
-        up=_triple(up / np.linalg.norm(up)),
+        eye=triple(eye),
+        target=triple(target),
+        up=triple(up / np.linalg.norm(up)),
         fov=float(np.degrees(2.0 * np.arctan(half))),
         shift=(
             float(seen.horizontalApertureOffset) / focal,
@@ -380,7 +381,3 @@ def read_camera(
 
 def _short(matrix: Gf.Matrix4d) -> str:
     return " ".join(f"{value:.3g}" for row in matrix for value in row)
-
-
-def _triple(v: np.ndarray) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])

@@ -1,33 +1,34 @@
-"""A splat file made into USD, as mesh files are: a suffix, its parser and its usual axis."""
+"""A splat file made into USD, as mesh files are."""
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from gf_usd.core.asset import Splats, tidy
 from gf_usd.core.errors import InputError
+from gf_usd.readers.formats import MESH, SPLATS, Format, format_of
 from gf_usd.readers.mesh.to_usd import Folder, MeshSource, record_of
 from gf_usd.readers.notes import Notes, source_of, unit_and_axis
 from gf_usd.readers.splats.ply import holds_splats
 from gf_usd.readers.usd.splats import write_splat_layer
 
-PARSERS = {
-    ".ply": ("3DGS PLY", "gf_usd.readers.splats.ply:read_splat_ply"),
-    ".spz": ("SPZ", "gf_usd.readers.splats.spz:read_spz"),
-    ".splat": (".splat", "gf_usd.readers.splats.raw:read_raw_splats"),
-}
 # Captures often have y or z down, for that is how cameras see: a half turn about x mends it.
 AXES = {"Y": ("Y", 0.0), "Z": ("Z", 0.0), "-Y": ("Y", 180.0), "-Z": ("Z", 180.0)}
-SAYS_AXIS = {".spz"}  # right, up, back: Y is up
 
 
 def is_splat_file(path: Path) -> bool:
     """Whether a file holds Gaussians rather than a mesh; PLY may hold either."""
-    suffix = path.suffix.lower()
-    return suffix in PARSERS and (suffix != ".ply" or holds_splats(path))
+    if not format_of(path, SPLATS):
+        return False
+    return not format_of(path, MESH) or holds_splats(path)
+
+
+def _format(path: Path) -> Format:
+    row = format_of(path, SPLATS)
+    assert row is not None
+    return row
 
 
 def read_splat_file(path: Path, notes: Notes) -> Splats:
@@ -35,10 +36,9 @@ def read_splat_file(path: Path, notes: Notes) -> Splats:
 
     Raises InputError for a damaged file and for one that holds none.
     """
-    module, function = PARSERS[path.suffix.lower()][1].split(":")
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # `tidy` counts what comes of it
-            splats: Splats = getattr(import_module(module), function)(path)
+            splats: Splats = _format(path).function(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of the file"
@@ -58,11 +58,11 @@ def convert_splats(path: Path, *, meters_per_unit: float | None, up_axis: str | 
         raise InputError(
             f"up axis {up_axis!r}: Gaussians know Y, Z, -Y and -Z", "give one of --up-axis these"
         )
-    name, _ = PARSERS[path.suffix.lower()]
+    name = _format(path).name
     notes = Notes()
     unit = 1.0 if meters_per_unit is None else meters_per_unit
     unit_from = source_of(meters_per_unit, False)
-    axis_from = source_of(up_axis, path.suffix.lower() in SAYS_AXIS)
+    axis_from = source_of(up_axis, _format(path).says_axis)
     for line in unit_and_axis(name, unit, axis, unit_from, axis_from, ", -Y where it hangs"):
         notes.add(line)
     splats = read_splat_file(path, notes)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.asset import SurfaceMaterial, Texture
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.primvars import Corners, primvar_at_corners
@@ -82,7 +82,7 @@ class Looks:
             self._notes.add(f"{kind} is not read: displayColor or grey instead", path)
             return Look(material=SurfaceMaterial(path=path, colour=GREY), understood=False)
         diffuse = shader.GetInput("diffuseColor")
-        colour = _triple(self._value(diffuse), GREY)
+        colour = _color(self._value(diffuse), GREY)
         source = self._source(diffuse)
         if source is None:
             return Look(material=SurfaceMaterial(path=path, colour=colour))
@@ -91,7 +91,7 @@ class Looks:
             return self._textured(path, node, output, colour)
         if node.GetShaderId() == "UsdPrimvarReader_float3":
             name = str(self._input(node, "varname") or "")
-            colour = _triple(self._input(node, "fallback"), colour)
+            colour = _color(self._input(node, "fallback"), colour)
             return Look(material=SurfaceMaterial(path=path, colour=colour), colour_primvar=name)
         self._notes.add(
             f"diffuseColor comes from {node.GetShaderId() or 'an unknown shader'}, which is not "
@@ -117,7 +117,7 @@ class Looks:
         )
 
         authored = self._input(node, "fallback")
-        constant = SurfaceMaterial(path=path, colour=_triple(authored, colour))
+        constant = SurfaceMaterial(path=path, colour=_color(authored, colour))
         asset = self._input(node, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
             self._notes.add("its texture names no file: a constant colour instead", path)
@@ -125,8 +125,8 @@ class Looks:
         options = {
             "space": str(self._input(node, "sourceColorSpace") or "auto"),
             "wraps": (str(self._input(node, "wrapS")), str(self._input(node, "wrapT"))),
-            "scale": np.array(_triple(self._input(node, "scale"), (1.0, 1.0, 1.0))),
-            "bias": np.array(_triple(self._input(node, "bias"), (0.0, 0.0, 0.0))),
+            "scale": np.array(_color(self._input(node, "scale"), (1.0, 1.0, 1.0))),
+            "bias": np.array(_color(self._input(node, "bias"), (0.0, 0.0, 0.0))),
             "channel": output if output in ("r", "g", "b", "a") else "rgb",
         }
         key = (asset.resolvedPath or asset.path, *(str(value) for value in options.values()))
@@ -200,14 +200,14 @@ class Looks:
         return None
 
 
-def _triple(value: object, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
+def _color(value: object, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
     """The first three numbers of a colour of three or four."""
     if value is None:
         return otherwise
     numbers = np.asarray(value, dtype=np.float64).reshape(-1)
     if len(numbers) < 3 or not np.isfinite(numbers[:3]).all():
         return otherwise
-    return float(numbers[0]), float(numbers[1]), float(numbers[2])
+    return triple(numbers)
 
 
 def _pair(value: object, otherwise: float) -> Floats:

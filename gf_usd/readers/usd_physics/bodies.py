@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
@@ -148,8 +148,8 @@ def _rigid_velocity(
     linear = vector(here.path, owner, VELOCITY, here.time)
     spin = vector(here.path, owner, SPIN, here.time)
     return (
-        None if linear is None else _triple(linear @ turn * here.meters_per_unit),
-        None if spin is None else _triple(np.deg2rad(spin) @ turn * np.linalg.det(turn)),
+        None if linear is None else _moving(linear @ turn * here.meters_per_unit),
+        None if spin is None else _moving(np.deg2rad(spin) @ turn * np.linalg.det(turn)),
     )
 
 
@@ -162,14 +162,12 @@ def _center(prim: Usd.Prim, here: Reading) -> Triple | None:
         return None
     rows = matrix(prim, here)
     world = (local @ rows[:3, :3] + rows[3, :3]) * here.meters_per_unit
-    return _triple(world, zero=True)
+    return triple(world)
 
 
-def _triple(values: Floats, *, zero: bool = False) -> Triple | None:
-    """Three numbers; None where all are 0 and that means nothing is said."""
-    if not zero and not np.any(values):
-        return None
-    return (float(values[0]), float(values[1]), float(values[2]))
+def _moving(values: Floats) -> Triple | None:
+    """Three numbers; None where all are 0, by which nothing is said."""
+    return triple(values) if np.any(values) else None
 
 
 PURPOSE = "physics"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import Camera
 
@@ -121,7 +121,7 @@ def fit_camera(
     back = max(back_x, back_y) or 1.0
     eye = middle + axes.T @ np.array([across, upward, -back])
     target = middle + axes.T @ np.array([across, upward, 0.0])
-    return Camera(eye=_triple(eye), target=_triple(target), up=up, fov=fov)
+    return Camera(eye=triple(eye), target=triple(target), up=up, fov=fov)
 
 
 def _straddle(x: Floats, z: Floats, slope: float) -> tuple[float, float]:
@@ -134,7 +134,3 @@ def _front(up: Floats) -> tuple[Floats, Floats]:
     """The front of an asset, and the right of someone who looks at it."""
     front = np.array([0.0, -1.0, 0.0]) if abs(up[2]) > 0.5 else np.array([0.0, 0.0, 1.0])
     return front, np.cross(up, front)
-
-
-def _triple(v: Floats) -> tuple[float, float, float]:
-    return float(v[0]), float(v[1]), float(v[2])

@@ -238,8 +238,11 @@ def test_a_sparse_accessor_has_some_rows_otherwise(tmp_path, base):
     uvs = SHARES.astype(np.float32)
     indices = maker.view(b"\0\0" + np.array([1, 6], np.uint16).tobytes())
     values = maker.view(np.array([[0.25, 0.75], [0.125, 0.5]], np.float32).tobytes())
-    sparse = {"count": 2, "indices": {"bufferView": indices, "byteOffset": 2,
-                                      "componentType": 5123}, "values": {"bufferView": values}}  # fmt: skip
+    sparse = {
+        "count": 2,
+        "indices": {"bufferView": indices, "byteOffset": 2, "componentType": 5123},
+        "values": {"bufferView": values},
+    }
     data = {"bufferView": maker.view(uvs.tobytes())} if base else {}
     path = cube_with(
         maker, tmp_path / "thing.glb", **data, componentType=5126, count=8, type="VEC2",

@@ -1,0 +1,71 @@
+"""The formats that can be read: one row each, which makes a suffix known everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+USD, MESH, SPLATS, PROGRAM = "USD", "mesh", "splats", "program"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format.
+
+    read : "module:function", imported when a file needs it.  By kind, it takes and returns
+
+        USD      the arguments of `read_asset` -> Asset
+        mesh     path -> MeshFile
+        splats   path -> Splats
+        program  path, meters_per_unit, up_axis -> MeshSource; another program reads the file
+    """
+
+    name: str  # as a person calls it
+    suffixes: tuple[str, ...]
+    kind: str
+    read: str
+    says_axis: bool = True  # splats: the up axis is part of the format
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """What reads it."""
+        module, name = self.read.split(":")
+        return getattr(import_module(module), name)
+
+
+# A suffix may stand in a row of meshes and in one of splats: the file tells.
+FORMATS = (
+    Format(
+        name="USD", suffixes=(".usd", ".usda", ".usdc", ".usdz"), kind=USD,
+        read="gf_usd.readers.usd.asset:read_usd",
+    ),
+    Format(name="OBJ", suffixes=(".obj",), kind=MESH, read="gf_usd.readers.mesh.obj:read_obj"),
+    Format(name="PLY", suffixes=(".ply",), kind=MESH, read="gf_usd.readers.mesh.ply:read_ply"),
+    Format(name="STL", suffixes=(".stl",), kind=MESH, read="gf_usd.readers.mesh.stl:read_stl"),
+    Format(name="OFF", suffixes=(".off",), kind=MESH, read="gf_usd.readers.mesh.off:read_off"),
+    Format(
+        name="glTF", suffixes=(".glb", ".gltf"), kind=MESH,
+        read="gf_usd.readers.mesh.gltf_scene:read_gltf",
+    ),
+    Format(name="FBX", suffixes=(".fbx",), kind=PROGRAM,
+           read="gf_usd.readers.mesh.fbx:convert_fbx"),
+    Format(
+        name="3DGS PLY", suffixes=(".ply",), kind=SPLATS,
+        read="gf_usd.readers.splats.ply:read_splat_ply", says_axis=False,
+    ),
+    Format(name="SPZ", suffixes=(".spz",), kind=SPLATS, read="gf_usd.readers.splats.spz:read_spz"),
+    Format(
+        name=".splat", suffixes=(".splat",), kind=SPLATS,
+        read="gf_usd.readers.splats.raw:read_raw_splats", says_axis=False,
+    ),
+)  # fmt: skip
+SUFFIXES = tuple(sorted({suffix for row in FORMATS for suffix in row.suffixes}))
+
+
+def format_of(path: Path, *kinds: str) -> Format | None:
+    """The row of a file's suffix among some kinds, all where none is given; None without one."""
+    rows = (row for row in FORMATS if path.suffix.lower() in row.suffixes)
+    return next((row for row in rows if not kinds or row.kind in kinds), None)
