@@ -60,7 +60,7 @@ def returned(laws: ti.template(), which, F, q, a, dt):
     E = F
     A = a
     for number, law in ti.static(enumerate(laws.laws)):
-        if ti.static(law.flow is not None):
+        if ti.static(law.spec.flows):
             mine = F[0] * 0.0 + 1.0
             if ti.static(laws.several):
                 mine = lanes_of(which, number)
