@@ -138,7 +138,7 @@ def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
         ball, particles=300, frames=count, velocity=[tuple(-w)], colliders=(plate(25.0),)
     )
     one, other = list(hit.frames()), list(hits.frames())
-    assert np.linalg.norm(one[-1].health.momentum) > 3.0 * hit.m.sum(), "it was hit"
+    assert np.linalg.norm(one[-1].health.momentum) > 3.0 * hit.body.m.sum(), "it was hit"
     for a, b in zip(one, other):
         # Rounding, grown by an impact of some hundred substeps (measured: 1.5e-7 m).
         np.testing.assert_allclose(a.particles.x, b.particles.x + a.time * w, atol=1e-5)

@@ -30,7 +30,7 @@ def test_choice(options: dict[str, Any], skin: str, tmp_path: Path) -> None:
     assert ("--skin" in plan.command) == ("skin" in options), "the command says what was asked"
     # What is wrong with the paper's skin is said in every bake that has it.
     assert any(note.startswith("skin paper: ") for note in plan.notes) == (skin == "paper")
-    riders = plan.solver(plan.materials[0]).riders
+    riders = plan.solver(plan.materials[0]).body.riders
     assert list(riders) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])
 
 

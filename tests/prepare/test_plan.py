@@ -124,7 +124,7 @@ def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> N
     assert solver.body.riders.keys() == plan.points.keys() == {PATH}
     assert solver.settings is plan.settings
     alone = replace(plan, settings=replace(plan.settings, skin="idw"))
-    assert alone.solver(plan.materials[0]).riders == {}
+    assert alone.solver(plan.materials[0]).body.riders == {}
 
 
 def test_a_result_has_the_documented_keys(plan: Plan) -> None:

@@ -183,8 +183,8 @@ def test_a_falling_body_without_pins_is_as_it_was() -> None:
     s = settings(gravity=(0.0, -9.81, 0.0))
     free = TotalLagrangian(body, [look("rubber", body)], s)
     assert free.body.holder is None
-    assert not free.stencil.held.any
-    assert free.stencil.rows(body.X).W.shape[1] == free.stencil.free_count
+    assert not free.body.stencil.held.any
+    assert free.body.stencil.rows(body.X).W.shape[1] == free.body.stencil.free_count
 
 
 def test_a_holder_tells_moving_regions_from_still_ones() -> None:

@@ -85,8 +85,9 @@ def test_strains_are_worked_out_again_only_where_f0_or_the_frame_is_another(monk
     )
     worked_out: list[int] = []
     monkeypatch.setattr(
-        state, "strains_by_numpy",
-        lambda F: worked_out.append(len(F)) or per_particle.strains_by_numpy(F)
+        state,
+        "strains_by_numpy",
+        lambda F: worked_out.append(len(F)) or per_particle.strains_by_numpy(F),
     )
     solver.advance(1, 2)
     after = len(worked_out)

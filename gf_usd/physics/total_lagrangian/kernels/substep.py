@@ -4,7 +4,7 @@ Per substep of length dt, with everything but u and v constant (docs/physics.md)
 
     v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
                                              the velocities that eq. 3 gathers
-    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `reanchor`
+    F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `shape_correction`
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
     v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
