@@ -77,7 +77,8 @@ LAWS: dict[str, LawSpec] = {
 
 def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]:
     """The parameters of laws, one of each name; None: of all laws."""
-    rows = [LAWS[token] for token in LAWS if tokens is None or token in set(tokens)]
+    wanted = set(LAWS if tokens is None else tokens)
+    rows = [row for token, row in LAWS.items() if token in wanted]
     return tuple({p.name: p for row in rows for p in row.parameters}.values())
 
 

@@ -92,7 +92,7 @@ class LawSet:
     @property
     def flows(self) -> bool:
         """Whether any particle has a history."""
-        return any(law.flow is not None for law in self.laws)
+        return any(law.spec.flows for law in self.laws)
 
     @property
     def internals(self) -> int:

@@ -55,12 +55,17 @@ def piola(laws: ti.template(), which, F, q, converged):
 
 
 @ti.func
-def returned(laws: ti.template(), which, F, q, a, dt):
-    """The admissible elastic gradient and internal variables of trial ones, after dt [s]."""
+def flowed(laws: ti.template(), which, F, q, a, dt, converged):
+    """The admissible elastic gradients and internal variables that trial ones return to in dt [s].
+
+    And the energy density [J/m^3] that each lane lost: never negative, as its rounding may be where
+    the flow is least.
+    """
     E = F
     A = a
+    loss = F[0] * 0.0
     for number, law in ti.static(enumerate(laws.laws)):
-        if ti.static(law.flow is not None):
+        if ti.static(law.spec.flows):
             mine = F[0] * 0.0 + 1.0
             if ti.static(laws.several):
                 mine = lanes_of(which, number)
@@ -68,28 +73,18 @@ def returned(laws: ti.template(), which, F, q, a, dt):
                 G, b = law.flow(F, q, a, dt)
                 choose(E, mine, G)
                 choose(A, mine, b)
-    return E, A
+                D = difference(E, F)
+                moved = mine * double_dot(D, D)
+                if moved.max() > 0.0:
+                    drop = law.psi(F, q, converged) - law.psi(E, q, converged)
+                    loss = ti.select(moved > 0.0, ti.max(drop, 0.0), loss)
+    return E, A, loss
 
 
 @ti.func
-def flowed(laws: ti.template(), which, F, q, a, dt, converged):
-    """As `returned`, with 1 in the lanes that flowed and the energy density [J/m^3] they lost.
-
-    A loss is never negative; its rounding, where the flow is least, may be.
-    """
-    E, A = returned(laws, which, F, q, a, dt)
+def compensate(Pi: ti.template(), F, E):
+    """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F flowed to E, in place."""
     D = difference(E, F)
     moved = double_dot(D, D)
-    loss = moved * 0.0
-    if moved.max() > 0.0:
-        before = energy(laws, which, F, q, converged)
-        drop = ti.max(before - energy(laws, which, E, q, converged), 0.0)
-        loss = ti.select(moved > 0.0, drop, loss)
-    return E, A, moved, loss
-
-
-@ti.func
-def compensate(Pi: ti.template(), F, E, moved):
-    """Pi = F_p^-1 <- Pi F^-1 E where trial gradients F = (F_e F_p) Pi flowed to E, in place."""
     if moved.max() > 0.0:
         choose(Pi, moved, product(Pi, product(inverse(F), E)))

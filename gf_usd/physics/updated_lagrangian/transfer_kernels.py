@@ -63,7 +63,7 @@ def admissible(
         pick(body.history, ids, laws.history, GRADIENT + k)
         for k in ti.static(range(laws.internals))
     ]
-    E, A, _moved, loss = stress.flowed(laws, which, F, q, a, dt, converged)
+    E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
     if ti.static(acts):
         for k in ti.static(range(GRADIENT)):
             put(body.history, ids, laws.history, k, E[k])

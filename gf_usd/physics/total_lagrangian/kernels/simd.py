@@ -88,8 +88,8 @@ def elastic(
         clip(body, b, F, acts)
     a = rows(body.history, o + GRADIENT, laws.internals)
     which = body.constants[laws.constants * b + laws.which]
-    E, A, moved, loss = stress.flowed(laws, which, F, q, a, dt, converged)
-    stress.compensate(Pi, F, E, moved)
+    E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
+    stress.compensate(Pi, F, E)
     assign(F, E)
     if ti.static(acts):
         put_rows(body.history, o, Pi)

@@ -1,0 +1,123 @@
+"""Return mappings of the laws that flow: what holds of any, and the radial return in numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flowing import ROW, registered
+from lane_kernels import evaluate, flow
+from scipy.stats import special_ortho_group
+from von_mises_law import HARDENING
+
+from gf_usd.core.materials import LAWS
+
+MU, LAM, YIELD = 2.0, 3.0, 0.05  # [Pa]; it yields at a strain of about 0.01
+flowing = pytest.mark.parametrize("token", [*(t for t in LAWS if LAWS[t].flows), ROW.token])
+
+
+@pytest.fixture(autouse=True)
+def _with_a_law_that_flows():
+    with registered():
+        yield
+
+
+def turns(n: int, seed: int) -> np.ndarray:
+    return special_ortho_group.rvs(3, n, random_state=seed)
+
+
+def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:
+    """(n, 3, 3) gradients with logarithmic stretches within a size, turned at random."""
+    s = np.exp(np.random.default_rng(seed).uniform(-size, size, (n, 3)))
+    return (turns(n, seed + 1) * s[:, None, :]) @ turns(n, seed + 2).swapaxes(1, 2)
+
+
+def hardened(n: int, seed: int = 5) -> np.ndarray:
+    """(n, 1) equivalent plastic strains from before."""
+    return np.random.default_rng(seed).uniform(0.0, 0.1, (n, 1))
+
+
+def returned(token: str, F: np.ndarray, a: np.ndarray, real: type = np.float64):
+    return flow(token, F, a, MU, LAM, real, yield_stress=YIELD)
+
+
+def excess(F: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """(n,) [Pa] von Mises stress over what the material bears."""
+    e = np.log(np.linalg.svd(F)[1])
+    dev = e - e.mean(1, keepdims=True)
+    return np.sqrt(1.5) * 2.0 * MU * np.linalg.norm(dev, axis=1) - YIELD - HARDENING * MU * a[:, 0]
+
+
+@flowing
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+def test_inside_the_yield_surface_nothing_changes_not_a_bit(token, real):
+    F, a = gradients(64, 0.003).astype(real), hardened(64).astype(real)
+    E, after = returned(token, F, a, real)
+    assert np.array_equal(E, F)
+    assert np.array_equal(after, a)
+
+
+@flowing
+def test_at_rest_nothing_flows_however_turned(token):
+    F, a = turns(16, 3), np.zeros((16, 1))
+    E, after = returned(token, F, a)
+    assert np.array_equal(E, F)
+    assert np.array_equal(after, a)
+
+
+@flowing
+@pytest.mark.parametrize(("real", "rounding"), [(np.float64, 2e-16), (np.float32, 1e-7)])
+def test_beyond_it_the_stress_lands_on_it(token, real, rounding):
+    F, a = gradients(256, 0.3), hardened(256)
+    beyond = excess(F, a) > 0.0
+    assert beyond.sum() > 200
+    E, after = returned(token, F, a, real)
+    # Logarithms of stretches from 0.7 to 1.4 by F^T F, some dozen operations, times 2 mu.
+    assert np.abs(excess(E, after)[beyond]).max() < 50 * rounding * 2.0 * MU
+    assert (after[beyond] > a[beyond]).all()
+
+
+@flowing
+def test_to_return_twice_is_to_return_once(token):
+    E, a = returned(token, gradients(64, 0.3), hardened(64))
+    again, after = returned(token, E, a)
+    np.testing.assert_allclose(again, E, rtol=0.0, atol=1e-14)  # rounding of some dozen operations
+    np.testing.assert_allclose(after, a, rtol=0.0, atol=1e-14)
+
+
+@flowing
+def test_volume_stays(token):
+    F = gradients(64, 0.3)
+    E, _ = returned(token, F, hardened(64))
+    np.testing.assert_allclose(np.linalg.det(E), np.linalg.det(F), rtol=1e-13)
+
+
+@flowing
+def test_flow_takes_energy(token):
+    F, a = gradients(256, 0.3), hardened(256)
+    E, _ = returned(token, F, a)
+    before, after = (evaluate(token, G, MU, LAM)[0] for G in (F, E))
+    assert (after[excess(F, a) > 0.0] < before[excess(F, a) > 0.0]).all()
+    assert (after <= before).all()
+
+
+@flowing
+def test_flow_turns_with_the_body_and_with_the_material(token):
+    F, a, Q = gradients(64, 0.3), hardened(64), turns(64, 9)
+    E, after = returned(token, F, a)
+    for turned, expected in ((Q @ F, Q @ E), (F @ Q, E @ Q)):
+        seen, seen_after = returned(token, turned, a)
+        np.testing.assert_allclose(seen, expected, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(seen_after, after, rtol=0.0, atol=1e-13)
+
+
+def test_radial_return_in_numbers():
+    # Uniaxial stretch e of a material with nu = 0.3: dev e = 2/3 (1 + nu) e = 2/3 ..., by hand
+    e = np.array([0.04, -0.01, -0.01])  # dev e = (.1/3, -.05/3, -.05/3), |dev e| = .05 sqrt(2/3)
+    size = 0.05 * np.sqrt(2.0 / 3.0)
+    H = HARDENING * MU
+    g = (2.0 * MU * size - np.sqrt(2.0 / 3.0) * YIELD) / (2.0 * MU + 2.0 / 3.0 * H)
+    dev = e - e.mean()
+    expected = np.diag(np.exp(e - g * dev / size))
+    E, a = returned(ROW.token, np.diag(np.exp(e))[None], np.zeros((1, 1)))
+    np.testing.assert_allclose(E[0], expected, rtol=0.0, atol=1e-15)
+    assert a[0, 0] == pytest.approx(np.sqrt(2.0 / 3.0) * g, rel=1e-14)

@@ -1,0 +1,131 @@
+"""A law with a parameter and a history of its own, from a file through a bake to files again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flowing import ROW, registered
+from pxr import Sdf, Usd
+
+import gf_usd
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import of_materials, spread
+from gf_usd.core.materials import LAWS, Material
+from gf_usd.layers.check.values import value_range
+from gf_usd.readers.usd_bake.material_file import read_material
+from gf_usd.verify.bodies import block
+from gf_usd.view.report.words import health_rows, material_labels
+
+CLAY = """#usda 1.0
+(
+    metersPerUnit = 0.01
+)
+def Material "Clay"
+{
+    float physics:youngsModulus = 1000
+    float physics:poissonsRatio = 0.4
+    float physics:density = 0.0016
+    uniform token gaussianFlesh:law = "vonMises"
+    uniform float gaussianFlesh:yieldStress = %s
+}
+"""
+SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
+
+
+@pytest.fixture(autouse=True)
+def _with_a_law_that_flows():
+    with registered():
+        yield
+
+
+@pytest.fixture
+def clay(tmp_path: Path) -> Path:
+    path = tmp_path / "clay.usda"
+    path.write_text(CLAY % 20)
+    return path
+
+
+def test_its_parameter_is_read_in_units_of_the_stage(clay: Path) -> None:
+    made = read_material(clay)
+    assert made.law == ROW.token
+    assert made.parameters == {"yield_stress": pytest.approx(2000.0)}  # kg / (cm s^2) = 100 Pa
+    clay.write_text(CLAY % -1)
+    with pytest.raises(InputError, match="yield_stress is -100"):
+        read_material(clay)
+
+
+@pytest.mark.parametrize("solver", ["tl", "ul"])
+def test_a_bake_says_what_flowed_and_writes_the_parameter(
+    clay: Path, tmp_path: Path, solver: str
+) -> None:
+    out = tmp_path / "out"
+    result = gf_usd.bake(
+        str(SPHERE), material=str(clay), output=f"{out}/", particles=300, frames=12, solver=solver
+    )
+    report = json.loads(next(out.glob("*.report.json")).read_text())
+    assert report["materials"][0]["yield_stress"] == pytest.approx(2000.0)
+    (look,) = report["bakes"]
+    per_frame = [row["plastic_dissipation"] for row in look["per_frame"]]
+    total = look["health"]["plastic_dissipation_J"]
+    assert min(per_frame) >= 0.0
+    assert total == pytest.approx(sum(per_frame))
+    assert total > 0.0
+    assert result.looks
+    labels = [line.label for line in health_rows(look["health"])]
+    assert "Energy lost to flow" in labels
+    assert material_labels()["yield_stress"] == ("Yield stress", "Pa")
+    cache = Usd.Stage.Open(str(next(out.glob("*.cache.usdc"))))
+    (prim,) = (p for p in cache.TraverseAll() if p.GetTypeName() == "Material")
+    pressure = 1.0 / cache.GetMetadata("metersPerUnit")  # [stage] of 1 Pa
+    assert prim.GetAttribute("gaussianFlesh:law").Get() == ROW.token
+    written = prim.GetAttribute("gaussianFlesh:yieldStress").Get()
+    assert written * pressure == pytest.approx(2000.0, rel=1e-6)
+    seen = [
+        p.GetAttribute("gaussianFlesh:health:plasticDissipation") for p in cache.TraverseAll()
+        if p.HasAttribute("gaussianFlesh:health:plasticDissipation")
+    ]  # fmt: skip
+    assert len(seen) == 1
+    assert len(seen[0].GetTimeSamples()) == 12
+    assert not list(value_range(cache))
+    attribute = prim.GetAttribute("gaussianFlesh:yieldStress")
+    attribute.Set(-1.0)
+    assert [f.prim for f in value_range(cache)] == [str(prim.GetPath())]
+
+
+def test_particles_have_values_of_their_own_and_defaults() -> None:
+    body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
+    said = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
+    flows = Material(name="a", law=ROW.token, **said)
+    given = Material(name="b", law=ROW.token, parameters={"yield_stress": 7.0}, **said)
+    plain = Material(name="c", law="corotated", **said)
+    assert "yield_stress" not in of_materials(body, [plain])
+    assert "yield_stress" not in plain.values
+    assert (flows.values["yield_stress"], given.values["yield_stress"]) == (1e9, 7.0)
+    material = np.arange(len(body)) % 3
+    mixed = replace(body, material=material)
+    values = spread(mixed, [flows, given, plain])["yield_stress"]
+    assert values[:3].tolist() == [1e9, 7.0, 1e9]
+    own = replace(mixed, own={"yield_stress": np.arange(len(body), dtype=float)})
+    assert spread(own, [flows, given, plain])["yield_stress"].tolist() == list(range(len(body)))
+
+
+def test_the_schema_gets_its_token_and_attributes() -> None:
+    import generate_schema
+
+    layer = generate_schema.with_laws(generate_schema.LIBRARY / "schema.usda")
+    material, particles = (
+        layer.GetPrimAtPath(f"/GaussianFlesh{name}API") for name in ("Material", "Particles")
+    )
+    law = material.attributes["gaussianFlesh:law"]
+    assert list(law.allowedTokens) == list(LAWS)
+    assert law.documentation.endswith("Range: corotated, neoHookean, vonMises")
+    one, each = (p.attributes["gaussianFlesh:yieldStress"] for p in (material, particles))
+    assert (one.typeName, one.default) == (Sdf.ValueTypeNames.Float, 1e9)
+    assert each.typeName == Sdf.ValueTypeNames.FloatArray
+    assert "Units: mass / (distance * second^2)" in one.documentation
+    assert "Range: [0, inf)" in one.documentation
+    assert "gaussianFlesh:yieldStress" in generate_schema.reference(layer)
