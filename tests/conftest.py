@@ -37,3 +37,8 @@ def pytest_collection_finish() -> None:
     """Leave what is loaded by now out of the searches for garbage: each start of Taichi has two."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_unconfigure() -> None:
+    """Let the end of the process find them again, in the order that Taichi's arrays need."""
+    gc.unfreeze()

@@ -52,6 +52,7 @@ def test_shells_with_no_or_few_particles_are_named():
     assert suggestion(found) == small.suggested
 
 
+@pytest.mark.slow  # 66,000 particles
 def test_the_suggested_number_fills_the_part():
     crumb = cube(low=(0.0, 3.0, 0.0), edge=0.12, path="/Crumb")
     (found,) = parts_of(sphere(), crumb, particles=8000)

@@ -1,4 +1,4 @@
-"""A bake of a production shot loses nothing of it; see helpers/production_shot.py for what is in it."""
+"""A bake of a production shot, which helpers/production_shot.py describes, loses nothing of it."""
 
 from __future__ import annotations
 
