@@ -15,8 +15,8 @@ builds the same, to the bit of the key, and says the same where Taichi complains
   every sum to choose one of: here that is looked up.
 
 All of this replaces private parts of Taichi 1.7.4.  With any other version, or with the environment
-variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `taichi_runtime`
-calls `quicken`, and nothing else knows this file.
+variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` is
+called by `taichi_runtime`, and nothing else knows this file.
 """
 
 from __future__ import annotations
