@@ -328,7 +328,7 @@ def test_taichi_is_started_by_the_runtime_alone() -> None:
 def test_a_small_bake_loads_no_more_than_it_needs(tmp_path: Path) -> None:
     # What takes a tenth of a CPU second to import, in a bake that has few points and no pictures.
     heavy = ("scipy.spatial", "scipy.linalg", "scipy.special", "scipy.sparse.csgraph", "trimesh",
-             "PIL", "plotly", "rich", "ssl", "imageio", "open3d", "distributed")  # fmt: skip
+             "PIL", "plotly", "rich", "imageio", "open3d", "distributed")  # fmt: skip
     code = (
         "import sys, gf_usd\n"
         f"gf_usd.bake({str(ROOT / 'samples' / 'sphere.usda')!r}, output={str(tmp_path) + '/'!r},"

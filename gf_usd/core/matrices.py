@@ -93,6 +93,17 @@ def _by_axes(F: Floats, rate: Floats) -> tuple[Floats, Floats]:
     return (Q * s[..., None, :]) @ QT, Q @ local @ QT
 
 
+def signed_polar(F: Floats) -> NDArray[np.float64]:
+    """(n, 3, 3) R of the polar decomposition of F (n, 3, 3) with det R = 1, by the SVD.
+
+    F = U S V^T, R = U diag(1, 1, det U det V) V^T: the rotation nearest to F (Kabsch 1976), also
+    where F is inverted or singular.
+    """
+    U, _, Vt = np.linalg.svd(F)
+    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+    return U @ Vt
+
+
 def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
     """(N, 3, 3) rotation of unit quaternions (N, 4), (w, x, y, z)."""
     w, x, y, z = np.asarray(q, float).T

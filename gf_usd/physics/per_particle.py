@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
+from gf_usd.core.matrices import signed_polar
 from gf_usd.core.radiance import DIRECTIONS, INVERSES, terms
 from gf_usd.physics.laws.simd3x3 import (
     at,
@@ -43,9 +44,7 @@ def nearest_rotation(F: Floats) -> NDArray[np.float64]:
     _rotations(_flat(F), R.reshape(-1), done)
     left = done == 0
     if left.any():
-        U, _, Vt = np.linalg.svd(F[left])
-        U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
-        R[left] = U @ Vt
+        R[left] = signed_polar(F[left])
     return R
 
 

@@ -14,7 +14,9 @@ builds the same, to the bit of the key, and says the same where Taichi complains
 - it puts the name of what builds a node together at every node, and makes a dozen functions for
   every sum to choose one of: here that is looked up.
 
-Where a version of Taichi has no such part, that part is left alone.
+All of this replaces private parts of Taichi 1.7.4.  With any other version, or with the environment
+variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` is
+called by `taichi_runtime`, and nothing else knows this file.
 """
 
 from __future__ import annotations
@@ -24,45 +26,43 @@ import gc
 import importlib
 import linecache
 import operator
+import os
 import re
 import sys
 import textwrap
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
-from types import CodeType, SimpleNamespace
+from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
+VERSION = (1, 7, 4)  # of Taichi, whose private parts these are
+SWITCH = "GF_USD_FAST_START"  # environment variable; "0" leaves Taichi as it is
 
-def quicken() -> None:
-    """Replace the detours of an imported Taichi."""
-    words = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
+
+@cache
+def quicken(taichi: ModuleType) -> None:
+    """Replace the detours of an imported Taichi of this version, once, unless switched off."""
+    if taichi.__version__ != VERSION or os.environ.get(SWITCH) == "0":
+        return
     numbers: Any = importlib.import_module("taichi.lang.expr")
     for name in ("_check_in_range", "_clamp_unsigned_to_range"):
-        if hasattr(numbers, name):
-            setattr(numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name)))
-    kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
-    builder: Any = getattr(words, "Builder", None)
-    context: Any = getattr(words, "ASTTransformerContext", None)
-    if callable(builder) and hasattr(context, "get_pos_info"):
-        builder.__call__ = _looked_up(builder.__call__, context.get_pos_info)
-        context.get_pos_info = _briefly
+        setattr(numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name)))
+    words: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
+    context = words.ASTTransformerContext
+    words.Builder.__call__ = _looked_up(words.Builder.__call__, context.get_pos_info)
+    context.get_pos_info = _briefly
     transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
-    if hasattr(transformer, "build_Name"):
-        transformer.build_Name = staticmethod(_named)
-    if hasattr(transformer, "build_BinOp"):
-        transformer.build_BinOp = staticmethod(_chosen(transformer.build_BinOp))
-    if all(hasattr(kernels, name) for name in ("ast", "textwrap", "transform_tree")):
-        trees = Trees(kernels.transform_tree)
-        kernels.ast = SimpleNamespace(**{**vars(ast), "parse": trees.parse})
-        kernels.textwrap = SimpleNamespace(**{**vars(textwrap), "fill": _filled})
-        kernels.transform_tree = trees.transform
-    if hasattr(kernels, "getsourcelines"):
-        kernels.getsourcelines = cache(_up_to_its_end(kernels.getsourcelines))
-    if hasattr(kernels, "getsourcefile"):
-        kernels.getsourcefile = cache(kernels.getsourcefile)
-    if hasattr(kernels, "_inside_class"):
-        words = tuple(getattr(kernels, "_KERNEL_CLASS_STACKFRAME_STMT_RES", ()))
-        kernels._inside_class = _asked_of_files(kernels._inside_class, words)
+    transformer.build_Name = staticmethod(_named)
+    transformer.build_BinOp = staticmethod(_chosen(transformer.build_BinOp))
+    kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
+    trees = Trees(kernels.transform_tree)
+    kernels.ast = SimpleNamespace(**{**vars(ast), "parse": trees.parse})
+    kernels.textwrap = SimpleNamespace(**{**vars(textwrap), "fill": _filled})
+    kernels.transform_tree = trees.transform
+    kernels.getsourcelines = cache(_up_to_its_end(kernels.getsourcelines))
+    kernels.getsourcefile = cache(kernels.getsourcefile)
+    statements = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
+    kernels._inside_class = _asked_of_files(kernels._inside_class, statements)
 
 
 def _briefly(self: Any, node: Any) -> str:

@@ -1,18 +1,12 @@
-"""The one place where Taichi is imported and started.
-
-Taichi imported without what it loads for others: prompts, networks, searches for source.
-"""
+"""The one place where Taichi is imported and started."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
 import importlib
-import inspect
 import io
 import os
-import sys
-from collections.abc import Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -37,8 +31,7 @@ def import_taichi() -> ModuleType:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
     os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
     try:
-        with leanly():
-            taichi = importlib.import_module("taichi")
+        taichi = importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
             raise GfUsdError(
@@ -46,9 +39,10 @@ def import_taichi() -> ModuleType:
                 "install the system library, on Debian and Ubuntu: apt-get install libx11-6",
             ) from error
         raise GfUsdError(
-            f"Taichi cannot be loaded: {error}", "install it: python -m pip install 'taichi>=1.7.4'"
+            f"Taichi cannot be loaded: {error}",
+            "install it: python -m pip install 'taichi>=1.7.4,<1.8'",
         ) from error
-    quicken()
+    quicken(taichi)
     return taichi
 
 
@@ -172,50 +166,3 @@ def cores() -> int:
 def _has_cuda(ti: ModuleType) -> bool:
     ti.set_logging_level(ti.ERROR)  # looking for the driver is no reason to warn of its absence
     return bool(ti.lang.misc.is_arch_supported(ti.cuda))
-
-
-VERSION_CHECK = "taichi._version_check"  # loads what talks to a network
-PROMPT = "dill"  # finds the source of what was typed at a prompt
-
-
-@contextlib.contextmanager
-def leanly() -> Iterator[None]:
-    """While Taichi is imported.
-
-    No search for the source of frames that have none, which goes through all modules; no version
-    check where it is switched off; and `dill` is loaded when something of it is asked for.
-    """
-    complete = inspect.getframeinfo
-
-    def quick(frame: Any, context: int = 1) -> Any:
-        if inspect.isframe(frame) and frame.f_code.co_filename.startswith("<"):
-            code = frame.f_code
-            return inspect.Traceback(code.co_filename, frame.f_lineno, code.co_name, None, None)
-        return complete(frame, context)
-
-    instead = {PROMPT: _loaded_when_asked(PROMPT)}
-    if os.environ.get("TI_SKIP_VERSION_CHECK") == "ON":
-        instead[VERSION_CHECK] = nothing = ModuleType(VERSION_CHECK)
-        nothing.start_version_check_thread = lambda: None
-    instead = {name: module for name, module in instead.items() if name not in sys.modules}
-    inspect.getframeinfo = quick
-    sys.modules.update(instead)
-    try:
-        yield
-    finally:
-        inspect.getframeinfo = complete
-        for name in instead:
-            del sys.modules[name]
-
-
-def _loaded_when_asked(name: str) -> ModuleType:
-    """A module that passes on what is asked of it, but for what a search of modules asks."""
-    module = ModuleType(name)
-
-    def ask(attribute: str) -> Any:
-        if attribute.startswith("__"):
-            raise AttributeError(attribute)
-        return getattr(importlib.import_module(name), attribute)
-
-    module.__getattr__ = ask
-    return module

@@ -80,11 +80,6 @@ def _refuse_another_version(folder: Path) -> None:
         )
 
 
-def can_apply_to(api: str) -> tuple[str, ...]:
-    """The prim types that the API named ``api`` may be applied to; empty: any."""
-    return tuple(Usd.SchemaRegistry.GetAPISchemaCanOnlyApplyToTypeNames(api, ""))
-
-
 def property_names(api: str) -> tuple[str, ...]:
     """The attributes and relationships of ours that the API named ``api`` declares."""
     layer = Sdf.Layer.FindOrOpen(str(schema_path() / DEFINITIONS))

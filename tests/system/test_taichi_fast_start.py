@@ -4,11 +4,12 @@ import ast
 import gc
 import inspect
 import os
+import re
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from gf_usd.system import taichi_fast_start
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
+ROOT = Path(__file__).parents[2]
 KERNEL = """
 from gf_usd.system.taichi_runtime import import_taichi, init_taichi
 
@@ -49,12 +51,10 @@ def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
 
 MANY_WAYS = """
 import sys
-from gf_usd.system import taichi_runtime as runtime
+from gf_usd.system import taichi_runtime
 
-if sys.argv[1] == "plain":
-    runtime.quicken = lambda: None
-ti = runtime.import_taichi()
-runtime.init_taichi()
+ti = taichi_runtime.import_taichi()
+taichi_runtime.init_taichi()
 x = ti.ndarray(ti.f32, 4)
 numbers = ti.types.ndarray(dtype=ti.f32, ndim=1)
 
@@ -93,9 +93,12 @@ def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path
 
     def run(way: str) -> tuple[str, str, set[str]]:
         cache = tmp_path / way
-        environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache)}
+        environment = {
+            **os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(cache),
+            taichi_fast_start.SWITCH: "0" if way == "plain" else "1",
+        }  # fmt: skip
         done = subprocess.run(
-            [sys.executable, str(script), way],
+            [sys.executable, str(script)],
             env=environment,
             capture_output=True,
             text=True,
@@ -194,26 +197,6 @@ def test_a_function_in_a_class_is_still_told_from_one_in_a_module() -> None:
     assert kernels._inside_class.__name__ == "inside_class"
 
 
-def test_the_version_check_that_is_off_loads_nothing_that_talks_to_a_network() -> None:
-    code = "import sys; from gf_usd.system.taichi_runtime import import_taichi; import_taichi(); "
-    code += "print([m for m in ('ssl', 'taichi._version_check') if m in sys.modules])"
-
-    def loaded(switch: str) -> str:
-        environment = {**os.environ, "TI_SKIP_VERSION_CHECK": switch}
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return done.stdout.strip()
-
-    assert loaded("ON") == "[]"
-    # One who wants the check has it, as Taichi made it.
-    assert loaded("OFF") == "['ssl', 'taichi._version_check']"
-
-
 def long_signature(
     a: int,
     b: int,
@@ -259,19 +242,76 @@ def test_a_function_without_a_file_is_left_to_inspect() -> None:
         taichi_fast_start._up_to_its_end(inspect.getsourcelines)(space["nowhere"])
 
 
-def test_what_only_a_prompt_needs_is_loaded_when_it_is_used() -> None:
-    script = """
-import sys
-from gf_usd.system.taichi_runtime import import_taichi
+@pytest.mark.parametrize("version", [(1, 7, 3), (1, 7, 5), (1, 8, 0), (2, 0, 0)])
+def test_another_version_of_taichi_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int]
+) -> None:
+    import_taichi()
+    taichi = ModuleType("taichi")
+    taichi.__version__ = version
+    kernels = sys.modules["taichi.lang.kernel_impl"]
+    before = dict(vars(kernels))
+    monkeypatch.setattr(taichi_fast_start.importlib, "import_module", None)  # would be called
+    taichi_fast_start.quicken(taichi)
+    assert dict(vars(kernels)) == before
 
-import_taichi()
-print("dill._dill" in sys.modules)
-from taichi.lang import _wrap_inspect
 
-print(_wrap_inspect.dill.loads(_wrap_inspect.dill.dumps(lambda: 7))())
-print("dill._dill" in sys.modules)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+def test_a_bake_is_the_same_to_the_byte_with_the_fast_start_switched_off(tmp_path: Path) -> None:
+    """All that is written, and under the same keys of kernels."""
+    script = (
+        "import sys, gf_usd\n"
+        "gf_usd.bake(sys.argv[1], output='out/', material='rubber', particles=300, frames=3,"
+        " drop='0.1', stress=True)\n"
+        "print(type(sys.modules['taichi.lang.kernel_impl'].ast).__name__)\n"
     )
-    assert done.stdout.split()[-3:] == ["False", "7", "True"], done.stderr
+
+    def bake(switch: str) -> tuple[str, dict[str, bytes], set[str]]:
+        here, kernels = tmp_path / switch, tmp_path / f"kernels-{switch}"
+        (here / "out").mkdir(parents=True)
+        environment = {
+            **os.environ, taichi_fast_start.SWITCH: switch,
+            "TI_OFFLINE_CACHE_FILE_PATH": str(kernels),
+        }  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-c", script, str(ROOT / "samples" / "sphere.usda")],
+            cwd=here, env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        files = {
+            file.name: re.sub(rb'("seconds": )[0-9.e-]+', rb"\1", file.read_bytes())
+            for file in sorted((here / "out").iterdir())
+        }
+        return done.stdout.strip(), files, {file.name for file in kernels.rglob("*.tic")}
+
+    on, off = bake("1"), bake("0")
+    assert (on[0], off[0]) == ("SimpleNamespace", "module"), "else nothing is compared"
+    assert len(on[1]) >= 3
+    assert on[1] == off[1]
+    assert off[2]
+    assert on[2] == off[2]
+
+
+def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
+    code = (
+        "from gf_usd.system.taichi_runtime import import_taichi, init_taichi\n"
+        "import_taichi()\n"
+        "from taichi import _version_check\n"
+        "asked = []\n"
+        "_version_check.try_check_version = lambda: asked.append(1)\n"
+        "init_taichi()\n"
+        "print(asked)\n"
+    )
+
+    def asked(switch: dict[str, str]) -> str:
+        environment = {k: v for k, v in os.environ.items() if k != "TI_SKIP_VERSION_CHECK"}
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env={**environment, **switch},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return done.stdout.strip()
+
+    assert asked({}) == "[]"
+    # One who wants the check has it, as Taichi made it.
+    assert asked({"TI_SKIP_VERSION_CHECK": "OFF"}) == "[1]"

@@ -21,6 +21,7 @@ from pxr import Sdf, Usd, UsdVol, Vt
 from gf_usd.core.arrays import Floats, corners
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
+from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import box, f32, xyzw
 from gf_usd.layers.tracks.meshes import check
@@ -146,15 +147,7 @@ class SplatTrack:
 
 def _variances(wxyz: Floats, scales: Floats) -> np.ndarray:
     """Diagonal (N, 3) of R diag(s^2) R' for quaternions (w, x, y, z)."""
-    w, x, y, z = np.asarray(wxyz, np.float64).T
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return np.einsum("ikn,nk->ni", rotation**2, scales**2)
+    return np.einsum("nik,nk->ni", matrix_from_quaternion(wxyz) ** 2, scales**2)
 
 
 LOWEST, HIGHEST = 6.2e-5, 65504.0

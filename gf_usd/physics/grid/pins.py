@@ -33,6 +33,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Pose
+from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin
 
@@ -201,16 +202,8 @@ class Motion:
         spread = np.linalg.eigvalsh(C)
         solid = spread[:, 0] > FLAT * spread[:, 2]
         safe = np.where(solid[:, None, None], C, np.eye(3))
-        A = np.where(solid[:, None, None], B @ np.linalg.inv(safe), kabsch(B))
+        A = np.where(solid[:, None, None], B @ np.linalg.inv(safe), signed_polar(B))
         x = Qbar + np.einsum("nab,nb->na", A, X - Pbar)
         known = distance[:, 0] <= SAME * self._extent
         x[known] = now[near[known, 0]]
         return x, A
-
-
-def kabsch(B: Floats) -> Floats:
-    """Rotations (n, 3, 3) nearest to B = sum w q p^T, of determinant +1."""
-    U, _, Vt = np.linalg.svd(B)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    U[:, :, 2] *= np.where(sign < 0.0, -1.0, 1.0)[:, None]
-    return U @ Vt

@@ -18,7 +18,6 @@ ti = import_taichi()
 F32_1, F32_2, F32_3 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (1, 2, 3))
 F64_1, F64_2 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in (1, 2))
 I32_1, I32_2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
-U8_2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
 I64_2 = ti.types.ndarray(dtype=ti.i64, ndim=2)
 
 vec2, vec3 = (ti.types.vector(n, ti.f32) for n in (2, 3))
