@@ -46,9 +46,6 @@ MEETING_SECONDS = 1e-6
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
 VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its rows, a frame
 MEETING_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
-# [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
-# takes hours is mostly a modulus in the wrong unit.
-MAX_HOURS = 1.0
 
 
 def estimate(plan: Plan) -> dict[str, Any]:

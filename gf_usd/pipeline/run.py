@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,18 +13,19 @@ from gf_usd.core.errors import OutOfRoom, SolverError
 from gf_usd.core.frames import BakeInfo, sampled
 from gf_usd.core.materials import Material
 from gf_usd.core.scene import Scene
-from gf_usd.pipeline.budget import MAX_HOURS, RoomWatch, require_affordable, require_room
+from gf_usd.pipeline.budget import RoomWatch, require_affordable, require_room
 from gf_usd.pipeline.checkpoint import Keeper, finished, going_on
 from gf_usd.pipeline.deliver import alone, deliver, sweep, write_source
 from gf_usd.pipeline.failure import leave
 from gf_usd.pipeline.frames import Carrier, Moving, with_held
 from gf_usd.pipeline.health import HealthLog, judge
 from gf_usd.pipeline.result import BakeResult, LookResult, report_json, require_healthy
+from gf_usd.prepare.options.option import takes
+from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 from gf_usd.prepare.outputs import claim
 from gf_usd.prepare.plan import Plan, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
-from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
     from gf_usd.layers.variants import BakedLook
@@ -33,22 +34,13 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
 
 
+@takes(BakeOptions)
 def bake(
     path: str | Path,
     *,
-    material: str | None = None,
-    output: str | Path | None = None,
-    law: str | None = None,
-    prims: Sequence[str] = (),
-    overwrite: bool = False,
-    meters_per_unit: float | None = None,
-    up_axis: str | None = None,
-    repair: bool = False,
     strict: bool = False,
     max_hours: float = MAX_HOURS,
-    resume: bool = False,
     slice: int | None = None,
-    limits: Limits | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -70,9 +62,9 @@ def bake(
     max_hours : refuse a bake whose estimate is longer.
     resume : go on from the checkpoints of this bake, if it ended early; see the guide.
     slice : full value clips after which it ends, to be resumed.
-    limits : `isolation.Limits` of a child process that reads the asset first; None: no such trial.
+    limits : `sandbox.Limits` of a child process that reads the asset first; None: no such trial.
     progress : called after each frame with (frames done, frames in all).
-    options : the fields of `planning.Request`: particles, spacing [stage units], frames, fps,
+    options : the fields of `Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
         filter_rate [1/T], damping_time [s], friction, restitution, time_scale, skin and so on.
 
@@ -85,11 +77,7 @@ def bake(
     Unfinished : the slice is done, and there are frames left.
     UnhealthyError : strict, and there are warnings; the files are written.
     """
-    plan = prepare(
-        path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
-        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume,
-        limits=limits, **options,
-    )  # fmt: skip
+    plan = prepare(path, **options)
     result = run(plan, progress, max_hours=max_hours, slice=slice)
     if strict:
         require_healthy(result)

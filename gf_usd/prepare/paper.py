@@ -11,70 +11,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import G0, Material
 
 if TYPE_CHECKING:
-    from gf_usd.prepare.request import Request
+    from gf_usd.prepare.options.request import Request
 
 
 PAPER_CLAMP = (0.2, 5.0)
 PAPER_CAP = 100.0 / 0.156 / G0  # [rho g0 r] tau = 100 where r = 1 and, as fitted, rho = 0.156
 PAPER_PROCRUSTES = {"rubber": 0.02}
-NONE = "none"
-
-
-def check(request: Request) -> None:
-    """Raise UsageError for values that make no sense, or that the solver asked for cannot do."""
-    alpha = request.procrustes
-    if alpha is not None and not 0.0 <= alpha <= 1.0:
-        raise UsageError(f"--procrustes is {alpha:g}", "give a number from 0 to 1")
-    parse_clamp(request.clamp)
-    parse_cap(request.stress_cap)
-    if request.solver == "ul":
-        for option, given in (("--wls", request.wls), ("--procrustes", alpha)):
-            if given:
-                raise UsageError(
-                    f"--solver ul does not know {option}",
-                    f"leave {option} out, or use --solver tl",
-                )
-    if alpha and request.pins:
-        raise UsageError(
-            f"--procrustes {alpha:g} moves the body towards its rest shape about its mean, and"
-            " --pin holds it elsewhere",
-            "leave one of the two out",
-        )
-
-
-def parse_clamp(text: str | None) -> tuple[float, float] | None:
-    """Limits of the singular values of F, of "0.2:5"; None for "none" and where nothing is said."""
-    if text is None or text == NONE:
-        return None
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        low = high = float("nan")
-    if not 0.0 < low < 1.0 < high < np.inf:
-        raise UsageError(
-            f"--clamp is {text!r}", "give two stretches about 1, such as 0.2:5, or none"
-        )
-    return low, high
-
-
-def parse_cap(text: str | None) -> float | None:
-    """[Pa] of "2e4"; None for "none" and where nothing is said."""
-    if text is None or text == NONE:
-        return None
-    try:
-        cap = float(text)
-    except ValueError:
-        cap = float("nan")
-    if not 0.0 < cap < np.inf:
-        raise UsageError(f"--stress-cap is {text!r}", "give a stress above 0 [Pa], or none")
-    return cap
 
 
 def of_material(
@@ -86,8 +32,8 @@ def of_material(
     """
     paper = request.preset == "paper"
     total_lagrangian = settings.solver == "tl"
-    alpha, clamp = request.procrustes, parse_clamp(request.clamp)
-    cap = parse_cap(request.stress_cap)
+    alpha, clamp = request.procrustes, request.parsed["clamp"]
+    cap = request.parsed["stress_cap"]
     if paper and alpha is None and total_lagrangian and not request.pins:
         alpha = PAPER_PROCRUSTES.get(material.name, 0.0)
     if paper and request.clamp is None:

@@ -10,7 +10,7 @@ from hostile_files import STAGE
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.run import prepare
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.request import Request
 
 NAN, INF = float("nan"), float("inf")
 NUMBERS = (0.0, -1.0, 1e-300, 1e300, NAN, INF, -INF)
