@@ -236,6 +236,26 @@ def test_what_is_no_floor_is_refused(text: str) -> None:
     assert caught.value.hint
 
 
+def test_a_floor_points_up_where_the_asset_has_up() -> None:
+    request = Request(floor="0.5:0,0.6,0.8")
+    request.check()  # before the asset is read either axis may be up
+    at, n = floor_plane(request.parsed["floor"], np.array([0.0, 0.0, 1.0]), 1.0)
+    assert at == pytest.approx(0.4)
+    np.testing.assert_allclose(n, (0.0, 0.6, 0.8))
+    with pytest.raises(UsageError, match="the normal 0,1,0 does not point up"):
+        floor_plane(Request(floor="0,1,0").parsed["floor"], np.array([0.0, 0.0, 1.0]), 1.0)
+
+
+def test_a_text_is_parsed_once() -> None:
+    request = Request(clamp="0.5:2", drop="3r")
+    assert request.parsed is request.parsed
+    assert request.parsed["clamp"] == (0.5, 2.0)
+    assert (request.parsed["drop"].value, request.parsed["drop"].in_radii) == (3.0, True)
+    assert request.parsed["floor"] is None
+    with pytest.raises(UsageError, match="--drop: '' is no number"):
+        Request(drop="").check()
+
+
 def test_a_body_falls_onto_a_tilted_floor_by_as_much_as_was_asked() -> None:
     made = settled(floor="3,4,0", drop="2")
     # lowest = 0 along the normal: 2 m straight down is 1.6 m along it
