@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-NO = ("wls",)  # flags whose "no" says something
+from gf_usd.prepare.options.table import words
+
 REPORT, RECORD = ".report.json", ".job.json"
 
 # how a job can end; those of GOOD need no second look, those of CALM no alarm
@@ -65,19 +66,7 @@ class Job:
 
     def words(self) -> list[str]:
         """The arguments of ``gf-usd`` that bake it."""
-        words = ["bake", str(self.asset), "--output", str(self.root)]
-        for name, value in self.options.items():
-            option = f"--{name.replace('_', '-')}"
-            if isinstance(value, list | tuple):
-                for each in value:
-                    words += [singular(option), str(each)]
-            elif value is True:
-                words.append(option)
-            elif value is False:
-                words += [f"--no-{option[2:]}"] if name in NO else []
-            else:
-                words += [option, str(value)]
-        return words
+        return ["bake", str(self.asset), "--output", str(self.root), *words(self.options)]
 
     @property
     def command(self) -> str:
@@ -144,8 +133,3 @@ class Outcome:
             key: tuple(known[key]) for key in ("warnings", "findings", "notes") if key in known
         }
         return cls(**{**known, **lists})
-
-
-def singular(option: str) -> str:
-    """An option that is given once for each item of a list: prims -> prim, boxes -> box."""
-    return option.removesuffix("es") if option.endswith("xes") else option.removesuffix("s")

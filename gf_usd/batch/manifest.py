@@ -20,8 +20,10 @@ from gf_usd.core import materials
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.prepare.advice import AUTO
 from gf_usd.prepare.advice.advise import parse_auto
+from gf_usd.prepare.options.option import Option
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.table import OPTIONS
 from gf_usd.prepare.outputs import USD
-from gf_usd.prepare.request import Request
 from gf_usd.system.sandbox import parse_limits
 
 SUFFIXES = (".toml", ".json")
@@ -124,10 +126,10 @@ def make_group(
 ) -> Group:
     """A group with its files found and its options checked.  Raises UsageError."""
     axes = {key.replace("-", "_"): values for key, values in matrix.items()}
-    types = known()
     for key, values in axes.items():
         # one list is one value of an option that is itself a list
-        whole = types.get(key) == "list" and not all(isinstance(v, list) for v in values)
+        listed = key in KNOWN and KNOWN[key].repeated
+        whole = listed and not all(isinstance(v, list) for v in values)
         if not isinstance(values, list) or not values or whole:
             raise UsageError(
                 f"{where}: the matrix has {key} = {values!r}", f"give a list: {key} = [...]"
@@ -203,29 +205,8 @@ def _number(tree: Mapping[str, Any], key: str, where: str) -> float | None:
     return float(value)
 
 
-# of `bake` itself, beside those of `Request`
-OWN = {
-    "material": "str",
-    "law": "str",
-    "prims": "list",
-    "meters_per_unit": "float",
-    "up_axis": "str",
-    "repair": "bool",
-    "strict": "bool",
-    "max_hours": "float",
-    "limits": "str",
-}
-# they decide how long a bake takes and how it is judged, not what it writes
-INDIFFERENT = ("strict", "max_hours", "threads", "limits")
-TYPES = {"int": (int,), "float": (int, float), "bool": (bool,), "str": (str, int, float)}
-
-
-def known() -> dict[str, str]:
-    """Every option and its type: str, int, float, bool or list."""
-    fields = Request.__dataclass_fields__
-    types = {name: str(field.type).partition(" ")[0] for name, field in fields.items()}
-    lists = {name: "list" for name, kind in types.items() if kind.startswith("tuple")}
-    return {**types, **lists, **OWN}
+KNOWN = {name: option for name, option in OPTIONS.items() if "batch" in option.commands}
+TYPES = {int: (int,), float: (int, float), bool: (bool,), str: (str, int, float)}
 
 
 def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
@@ -238,25 +219,20 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
 
     Raises UsageError for an unknown option, a value of the wrong type or out of range.
     """
-    types, out = known(), {}
+    out = {}
     for key, value in given.items():
         name = key.replace("-", "_")
-        if name not in types:
-            close = difflib.get_close_matches(name, types, n=1)
+        if name not in KNOWN:
+            close = difflib.get_close_matches(name, KNOWN, n=1)
             guess = f"did you mean {close[0]}? " if close else ""
             raise UsageError(
                 f"{where}: there is no option {key!r}",
-                f"{guess}the options are {', '.join(sorted(types))}",
+                f"{guess}the options are {', '.join(sorted(KNOWN))}",
             )
-        out[name] = _typed(name, value, types[name], where)
+        out[name] = _typed(KNOWN[name], value, where)
     fields = Request.__dataclass_fields__
-    asked: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in out.items()
-        if name in fields
-    }
     try:
-        Request(**asked).check()
+        Request.of({name: value for name, value in out.items() if name in fields}).check()
         if "law" in out:
             materials.check_law(out["law"])
         parse_limits(out.get("limits"))
@@ -267,31 +243,34 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     return out
 
 
-def _typed(name: str, value: Any, kind: str, where: str) -> Any:
+def _typed(option: Option, value: Any, where: str) -> Any:
     """The value as the command line will read it."""
-    if kind == "list":
+    kind = option.kind
+    if option.repeated:
         rows = [value] if isinstance(value, str) else value
         if isinstance(rows, list | tuple) and all(isinstance(row, str) for row in rows):
             return list(rows)
-    elif isinstance(value, TYPES[kind]) and not (isinstance(value, bool) and kind != "bool"):
-        if kind == "str":
+    elif isinstance(value, TYPES[kind]) and not (isinstance(value, bool) and kind is not bool):
+        if kind is str:
             return str(value)
-        if kind == "bool" or name == "filter_rate" or math.isfinite(value):
+        if kind is bool or math.isfinite(value) or option.name == "filter_rate":
             return value
-    wanted = {"list": "a list of texts", "str": "a text", "bool": "true or false"}
-    raise UsageError(f"{where}: {name} is {value!r}", f"give {wanted.get(kind, f'one {kind}')}")
+    names = {str: "a list of texts" if option.repeated else "a text", bool: "true or false"}
+    wanted = names.get(kind, f"one {kind.__name__}")
+    raise UsageError(f"{where}: {option.name} is {value!r}", f"give {wanted}")
 
 
 def parse(name: str, text: str, where: str) -> Any:
     """A value out of NAME=VALUE on the command line.  Raises UsageError for what is none."""
-    kind = known().get(name.replace("-", "_"), "str")
-    if kind == "bool" and text in ("true", "false"):
+    option = KNOWN.get(name.replace("-", "_"))
+    kind = option.kind if option else str
+    if kind is bool and text in ("true", "false"):
         return text == "true"
-    if kind in ("int", "float"):
+    if kind in (int, float):
         try:
-            return int(text) if kind == "int" else float(text)
+            return kind(text)
         except ValueError:
-            raise UsageError(f"{where}: {text!r} is no {kind}", "give a number") from None
+            raise UsageError(f"{where}: {text!r} is no {kind.__name__}", "give a number") from None
     return text
 
 
@@ -323,5 +302,5 @@ def material_files(options: Mapping[str, Any]) -> tuple[Path, ...]:
 
 def decisive(options: Mapping[str, Any]) -> dict[str, Any]:
     """The options that decide what is written."""
-    kept = {name: value for name, value in options.items() if name not in INDIFFERENT}
+    kept = {name: value for name, value in options.items() if KNOWN[name].decides}
     return {"material": "rubber", **kept}

@@ -22,6 +22,7 @@ from gf_usd.cli.check import check
 from gf_usd.cli.exit import leave, prepare_to_leave
 from gf_usd.cli.info import inputs, materials, schema_path
 from gf_usd.cli.inspect import inspect
+from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
 from gf_usd.cli.verify import verify
@@ -76,11 +77,8 @@ def program(names: Iterable[str] = COMMANDS) -> typer.Typer:
     made.callback()(_main)
     for name in names:
         function, settings = COMMANDS[name]
-        made.command(name=name, **settings)(function)
+        made.command(name=name, **settings)(signed(name, function))
     return made
-
-
-app = program()
 
 
 def run() -> NoReturn:
@@ -97,9 +95,9 @@ def run() -> NoReturn:
     gc.set_threshold(100_000, 20, 20)
     asked = sys.argv[1:2]
     # Typer goes through the options of all the commands it knows before it runs one.
-    chosen = program(asked) if asked and asked[0] in COMMANDS else app
+    chosen = asked if asked and asked[0] in COMMANDS else COMMANDS
     try:
-        chosen(standalone_mode=True)
+        program(chosen)(standalone_mode=True)
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import UsageError
 from gf_usd.core.materials import Material, law_parameters, young_poisson
 
 if TYPE_CHECKING:
@@ -237,23 +236,6 @@ class Choices:
     def particles(self) -> bool:
         """Whether any form of the particles is written."""
         return "gaussians" in self.shapes or "points" in self.shapes
-
-
-def parse_only(text: str | None) -> tuple[str, ...]:
-    """The shapes of "mesh" or "gaussians,points", in the order of SHAPES; None: all of them.
-
-    Raises UsageError for words that are none of them.
-    """
-    if text is None:
-        return SHAPES
-    words = [word.strip() for word in text.split(",")]
-    for word in words:
-        if word not in SHAPES:
-            raise UsageError(
-                f"--only {text}: there is no {word!r}",
-                f"give one or more of {', '.join(SHAPES)}, with commas between",
-            )
-    return tuple(shape for shape in SHAPES if shape in words)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -158,10 +158,6 @@ def first_contact(settings: Settings, drop: float) -> int | None:
     return frame if frame < settings.frames else None
 
 
-# [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
-# takes hours is mostly a modulus in the wrong unit.
-MAX_HOURS = 1.0
-
 Cost = Mapping[str, Any]  # of `estimate`
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from gf_usd.core.errors import OutOfResources, SolverError, UsageError
 from gf_usd.core.frames import BakeInfo, sampled
 from gf_usd.core.scene import Scene
 from gf_usd.pipeline.budget import (
-    MAX_HOURS,
     Cost,
     ResourceGuard,
     Solvers,
@@ -30,11 +29,12 @@ from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
+from gf_usd.prepare.options.option import takes
+from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
-from gf_usd.system.sandbox import Limits
 
 if TYPE_CHECKING:
     from gf_usd.layers.variants import BakedVariant
@@ -77,22 +77,13 @@ class Prepared:
         )
 
 
+@takes(BakeOptions)
 def bake(
     path: str | Path,
     *,
-    material: str | None = None,
-    output: str | Path | None = None,
-    law: str | None = None,
-    prims: Sequence[str] = (),
-    overwrite: bool = False,
-    meters_per_unit: float | None = None,
-    up_axis: str | None = None,
-    repair: bool = False,
     strict: bool = False,
     max_hours: float = MAX_HOURS,
-    resume: bool = False,
     slice: int | None = None,
-    limits: Limits | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -129,11 +120,7 @@ def bake(
     Unfinished : the slice is done, and there are frames left.
     UnhealthyError : strict, and there are warnings; the files are written.
     """
-    prepared = prepare(
-        path, material=material, output=output, law=law, prims=prims, overwrite=overwrite,
-        meters_per_unit=meters_per_unit, up_axis=up_axis, repair=repair, resume=resume,
-        limits=limits, **options,
-    )  # fmt: skip
+    prepared = prepare(path, **options)
     result = run(prepared, progress, max_hours=max_hours, slice=slice)
     if strict:
         require_healthy(result)

@@ -18,11 +18,11 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
+    SHAPES,
     Choices,
     Settings,
     SurfaceSamples,
     clip_length,
-    parse_only,
     sampled,
     written,
 )
@@ -33,11 +33,11 @@ from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
 from gf_usd.prepare.bodies import encounters, plan_bodies, start_velocities
 from gf_usd.prepare.materials import with_own_values
+from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import make_pins
 from gf_usd.prepare.plan import Plan, frame_bytes
-from gf_usd.prepare.request import Request, parse_floor
-from gf_usd.prepare.settings import Resolution, resolution, resolve
+from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def fill(
             solid, particles.spacing, request.seed or 0,
             bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
         )  # fmt: skip
-    floor, normal = parse_floor(request.floor, asset.facts.up, unit)
+    floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
@@ -122,10 +122,9 @@ def fill(
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
-    regions = material_regions.parse_regions(request.material_boxes, request.material_labels)
-    parts = body_materials.slots(solid, words, regions)
+    parts = body_materials.slots(solid, words, request.regions)
     slot = body_materials.slot_of_particles(solid, particles, parts)
-    of, regional = material_regions.owners(regions, solid.surfaces, particles, unit)
+    of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
     slot = body_materials.in_regions(slot, particles, parts, of)
 
     own_values = _stated_values(request)
@@ -150,7 +149,9 @@ def fill(
     each = tuple(
         paper_options.of_material(
             settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
-            procrustes=request.procrustes, clamp=request.clamp, stress_cap=request.stress_cap,
+            procrustes=request.procrustes, clamp=request.parsed["clamp"],
+            stress_cap=request.parsed["stress_cap"],
+            given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},
         )
         for m in made
     )  # fmt: skip
@@ -250,7 +251,9 @@ def _chosen(
             "a package is one file: leave one of them out",
         )
     choices = Choices(
-        shapes=parse_only(request.only), half=request.half, flat=request.flatten or files.flat
+        shapes=request.parsed["only"] or SHAPES,
+        half=request.half,
+        flat=request.flatten or files.flat,
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))

@@ -25,9 +25,8 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Advice, Encounters, Pin
 from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.options.table import words
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
-
-TWO_WAY = ("wls",)  # flags whose "no" overrides a preset
 
 
 @dataclass(frozen=True)
@@ -109,16 +108,7 @@ class Plan:
 
 def command_line(source: Path, **asked: Any) -> str:
     """The ``gf-usd bake`` that asks for this; what was left to its default is left out."""
-    words = ["gf-usd", "bake", source.name]
-    for name, value in asked.items():
-        option = f"--{name.replace('_', '-')}"
-        if value is True:
-            words.append(option)
-        elif value is False and name in TWO_WAY:
-            words.append(f"--no-{option[2:]}")
-        elif value is not None and value is not False:
-            words += [option, str(value).removesuffix(".0")]
-    return shlex.join(words)
+    return shlex.join(["gf-usd", "bake", source.name, *words(asked)])
 
 
 def input_hash(path: Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.core import materials
 from gf_usd.core.asset import Asset
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError
 from gf_usd.core.stage import StageWords
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
 from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
 from gf_usd.prepare.fill import fill, implausible_size
 from gf_usd.prepare.materials import Authored, look_name
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.outputs import (
     Outputs,
     SplatSequence,
@@ -32,7 +33,6 @@ from gf_usd.prepare.outputs import (
     stamps,
 )
 from gf_usd.prepare.plan import Plan, command_line
-from gf_usd.prepare.request import Request
 from gf_usd.readers.isolated import Reading, Source
 from gf_usd.readers.usd_bake.spec import read_words
 from gf_usd.system.sandbox import Limits
@@ -40,8 +40,6 @@ from gf_usd.system.taichi_runtime import init_taichi
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
-
-REPEATED = ("pins", "material_boxes", "material_labels")  # options that may be given several times
 
 
 def prepare(
@@ -84,14 +82,12 @@ def prepare(
     plan, _ = fill(
         asset, request, found.presets, law, files, found.file, words=found.words, repair=repair
     )
+    lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
         source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, **{k: v for k, v in options.items() if k not in REPEATED},
+        repair=repair, **{k: v for k, v in options.items() if k not in lists}, prims=tuple(prims),
+        **lists,
     )  # fmt: skip
-    command += "".join(f" --prim {shlex.quote(prim)}" for prim in prims)
-    command += "".join(f" --pin {shlex.quote(pin)}" for pin in request.pins)
-    command += "".join(f" --material-box {shlex.quote(box)}" for box in request.material_boxes)
-    command += "".join(f" --material-label {shlex.quote(one)}" for one in request.material_labels)
     odd = implausible_size(asset)
     plan = replace(
         plan, command=command, notes=(*plan.notes, odd) if odd else plan.notes,
@@ -241,14 +237,7 @@ def parse_request(
 
     No preset: the stage says what it is made of, or it is rubber.
     """
-    known = Request.__dataclass_fields__
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise UsageError(
-            f"bake() has no option {unknown[0]!r}", f"its options are {', '.join(sorted(known))}"
-        )
-    lists = {name: tuple(options.get(name) or ()) for name in REPEATED}
-    request = Request(**{**options, **lists})
+    request = Request.of(options)
     request.check()
     if law is not None:
         materials.check_law(law)

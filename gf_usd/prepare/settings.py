@@ -14,62 +14,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gf_usd.core.arrays import triple
+from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import FILTER_RATE, SHOT_LENGTH, time_scale
+from gf_usd.core.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageWords
 from gf_usd.prepare import materials
-from gf_usd.prepare.request import (
-    DEFAULT_DROP,
-    DEFAULT_FPS,
-    DEFAULT_PARTICLES,
-    PAPER_CONTACT,
-    PAPER_DRAG,
-    PAPER_FRAMES,
-    PAPER_PARTICLES,
-    PAPER_SUBSTEPS,
-    PAPER_T,
-    Request,
-    parse_floor,
-    parse_gravity,
-    parse_length,
-    parse_range,
-    parse_time_scale,
-)
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
 
 ROUNDING = 1e-6  # frames: time codes are typed in decimals
+DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in seconds
+DEFAULT_FPS = 24.0
+DEFAULT_DROP = Height(value=3.0, in_radii=True)
+
+# GaussianFlesh section 4, with what it leaves out as fitted in docs/physics.md: a unit sphere,
+# so that rates are given in units of 1/T with its T.
+PAPER_T = time_scale(1.0)
+PAPER_PARTICLES = 120
+PAPER_FRAMES = 260
+PAPER_SUBSTEPS = 10
+PAPER_DRAG = 0.5 * PAPER_T
+PAPER_CONTACT = 2000.0 * PAPER_T**2
 
 
 def span(
-    range: str | None,
+    range: tuple[float | None, float | None] | None,
     handles: int,
     *,
     start: float,
     step: float,
     frames: int,
     fixed: bool,
+    said: str,
 ) -> tuple[int, int]:
     """(first frame that is written, number of frames simulated) with range and handles.
 
     Parameters
     ----------
-    range : "FIRST:LAST" [time codes]; None: all.
+    range : first and last time code, each None where it is open; None: all.
     handles : frames that are written on both sides besides.
     start : time code of frame 0; step : time codes per frame.
     frames : of the bake without a range; fixed : they were asked for.
+    said : the option as it was given, for the message.
 
     A first frame below 0 holds the rest pose.  Raises UsageError for a range outside the bake.
     """
     first, last = 0, frames - 1
     if range is not None:
-        low, high = parse_range(range)
+        low, high = range
         if low is not None:
             first = int(np.ceil((low - start) / step - ROUNDING))
         if high is not None:
             last = int(np.floor((high - start) / step + ROUNDING))
-        said = f"--range {range}"
         _require_inside(said, first, last, start, step, frames if fixed else None)
     return first - handles, last + 1 + handles
 
@@ -95,6 +93,37 @@ def _require_inside(
         )
 
 
+def slowed(asked: float | str | None, T: float) -> float:
+    """Simulated seconds per second of playback; "auto" plays T [s] as that of a 1 m body."""
+    if asked is None:
+        return 1.0
+    return T / PAPER_T if asked == AUTO else float(asked)
+
+
+def floor_plane(asked: Floor | None, up: Floats, unit: float) -> tuple[float | None, Floats]:
+    """Distance along the normal [m], None for no floor, and the unit normal (3,).
+
+    up : unit (3,); unit : [m] per stage length.  Raises UsageError for a normal that does not point
+    up.
+    """
+    if asked is None or asked.height is None:
+        return (0.0 if asked is None else None), up
+    normal = up
+    if asked.normal is not None:
+        normal = np.array(asked.normal)
+        length = float(np.linalg.norm(normal))
+        asked.require_upright(float(normal @ up) / length)
+        normal = normal / length
+    return asked.height * unit * float(normal @ up), normal
+
+
+def gravity_vector(asked: float | Triple | None, up: Floats) -> Triple:
+    """[m/s^2] of a size along minus the unit vector up (3,), or of a vector."""
+    if isinstance(asked, tuple):
+        return triple(np.array(asked) + 0.0)
+    return triple(-(G0 if asked is None else asked) * up + 0.0)
+
+
 def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
     """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
@@ -105,22 +134,23 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     T = time_scale(radius)
     # The paper's 60 frames a second are those of a body of 1 m: other sizes keep its frames per T.
     fps = request.fps or (60.0 * PAPER_T / T if paper else authored or DEFAULT_FPS)
-    floor, normal = parse_floor(request.floor, facts.up, facts.units.length)
-    drop = request.drop or ("0" if facts.says_physics and not paper else DEFAULT_DROP)
-    height = parse_length("--drop", drop, radius, facts.units.length)
+    asked = request.parsed
+    floor, normal = floor_plane(asked["floor"], facts.up, facts.units.length)
+    still = Height(value=0.0, in_radii=False) if facts.says_physics and not paper else DEFAULT_DROP
+    height = (asked["drop"] or still).meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
     lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
     if request.drop is None and (request.pins or floor is None):
         lift = 0.0
     elif floor is None:
         lift = height
-    slow = parse_time_scale(request.time_scale, T)
+    slow = slowed(asked["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
     start = first_time_code(facts, request.start)
     frames = request.frames or (PAPER_FRAMES if paper else shot)
     first, frames = span(
-        request.range, request.handles or 0, start=start, step=(authored or fps) / fps,
-        frames=frames, fixed=bool(request.frames),
+        asked["range"], request.handles or 0, start=start, step=(authored or fps) / fps,
+        frames=frames, fixed=bool(request.frames), said=f"--range {request.range}",
     )  # fmt: skip
     rate = request.filter_rate
     if rate is None:
@@ -133,7 +163,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         fps=fps,
         time_codes_per_second=authored or fps,
         start=start,
-        gravity=parse_gravity(request.gravity, facts.up),
+        gravity=gravity_vector(asked["gravity"], facts.up),
         up=triple(facts.up),
         floor=floor,
         floor_normal=None if np.array_equal(normal, facts.up) else triple(normal),

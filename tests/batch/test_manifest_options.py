@@ -7,25 +7,26 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from gf_usd.batch.job import NO, Job
-from gf_usd.batch.manifest import INDIFFERENT, clean, decisive, known, parse
-from gf_usd.cli.main import app
+from gf_usd.batch.job import Job
+from gf_usd.batch.manifest import KNOWN, clean, decisive, parse
+from gf_usd.cli.main import program
 from gf_usd.core.errors import UsageError
-from gf_usd.prepare.plan import TWO_WAY
 
-VALUES = {"int": 3, "float": 0.5, "str": "x", "bool": True, "list": ["/A", "/B"]}
+VALUES = {int: 3, float: 0.5, str: "x", bool: True}
 
 
 def test_every_option_is_one_of_the_command() -> None:
-    bake = typer.main.get_command(app).commands["bake"]  # type: ignore[attr-defined]
+    bake = typer.main.get_command(program()).commands["bake"]  # type: ignore[attr-defined]
     there = {word for p in bake.params for word in (*p.opts, *p.secondary_opts)}
-    for name, kind in known().items():
-        job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options={name: VALUES[kind]})
+    for name, option in KNOWN.items():
+        value = ["/A", "/B"] if option.repeated else VALUES[option.kind]
+        job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options={name: value})
         words = [word for word in job.words()[4:] if word.startswith("--")]
         assert words, name
         assert set(words) <= there, name
-    assert NO == TWO_WAY
-    assert set(INDIFFERENT) <= set(known())
+    assert {name for name, option in KNOWN.items() if option.two_way} == {"wls"}
+    indifferent = {name for name, option in KNOWN.items() if not option.decides}
+    assert indifferent == {"strict", "max_hours", "threads", "limits"}
 
 
 def test_what_does_not_decide_is_left_out_of_the_identity() -> None:

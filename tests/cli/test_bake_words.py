@@ -10,7 +10,7 @@ from small_bakes import BAKE, ESTIMATE, HEALTH, REPORT, RESULT, SMALL, names, st
 
 import gf_usd as package
 from gf_usd.core.frames import Settings
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.request import Request
 
 
 def test_json_is_all_there_is_on_stdout(gf_usd, here: Path, block: Path) -> None:

@@ -10,7 +10,7 @@ from pxr import Usd
 from small_bakes import HEALTH, SMALL, names, strict
 
 import gf_usd as package
-from gf_usd.pipeline.budget import MAX_HOURS
+from gf_usd.prepare.options.table import MAX_HOURS
 
 # What a metre of fall does to jelly under the corotated law, which does not resist collapse
 # (materials.py): particles turn inside out in the first frame on the floor.

@@ -15,7 +15,8 @@ from gf_usd.core.frames import Pose
 from gf_usd.geometry.skinning import SKINS, InverseDistance, MeshSkin, PaperSkin, make_skin
 from gf_usd.physics.grid.embedding import pose
 from gf_usd.physics.grid.reference import build_stencil
-from gf_usd.prepare import request
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.table import OPTIONS
 
 ROUNDING = 1e-12  # positions near 1 in float64, sums of thousands of terms
 BALL, _ = solids.ball(500)
@@ -210,12 +211,12 @@ def test_meshes_share_a_skin() -> None:
 
 
 def test_names() -> None:
-    assert set(request.SKINS) == {"embed", *SKINS}
+    assert set(OPTIONS["skin"].choices) == {"embed", *SKINS}
     with pytest.raises(UsageError) as refused:
         make_skin("glue", VERTICES, BALL.X)
     assert str(refused.value) == (
         "there is no skin 'glue' on particles\n\nhint: choose one of idw, paper"
     )
     with pytest.raises(UsageError) as refused:
-        request.Request(skin="glue").check()
+        Request(skin="glue").check()
     assert str(refused.value) == "there is no skin 'glue'\n\nhint: choose embed, idw, paper"

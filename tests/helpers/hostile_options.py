@@ -10,22 +10,26 @@ from hostile_files import STAGE
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.run import prepare
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.option import Option
+from gf_usd.prepare.options.table import OPTIONS as TABLE
 
 NAN, INF = float("nan"), float("inf")
 NUMBERS = (0.0, -1.0, 1e-300, 1e300, NAN, INF, -INF)
-SOFT = (0.5, *NUMBERS)
+BY_KIND: dict[type, tuple[Any, ...]] = {
+    bool: (True, False),
+    int: (1, 2, 0, -1),
+    float: (0.5, *NUMBERS),
+    str: ("1", "none", "0", "-1", "nan", "1e300", ":", "x", "", "a,b", "1:2:3"),
+}
+# What its type does not say; the first value of each is one that is right.
 # A number of particles that would really be filled stays small: what is tried is the judging.
-OPTIONS: dict[str, tuple[Any, ...]] = {
+SPECIAL: dict[str, tuple[Any, ...]] = {
     "material": ("rubber", "jelly", "metal", "steel", "rubber,jelly", "rubber,rubber", "", ",",
                  "auto", "auto:nobody", "no.usda", "none", "rubber, metal"),
     "law": ("corotated", "neoHookean", "hooke", ""),
     "prims": (["/A"], ["/A/M"], ["/A/S"], ["/gone"], ["A"], [""], ["/A/M", "/A/M"]),
     "meters_per_unit": (0.01, 1.0, *NUMBERS),
     "up_axis": ("Y", "Z", "-Y", "X", ""),
-    "repair": (True, False),
-    "overwrite": (True, False),
-    "resume": (True, False),
     "output": ("o/", "o.usda", "o.usdz", "o.usdc", "o.txt", "", ".", "o/o/o.usd", "a\0b.usda"),
     "particles": (60, 300, 1, 0, -5, 10**12, 10**18),
     "spacing": (0.3, 0.5, 1e-6, 1e9, *NUMBERS),
@@ -35,45 +39,39 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "drop": ("3r", "0", "1.5", "-1", "r", "", "nan", "1e300", "infr", "3 r", "3rr"),
     "gravity": ("9.81", "0", "0,0,0", "0,-9.81,0", "1,2", "-9.81", "nan", "1e300", "", "a"),
     "seed": (0, 7, 2**31, 2**63, 2**200, -1),
-    "device": ("cpu", "gpu", "CPU", ""),
-    "threads": (1, 2, 0, -1),
+    "device": ("cpu", "gpu", "CPU", ""),  # not every machine that has cuda is to start it
     "filter_rate": (10.0, *NUMBERS),
-    "drag": SOFT,
     "damping_time": (0.01, *NUMBERS),
-    "friction": SOFT,
-    "restitution": SOFT,
     "time_scale": ("1", "0.2", "auto", "0", "-1", "nan", "1e300", "1e-300", "", "x"),
-    "preset": ("paper", "papers", ""),
-    "deformation_gradients": (True, False),
-    "stress": (True, False),
-    "blend_width": SOFT,
     "material_boxes": (("jelly:0,0,0,1,1,1",), ("jelly:1,1,1,0,0,0",), ("jelly",),
                        ("x:0,0,0,1,1,1",), ("jelly:nan,0,0,1,1,1",), ("jelly:0,0,0,1,1",), ("",)),
     "material_labels": (("a=b:jelly",), ("a=b",), ("=:",), ("a=b:x",), ("",)),
-    "skin": ("embed", "idw", "paper", "none"),
-    "solver": ("tl", "ul", "fem"),
     "pins": (("/A",), ("/A/M",), ("/gone",), ("box:-1,-1,-1,0,0,0",), ("box:0,0,0,0,0,0",),
              ("box:1,2",), ("box:nan,0,0,1,1,1",), ("box:-9,-9,-9,9,9,9",), ("",)),
-    "wls": (True, False),
     "procrustes": (0.02, 1.0, 2.0, *NUMBERS),
     "clamp": ("0.2:5", "none", "5:0.2", "1:1", "nan:1", ":", "x", "0:inf"),
     "stress_cap": ("1e4", "none", "0", "-1", "nan", "x"),
     "export_ply": ("frames", "a.usda"),
     "export_spz": ("frames",),
-    "combine": (True, False),
-    "self_contact": (True, False),
-    "no_shortcuts": (True, False),
     "floor": ("none", "0", "0.5", "0,1,0", "0.5:0.2,1,0", "0,-1,0", "0,0,0", "1,2", "nan", "1e300",
               "", "1:2:3", "nan:0,1,0", "0,nan,0"),
     "only": ("mesh", "gaussians", "gaussians,points", "all", "", "mesh,mesh"),
-    "flatten": (True, False),
     "samples_per_frame": (1, 3, 0, -1),
     "range": ("1:2", "2:1", "1", ":", "nan:2", "1:1e18", "-5:3"),
     "handles": (0, 2, -1),
     "clip_frames": (0, 1, 2, -1),
-    "half": (True, False),
 }  # fmt: skip
-assert set(Request.__dataclass_fields__) <= set(OPTIONS)
+OF_THE_RUN = {"strict", "max_hours", "slice", "limits"}  # what no plan hangs on
+
+
+def values(option: Option) -> tuple[Any, ...]:
+    """Values to try: those named above, else of its choices, else of its type."""
+    of_choices = (*option.choices, f"{option.choices[-1]}s", "") if option.choices else ()
+    return SPECIAL.get(option.name) or of_choices or BY_KIND[option.kind]
+
+
+OPTIONS = {name: values(row) for name, row in TABLE.items() if name not in OF_THE_RUN}
+assert set(SPECIAL) <= set(OPTIONS)
 
 
 def drawn(dice: random.Random) -> dict[str, Any]:

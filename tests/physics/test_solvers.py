@@ -13,14 +13,14 @@ from gf_usd.core.errors import UsageError
 from gf_usd.layers.check.run import check_file
 from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.solvers import SOLVERS, make_solver
-from gf_usd.prepare.request import SOLVERS as NAMES
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.table import OPTIONS
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 
 
 def test_the_words_of_the_option_are_the_registry():
-    assert tuple(SOLVERS) == NAMES
+    assert tuple(SOLVERS) == OPTIONS["solver"].choices
 
 
 @pytest.mark.parametrize("name", SOLVERS)

@@ -10,9 +10,10 @@ from solids import settings
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import G0, LOOKS
-from gf_usd.prepare.paper import NONE, notes, of_material
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.texts import NONE
+from gf_usd.prepare.paper import notes, of_material
 from gf_usd.prepare.plan import command_line
-from gf_usd.prepare.request import Request
 
 RADIUS = 0.05
 CLAMP = "give two stretches about 1, such as 0.2:5, or none"

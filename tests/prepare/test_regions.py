@@ -8,7 +8,7 @@ from physics_stages import mesh
 from planned import at, noted, plan_fixture, table  # noqa: F401
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.request import Request
 
 HALF = "metal:-1,-1,-1,0.5,2,2"  # of the cube 0..1
 

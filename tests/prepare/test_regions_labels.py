@@ -16,7 +16,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.inspect import inspect
 from gf_usd.pipeline.run import prepare
-from gf_usd.prepare.request import Request
+from gf_usd.prepare.options.request import Request
 
 FEW = {"particles": 300, "frames": 2, "material": "jelly"}
 

@@ -12,16 +12,16 @@ from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.units import StageUnits
-from gf_usd.prepare.request import (
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.texts import parse_drop
+from gf_usd.prepare.settings import (
     PAPER_FRAMES,
     PAPER_T,
-    Request,
-    parse_floor,
-    parse_gravity,
-    parse_length,
-    parse_time_scale,
+    floor_plane,
+    gravity_vector,
+    resolve,
+    slowed,
 )
-from gf_usd.prepare.settings import resolve
 
 UP = np.array([0.0, 1.0, 0.0])
 ABOVE = "give a number above 0"
@@ -83,6 +83,11 @@ def test_sensible_options_pass() -> None:
         restitution=1.0, drop="0r", gravity="0", time_scale="auto", preset="paper", skin="idw",
         start=-10.0, device="cuda", threads=1,
     ).check()  # fmt: skip
+
+
+def gravity_of(text: str | None) -> tuple[float, float, float]:
+    """[m/s^2] that a text asks for."""
+    return gravity_vector(Request(gravity=text).parsed["gravity"], UP)
 
 
 def settled(radius: float = 1.0, lowest: float = 0.0, said: StageFacts | None = None, **options):
@@ -159,7 +164,7 @@ def test_auto_plays_every_size_like_a_metre() -> None:
     assert small.frames == metre.frames
     assert settled(radius=0.01).frames < small.frames
     assert settled(time_scale="0.5").time_scale == 0.5
-    assert parse_time_scale(None, PAPER_T) == 1.0
+    assert slowed(None, PAPER_T) == 1.0
 
 
 @pytest.mark.parametrize("radius", [0.025, 1.0, 5.0])
@@ -193,17 +198,17 @@ def test_what_is_written_and_where_it_runs_is_handed_on() -> None:
 
 
 def test_gravity_as_a_vector_ignores_the_up_axis() -> None:
-    assert parse_gravity("1,-2,3e0", UP) == (1.0, -2.0, 3.0)
-    assert parse_gravity(" 9 ", UP) == (0.0, -9.0, 0.0)
-    assert parse_gravity("-9", UP) == (0.0, 9.0, 0.0)
-    assert parse_gravity(None, UP) == (0.0, -9.81, 0.0)
-    assert parse_gravity("0", UP) == (0.0, 0.0, 0.0)
+    assert gravity_of("1,-2,3e0") == (1.0, -2.0, 3.0)
+    assert gravity_of(" 9 ") == (0.0, -9.0, 0.0)
+    assert gravity_of("-9") == (0.0, 9.0, 0.0)
+    assert gravity_of(None) == (0.0, -9.81, 0.0)
+    assert gravity_of("0") == (0.0, 0.0, 0.0)
 
 
 def test_lengths() -> None:
-    assert parse_length("--drop", "2.5", 3.0, 0.01) == pytest.approx(0.025)
-    assert parse_length("--drop", "2.5r", 3.0, 0.01) == pytest.approx(7.5)
-    assert parse_length("--drop", "0", 3.0, 0.01) == 0.0
+    assert parse_drop("2.5").meters(3.0, 0.01) == pytest.approx(0.025)
+    assert parse_drop("2.5r").meters(3.0, 0.01) == pytest.approx(7.5)
+    assert parse_drop("0").meters(3.0, 0.01) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -218,7 +223,7 @@ def test_lengths() -> None:
     ],
 )
 def test_floors(text: str | None, distance: float | None, normal: tuple) -> None:
-    at, n = parse_floor(text, np.array([0.0, 1.0, 0.0]), 0.1)
+    at, n = floor_plane(Request(floor=text).parsed["floor"], UP, 0.1)
     assert at == (None if distance is None else pytest.approx(distance))
     np.testing.assert_allclose(n, normal)
 
@@ -229,6 +234,26 @@ def test_what_is_no_floor_is_refused(text: str) -> None:
         Request(floor=text).check()
     assert "--floor" in caught.value.message
     assert caught.value.hint
+
+
+def test_a_floor_points_up_where_the_asset_has_up() -> None:
+    request = Request(floor="0.5:0,0.6,0.8")
+    request.check()  # before the asset is read either axis may be up
+    at, n = floor_plane(request.parsed["floor"], np.array([0.0, 0.0, 1.0]), 1.0)
+    assert at == pytest.approx(0.4)
+    np.testing.assert_allclose(n, (0.0, 0.6, 0.8))
+    with pytest.raises(UsageError, match="the normal 0,1,0 does not point up"):
+        floor_plane(Request(floor="0,1,0").parsed["floor"], np.array([0.0, 0.0, 1.0]), 1.0)
+
+
+def test_a_text_is_parsed_once() -> None:
+    request = Request(clamp="0.5:2", drop="3r")
+    assert request.parsed is request.parsed
+    assert request.parsed["clamp"] == (0.5, 2.0)
+    assert (request.parsed["drop"].value, request.parsed["drop"].in_radii) == (3.0, True)
+    assert request.parsed["floor"] is None
+    with pytest.raises(UsageError, match="--drop: '' is no number"):
+        Request(drop="").check()
 
 
 def test_a_body_falls_onto_a_tilted_floor_by_as_much_as_was_asked() -> None:

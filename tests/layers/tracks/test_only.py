@@ -11,8 +11,9 @@ from small_sources import SOURCES, Source
 from small_stages import EPS, bake, frames_of, open_with, world
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Choices, parse_only
+from gf_usd.core.frames import Choices
 from gf_usd.layers.check.run import check_file
+from gf_usd.prepare.options.texts import parse_only
 
 SUBSETS = [("mesh",), ("gaussians",), ("points",), ("mesh", "points"), ("gaussians", "points")]
 DRAWN = {"gaussians": "Gaussians", "points": "Points"}
@@ -105,7 +106,7 @@ def test_a_cache_of_less_is_smaller(tmp_path: Path) -> None:
 
 
 def test_the_words_of_only() -> None:
-    assert parse_only(None) == ("mesh", "gaussians", "points")
+    assert Choices().shapes == ("mesh", "gaussians", "points")
     assert parse_only("points, mesh") == ("mesh", "points")
     with pytest.raises(UsageError, match="--only mesh,voxels: there is no 'voxels'"):
         parse_only("mesh,voxels")

@@ -1,0 +1,185 @@
+"""One option of a bake, and how a table of options is read.
+
+A table is a dataclass.  A field with an `Option` in its annotation is a row: the field gives the
+name, the type and the default, the `Option` gives the rest.
+
+    friction: Annotated[float | None, Option(MATERIAL, "Coulomb's.", low=0.0, high=100.0)] = None
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, Field, dataclass, fields, replace
+from pathlib import Path
+from typing import (
+    Annotated,
+    Any,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+)
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.units import positive
+
+BAKE = ("bake",)
+BATCH = ("bake", "batch")  # a manifest may give it, too
+INSPECT = ("bake", "batch", "inspect")
+PLAIN: tuple[type, ...] = (int, float, bool, str)  # what a word of the command line becomes
+
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """A row of a table of options."""
+
+    group: str  # heading that it stands under
+    help: str  # one or two sentences, with the unit in brackets
+    _: KW_ONLY
+    shown: str = ""  # default, where None stands for something that has a name
+    short: str = ""  # "-m"
+    low: float | None = None  # smallest value, included
+    high: float = math.inf  # largest value, included
+    above_zero: bool = False  # in place of low and high
+    noun: str = "number"  # what the value is, for the hint
+    choices: tuple[str, ...] = ()
+    parse: Callable[[str], Any] | None = None  # a text to its value; raises UsageError
+    commands: tuple[str, ...] = BATCH
+    decides: bool = True  # what is written hangs on it
+    # read from the field
+    name: str = ""  # in Python
+    kind: type = str  # one of PLAIN, of each item where it is repeated
+    default: Any = None
+    repeated: bool = False
+
+    @property
+    def two_way(self) -> bool:
+        """A flag whose "no" says something: it overrides a preset."""
+        return self.kind is bool and self.default is None
+
+    @property
+    def flag(self) -> str:
+        """Its word on the command line; of a list it is given once for each item."""
+        name = self.name
+        if self.repeated:
+            name = name.removesuffix("es") if name.endswith("xes") else name.removesuffix("s")
+        return f"--{name.replace('_', '-')}"
+
+    def value(self, text: str | None) -> Any:
+        """What a text says; None where nothing was said.  Raises UsageError."""
+        return None if text is None or self.parse is None else self.parse(text)
+
+    def check(self, value: Any) -> None:
+        """Raise UsageError for a number out of range, or a text that is none of the choices."""
+        if value is None:
+            return
+        if self.choices and value not in self.choices:
+            raise UsageError(f"there is no {self.name} {value!r}", _choose(self))
+        if self.above_zero:
+            positive(self.flag, value)
+        elif self.low is not None and not self.low <= value <= self.high:
+            whole = self.kind is int
+            to = "or more" if whole else f"to {self.high:g}"
+            verb = "of" if whole else "from"
+            shown = str(value) if whole else f"{value:g}"
+            raise UsageError(
+                f"{self.flag} is {shown}", f"give a {self.noun} {verb} {self.low:g} {to}"
+            )
+        elif self.kind is float and self.low is None and not math.isfinite(value):
+            raise UsageError(f"{self.flag} is {value}", f"give a finite {self.noun}")
+
+
+def _choose(option: Option) -> str:
+    *others, last = option.choices
+    if not others:
+        return f"the only {option.name} is {last}"
+    if not others[1:]:
+        return f"choose {others[0]} or {last}"
+    return f"choose {', '.join(option.choices)}"
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def table(made: type[T]) -> type[T]:
+    """A dataclass to be read, not made: methods, which take long to compile, are left out."""
+    bare = dataclass(frozen=True, kw_only=True, init=False, repr=False, eq=False)
+    return bare(made)
+
+
+def rows(table: type) -> dict[str, Option]:
+    """The options of a dataclass by their names, in its order."""
+    found = (_row(field) for field in fields(table))
+    return {row.name: row for row in found if row is not None}
+
+
+def _row(field: Field[Any]) -> Option | None:
+    if get_origin(field.type) is not Annotated:
+        return None
+    hint, option = get_args(field.type)
+    repeated = get_origin(hint) is Sequence
+    first = (*get_args(hint), hint)[0]
+    return replace(
+        option,
+        name=field.name,
+        kind=first if first in PLAIN else str,
+        default=field.default,
+        repeated=repeated,
+    )
+
+
+class OfAsset(Protocol[P, R]):
+    """A function of an asset, with the parameters P."""
+
+    def __call__(self, path: str | Path, *args: P.args, **options: P.kwargs) -> R: ...
+
+
+def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]]:
+    """Give a function ``(path, **options)`` the fields of a dataclass for its signature.
+
+    Type checkers and editors read it from the types, ``help()`` and notebooks when it runs.
+    """
+
+    def decorate(function: Callable[..., R]) -> OfAsset[P, R]:
+        own, made = inspect.signature(function), cast(Any, table)
+        path = own.parameters["path"]
+        asked = [
+            path.replace(
+                name=field.name,
+                kind=path.KEYWORD_ONLY,
+                default=field.default,
+                annotation=(*get_args(field.type), field.type)[0],
+            )
+            for field in fields(made)
+        ]
+        signature = own.replace(parameters=[path, *asked])
+        function.__signature__ = signature  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
+    """The words of a command line that ask for values; what is None or off is left out."""
+    out: list[str] = []
+    for name, value in asked.items():
+        flag = options[name].flag
+        if value is None:
+            continue
+        if value is True:
+            out.append(flag)
+        elif value is False:
+            out += [f"--no-{flag[2:]}"] if options[name].two_way else []
+        elif isinstance(value, float):
+            out += [flag, str(value).removesuffix(".0")]
+        else:
+            items = value if isinstance(value, list | tuple) else (value,)
+            out += [word for item in items for word in (flag, str(item))]
+    return out

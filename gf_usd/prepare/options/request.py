@@ -1,0 +1,99 @@
+"""The options of a bake as asked, checked before anything is read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options.table import PLANNED, RequestOptions
+from gf_usd.prepare.regions import Region, parse_regions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request(RequestOptions):
+    """What a plan hangs on, as asked; None where nothing was said."""
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Request:
+        """The request of keywords.  Raises UsageError for one that is not there."""
+        known = cls.__dataclass_fields__
+        unknown = sorted(set(options) - set(known))
+        if unknown:
+            raise UsageError(
+                f"bake() has no option {unknown[0]!r}",
+                f"its options are {', '.join(sorted(known))}",
+            )
+        lists = {
+            name: tuple(options.get(name) or ()) for name, row in PLANNED.items() if row.repeated
+        }
+        return cls(**{**options, **lists})
+
+    @cached_property
+    def parsed(self) -> Mapping[str, Any]:
+        """The values of the options that are texts, by name; None where nothing was said.
+
+        Raises UsageError for a text that says nothing.
+        """
+        texts = {name: getattr(self, name) for name, row in PLANNED.items() if row.parse}
+        return {name: PLANNED[name].value(text) for name, text in texts.items()}
+
+    @cached_property
+    def regions(self) -> tuple[Region, ...]:
+        """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
+        return parse_regions(self.material_boxes, self.material_labels)
+
+    def check(self) -> None:
+        """Raise UsageError for values that make no sense, before anything is read."""
+        for row in PLANNED.values():
+            row.check(getattr(self, row.name))
+        if self.solver == "ul":
+            self._check_updated_lagrangian()
+        if self.regions and self.blend_width:
+            raise UsageError(
+                f"--blend-width {self.blend_width:g} and {self.regions[0].option} were both given",
+                "leave one out: materials blend between faces only",
+            )
+        if self.procrustes and self.pins:
+            raise UsageError(
+                f"--procrustes {self.procrustes:g} moves the body towards its rest shape about its"
+                " mean, and --pin holds it elsewhere",
+                "leave one of the two out",
+            )
+        if self.particles and self.spacing:
+            raise UsageError(
+                f"--particles {self.particles} and --spacing {self.spacing:g} were both given",
+                "give one: the number of particles follows from the spacing",
+            )
+        if self.flatten and self.clip_frames:
+            raise UsageError(
+                f"--clip-frames {self.clip_frames} and --flatten were both given",
+                "give one: a flattened bake is one file",
+            )
+        once_a_frame = (self.preset, self.wls, self.procrustes)
+        if (self.samples_per_frame or 1) > 1 and any(once_a_frame):
+            raise UsageError(
+                f"--samples-per-frame {self.samples_per_frame} does not go with --preset paper,"
+                " --wls or --procrustes",
+                "leave them out: what they do once a frame would be done at every sample",
+            )
+        _ = self.parsed  # raises for a text that says nothing
+
+    def _check_updated_lagrangian(self) -> None:
+        """Raise UsageError for options that this solver does not know."""
+        finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
+        for option, given in (
+            ("--pin", self.pins),
+            ("--filter-rate", finite),
+            ("--self-contact", self.self_contact),
+            ("--wls", self.wls),
+            ("--procrustes", self.procrustes),
+        ):
+            if given:
+                raise UsageError(
+                    f"--solver ul does not know {option}",
+                    f"leave {option} out, or use --solver tl",
+                )

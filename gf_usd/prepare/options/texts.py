@@ -1,0 +1,177 @@
+"""The texts among the options of a bake, as values.
+
+Values hold until the asset is known: lengths in stage units, directions without an up axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.units import number
+
+LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
+STRONGEST = 1e9  # [m/s^2]
+NONE = "none"
+AUTO = "auto"
+UPRIGHT = 0.1  # least part of a floor's normal along the up axis
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Height:
+    """A length, in stage units or in radii of the body."""
+
+    value: float
+    in_radii: bool
+
+    def meters(self, radius: float, unit: float) -> float:
+        """[m] on a body of radius [m] in a stage of unit [m]."""
+        return self.value * (radius if self.in_radii else unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Floor:
+    """A plane."""
+
+    text: str  # as asked for
+    height: float | None = 0.0  # [stage units] of where it meets the up axis; None: no floor
+    normal: Triple | None = None  # not zero, of any length; None: the up axis
+
+    def require_upright(self, slope: float) -> None:
+        """Raise UsageError for a normal of too little slope: its unit vector along the up axis."""
+        if slope <= UPRIGHT:
+            raise UsageError(
+                f"--floor {self.text}: the normal {self.text.rpartition(':')[2]} does not point up",
+                f"give {FLOOR}",
+            )
+
+
+FLOOR = "none, a height such as 0.5 (stage units), a normal x,y,z, or both: 0.5:0.2,1,0"
+
+
+def parse_time_scale(text: str) -> float | str:
+    """Simulated seconds per second of playback, or "auto"."""
+    if text == AUTO:
+        return text
+    value = number("--time-scale", text, "a number such as 0.2 (five times slower), or auto")
+    if value <= 0.0:
+        raise UsageError(f"--time-scale is {text}", "give a number above 0, or auto")
+    return value
+
+
+def parse_drop(text: str) -> Height:
+    """The height of "2.5" (stage units) or "3r" (radii)."""
+    in_radii = text.endswith("r")
+    value = number(
+        "--drop",
+        text[:-1] if in_radii else text,
+        "a length such as 2.5 (stage units) or 3r (radii of the body)",
+    )
+    if value < 0.0:
+        raise UsageError(f"--drop is {text}", "give a length of 0 or more")
+    if value > LONGEST:
+        raise UsageError(f"--drop is {text}", f"give a length of up to {LONGEST:g}")
+    return Height(value=value, in_radii=in_radii)
+
+
+def parse_floor(text: str) -> Floor:
+    """The floor of "none", "1.5" (height), "x,y,z" (normal) or "1.5:x,y,z".
+
+    Raises UsageError for anything else, and for a normal that points up along no axis of USD.
+    """
+    if text == NONE:
+        return Floor(text=text, height=None)
+    height, _, direction = text.rpartition(":") if "," in text else (text, "", "")
+    normal = None
+    if direction:
+        parts = direction.split(",")
+        if len(parts) != 3:
+            raise UsageError(f"--floor is {text!r}", f"give {FLOOR}")
+        x, y, z = normal = _triple([number("--floor", part, FLOOR) for part in parts])
+        length = math.hypot(x, y, z)
+        Floor(text=text).require_upright(max(y, z) / length if length else 0.0)
+    at = number("--floor", height, FLOOR) if height else 0.0
+    return Floor(text=text, height=at, normal=normal)
+
+
+def _triple(values: list[float]) -> Triple:
+    x, y, z = values
+    return x, y, z
+
+
+def parse_gravity(text: str) -> float | Triple:
+    """[m/s^2] of "9.81" (along minus up) or "x,y,z"."""
+    parts = text.split(",")
+    what = "9.81 (m/s^2, downward) or three numbers x,y,z"
+    if len(parts) not in (1, 3):
+        raise UsageError(f"--gravity is {text!r}", f"give {what}")
+    values = [number("--gravity", part, what) for part in parts]
+    if max(abs(value) for value in values) > STRONGEST:
+        raise UsageError(f"--gravity is {text}", f"give up to {STRONGEST:g} m/s^2")
+    return values[0] if len(values) == 1 else _triple(values)
+
+
+def parse_range(text: str) -> tuple[float | None, float | None]:
+    """Time codes of "10:20", "10:" or ":20"; None where the range is open.
+
+    Raises UsageError for anything else.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        low = float(first) if first.strip() else None
+        high = float(last) if last.strip() else None
+    except ValueError:
+        low = high = math.nan
+    finite = all(code is None or math.isfinite(code) for code in (low, high))
+    ordered = low is None or high is None or low <= high
+    if not (colon and finite and ordered):
+        raise UsageError(f"--range is {text!r}", "give two time codes FIRST:LAST; 10: is open")
+    return low, high
+
+
+def parse_clamp(text: str) -> tuple[float, float] | None:
+    """Limits of the singular values of F, of "0.2:5"; None for "none"."""
+    if text == NONE:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low = high = math.nan
+    if not 0.0 < low < 1.0 < high < math.inf:
+        raise UsageError(
+            f"--clamp is {text!r}", "give two stretches about 1, such as 0.2:5, or none"
+        )
+    return low, high
+
+
+def parse_cap(text: str) -> float | None:
+    """[Pa] of "2e4"; None for "none"."""
+    if text == NONE:
+        return None
+    try:
+        cap = float(text)
+    except ValueError:
+        cap = math.nan
+    if not 0.0 < cap < math.inf:
+        raise UsageError(f"--stress-cap is {text!r}", "give a stress above 0 [Pa], or none")
+    return cap
+
+
+def parse_only(text: str) -> tuple[str, ...]:
+    """The shapes of "mesh" or "gaussians,points", in the order of SHAPES.
+
+    Raises UsageError for words that are none of them.
+    """
+    from gf_usd.core.frames import SHAPES
+
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if word not in SHAPES:
+            raise UsageError(
+                f"--only {text}: there is no {word!r}",
+                f"give one or more of {', '.join(SHAPES)}, with commas between",
+            )
+    return tuple(shape for shape in SHAPES if shape in words)
