@@ -68,11 +68,13 @@ def test_sensible_options_pass() -> None:
 
 def made(look: str = "rubber", solver: str = "tl", **options: Any) -> Settings:
     material = LOOKS[look].material(RADIUS)
-    asked = {"wls": None, "procrustes": None, "clamp": None, "stress_cap": None, **options}
-    paper, pinned = asked.pop("preset", None) == "paper", bool(asked.pop("pins", ()))
+    request = Request(solver=solver, **options)
     return of_material(
-        settings(solver=solver), material, RADIUS, paper=paper, pinned=pinned, **asked
-    )
+        settings(solver=solver), material, RADIUS, paper=request.preset == "paper",
+        pinned=bool(request.pins), wls=request.wls, procrustes=request.procrustes,
+        clamp=request.parsed["clamp"], stress_cap=request.parsed["stress_cap"],
+        given=options,
+    )  # fmt: skip
 
 
 def of(made: Settings) -> tuple[Any, ...]:
