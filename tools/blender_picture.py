@@ -35,31 +35,31 @@ def bounds() -> tuple[Vector, Vector]:
     return Vector(map(min, *corners)), Vector(map(max, *corners))
 
 
-def paint(name: str, colour: tuple[float, float, float]) -> bpy.types.Material:
+def paint(name: str, color: tuple[float, float, float]) -> bpy.types.Material:
     """A plain material."""
     made = bpy.data.materials.new(name)
     surface = made.node_tree.nodes["Principled BSDF"]
-    surface.inputs["Base Color"].default_value = (*colour, 1.0)
+    surface.inputs["Base Color"].default_value = (*color, 1.0)
     surface.inputs["Roughness"].default_value = 0.6
     return made
 
 
 def paint_points() -> None:
-    """Show the points in their own colours, which the importer brings as an attribute."""
+    """Show the points in their own colors, which the importer brings as an attribute."""
     for item in bpy.context.scene.objects:
         if item.type != "POINTCLOUD":
             continue
         made = paint("points", (1.0, 1.0, 1.0))
         nodes = made.node_tree.nodes
-        colour = nodes.new("ShaderNodeAttribute")
-        colour.attribute_name = "displayColor"
+        color = nodes.new("ShaderNodeAttribute")
+        color.attribute_name = "displayColor"
         made.node_tree.links.new(
-            colour.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"]
+            color.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"]
         )
         item.data.materials.append(made)
 
 
-def light(centre: Vector, radius: float) -> None:
+def light(center: Vector, radius: float) -> None:
     """A bright sky, a key and a rim."""
     scene = bpy.context.scene
     scene.world = bpy.data.worlds.new("sky")
@@ -72,11 +72,11 @@ def light(centre: Vector, radius: float) -> None:
         item = bpy.data.objects.new("lamp", lamp)
         scene.collection.objects.link(item)
         way = Vector((math.sin(AZIMUTH + turn), -math.cos(AZIMUTH + turn), height)).normalized()
-        item.location = centre + 5.0 * radius * way
+        item.location = center + 5.0 * radius * way
         item.rotation_euler = (-way).to_track_quat("-Z", "Y").to_euler()
 
 
-def stand(centre: Vector, radius: float) -> None:
+def stand(center: Vector, radius: float) -> None:
     """Camera and floor."""
     scene = bpy.context.scene
     lens = bpy.data.cameras.new("camera")
@@ -91,14 +91,14 @@ def stand(centre: Vector, radius: float) -> None:
             math.sin(ELEVATION),
         )
     )
-    camera.location = centre + 4.4 * radius * way
+    camera.location = center + 4.4 * radius * way
     camera.rotation_euler = (-way).to_track_quat("-Z", "Y").to_euler()
-    bpy.ops.mesh.primitive_plane_add(size=200.0 * radius, location=(centre.x, centre.y, 0.0))
+    bpy.ops.mesh.primitive_plane_add(size=200.0 * radius, location=(center.x, center.y, 0.0))
     bpy.context.object.data.materials.append(paint("floor", (0.62, 0.65, 0.70)))
 
 
 def render(stage: str, frame: int, view: tuple[Vector, float] | None, out: Path) -> tuple:
-    """One picture; returns the centre and radius that it was fitted to."""
+    """One picture; returns the center and radius that it was fitted to."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.usd_import(filepath=stage)
     scene = bpy.context.scene

@@ -24,7 +24,7 @@ SAMPLES = Path(__file__).resolve().parent.parent / "samples"
 
 
 def duck_sample() -> Sample:
-    """A bath duck, 10 cm long, in centimetres, sitting on y = 0 and facing +Z."""
+    """A bath duck, 10 cm long, in centimeters, sitting on y = 0 and facing +Z."""
     mesh = duck_quads()
     parts = np.array([MATERIAL_OF[part] for part in mesh.parts])
     return Sample(
@@ -35,15 +35,15 @@ def duck_sample() -> Sample:
         normals=unit_normals(duck, mesh.points),
         atlas=duck_atlas(mesh),
         looks={
-            "body": Look(colour=(0.93, 0.60, 0.015), roughness=0.38, clearcoat=0.25),
-            "beak": Look(colour=(0.88, 0.17, 0.012), roughness=0.38, clearcoat=0.25),
-            "eyes": Look(colour=(0.006, 0.006, 0.008), roughness=0.08, clearcoat=1.0),
+            "body": Look(color=(0.93, 0.60, 0.015), roughness=0.38, clearcoat=0.25),
+            "beak": Look(color=(0.88, 0.17, 0.012), roughness=0.38, clearcoat=0.25),
+            "eyes": Look(color=(0.006, 0.006, 0.008), roughness=0.08, clearcoat=1.0),
         },
     )
 
 
 def sphere_samples() -> tuple[Sample, Sample]:
-    """The unit sphere and the deformed sphere of the same volume, in metres, about the origin."""
+    """The unit sphere and the deformed sphere of the same volume, in meters, about the origin."""
     sphere = sphere_quads()
     lumpy, scale = deformed(sphere)
     atlas = sphere_atlas(sphere)
@@ -55,16 +55,16 @@ def sphere_samples() -> tuple[Sample, Sample]:
             mesh=sphere,
             normals=sphere.points,
             atlas=atlas,
-            looks={"body": Look(colour=(0.05, 0.30, 0.55), roughness=0.35, clearcoat=0.25)},
+            looks={"body": Look(color=(0.05, 0.30, 0.55), roughness=0.35, clearcoat=0.25)},
         ),
         Sample(
             name="DeformedSphere",
-            doc="A lopsided peanut with the topology and volume of sphere.usda. Metres, Y up.",
+            doc="A lopsided peanut with the topology and volume of sphere.usda. Meters, Y up.",
             meters_per_unit=1.0,
             mesh=lumpy,
             normals=unit_normals(level, lumpy.points / scale),
             atlas=atlas,
-            looks={"body": Look(colour=(0.58, 0.11, 0.09), roughness=0.35, clearcoat=0.25)},
+            looks={"body": Look(color=(0.58, 0.11, 0.09), roughness=0.35, clearcoat=0.25)},
         ),
     )
 

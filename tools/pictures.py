@@ -7,7 +7,7 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     duck.png     the start of the fall, the hardest squash, the top of the rebound
     looks.png    rubber, metal and jelly, each at its hardest squash in the first bounce
     displays.png one frame as mesh, Gaussians, ellipsoids and points
-    strain.png   the squash, coloured by strain
+    strain.png   the squash, colored by strain
     drop.gif     the drop as a film, five times slower than real
     ten-ducks.png  the pile of ducks in the rocking bowl, near its end
 """
@@ -81,9 +81,9 @@ def bake(look: str, folder: Path) -> tuple[Path, list[int]]:
 
 
 def moments(frames: Sequence[dict[str, Any]]) -> tuple[int, int, int]:
-    """Indices of the first frame, of the lowest centre in the first bounce, and of the top of the
-    rebound after it (where nothing leaves the floor: the highest centre that follows)."""
-    height = [frame["centre"][1] for frame in frames]
+    """Indices of the first frame, of the lowest center in the first bounce, and of the top of the
+    rebound after it (where nothing leaves the floor: the highest center that follows)."""
+    height = [frame["center"][1] for frame in frames]
     touching = [frame["penetration"] > 0.0 for frame in frames]
     first = touching.index(True)
     end = next((i for i in range(first, len(frames)) if not touching[i]), len(frames))
@@ -144,7 +144,7 @@ def main() -> None:
         strip([low(picture) for picture in squashed], out / "looks.png")
         shown = [draw(stage, squash, (320, 560), show) for show in DISPLAYS]
         strip([low(picture) for picture in shown], out / "displays.png")
-        strain = draw(stage, squash, (800, 600), "mesh", "--colour", "strain")
+        strain = draw(stage, squash, (800, 600), "mesh", "--color", "strain")
         # the part that holds the legend and the duck
         strip([strain.crop((0, 160, 800, 600))], out / "strain.png")
 

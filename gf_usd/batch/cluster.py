@@ -112,7 +112,7 @@ def _outcome(future: Future, job: Job) -> Outcome:
     """What came of a job whose future has ended."""
     if future.status == "finished":
         return Outcome.of(future.result())
-    if future.status in ("cancelled", "lost"):
+    if future.status in ("canceled", "lost"):
         return _lost(job, "crashed", f"the scheduler lost it ({future.status})")
     error: Any = future.exception()
     return unforeseen(job, error)

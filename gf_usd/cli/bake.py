@@ -40,7 +40,7 @@ def bake(
     NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
     glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
-    from gf_usd.cli.console import announce, progress, show_plan, summarise
+    from gf_usd.cli.console import announce, progress, show_plan, summarize
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import prepare, run
     from gf_usd.prepare.plan import describe
@@ -83,6 +83,6 @@ def bake(
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))
         elif not quiet and events != STDOUT:
-            summarise(result, plan)
+            summarize(result, plan)
         if strict:
             require_healthy(result)

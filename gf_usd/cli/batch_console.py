@@ -15,7 +15,7 @@ from gf_usd.batch.job import CALM
 from gf_usd.pipeline.budget import duration
 
 SHOWN = 12  # rows of a kind on the table
-COLOURS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}
+COLORS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}
 
 
 class Voice(Protocol):
@@ -108,7 +108,7 @@ def table(board: Board) -> Any:
         again = f" ({row.attempt})" if row.attempt > 1 else ""
         rows.add_row(
             Text(row.name),
-            Text(row.state + again, style=COLOURS.get(row.state, "bold red")),
+            Text(row.state + again, style=COLORS.get(row.state, "bold red")),
             f"{row.done}/{row.total}" if row.total else "",
             f"{row.frames_per_second:.3g}" if row.frames_per_second else "",
             duration(seconds),

@@ -94,7 +94,7 @@ def progress(plan: Plan, *, shown: bool) -> Iterator[Callable[[int, int], None]]
         yield lambda done, total: bar.update(task, completed=done)
 
 
-def summarise(result: BakeResult, plan: Plan) -> None:
+def summarize(result: BakeResult, plan: Plan) -> None:
     """Files, sizes and what was measured; what was noted only while it ran."""
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]

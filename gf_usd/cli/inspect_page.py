@@ -181,7 +181,7 @@ def _parts(console: Console, seen: Inspection) -> None:
 def _part(part: Part, unit: float) -> Sequence[str]:
     return (
         escape(part.path), str(part.shell), f"[yellow]{part.kind}[/]",
-        ", ".join(f"{c / unit:.3g}" for c in part.centre), _length(part.size),
+        ", ".join(f"{c / unit:.3g}" for c in part.center), _length(part.size),
         _length(part.thickness), str(part.particles),
         "too many" if part.suggested is None else str(part.suggested),
     )  # fmt: skip
@@ -217,18 +217,18 @@ def _lines(console: Console, what: str, lines: Sequence[str]) -> None:
         console.print(f"[dim]{what}:[/] and {len(lines) - MOST_LINES} more (--json lists all)")
 
 
-def _length(metres: float) -> str:
+def _length(meters: float) -> str:
     for limit, scale, name in ((1e-3, 1e6, "µm"), (1e-2, 1e3, "mm"), (1.0, 1e2, "cm")):
-        if metres < limit:
-            return f"{metres * scale:.3g} {name}"
-    return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
+        if meters < limit:
+            return f"{meters * scale:.3g} {name}"
+    return f"{meters:.3g} m" if meters < 1000.0 else f"{meters / 1000.0:.3g} km"
 
 
-def _volume(cubic_metres: float) -> str:
+def _volume(cubic_meters: float) -> str:
     for limit, scale, name in ((1e-6, 1e9, "mm³"), (1e-2, 1e6, "cm³")):
-        if cubic_metres < limit:
-            return f"{cubic_metres * scale:.3g} {name}"
-    return f"{cubic_metres:.3g} m³"
+        if cubic_meters < limit:
+            return f"{cubic_meters * scale:.3g} {name}"
+    return f"{cubic_meters:.3g} m³"
 
 
 def _duration(seconds: float) -> str:

@@ -79,11 +79,11 @@ def preview(
             show_default="one that is fitted to the whole motion",
         ),
     ] = None,
-    colour: Annotated[
+    color: Annotated[
         str,
         typer.Option(
             help="strain (largest |stretch - 1|), stress (von Mises; bake with --stress), or none:"
-            " the asset's own colours."
+            " the asset's own colors."
         ),
     ] = "none",
     limits: Annotated[
@@ -91,13 +91,13 @@ def preview(
         typer.Option(
             "--range",
             metavar="LOW:HIGH",
-            help="Of the colours: a pure number for strain, [Pa] for stress.",
+            help="Of the colors: a pure number for strain, [Pa] for stress.",
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,
 ) -> None:
     """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
-    quantity = None if colour == "none" else colour
+    quantity = None if color == "none" else color
     options = read_options(
         output or Path(f"{stage.stem}.png"),
         size=size,
@@ -106,7 +106,7 @@ def preview(
         sheet=sheet,
         columns=columns,
         fps=fps,
-        colour=quantity,
+        color=quantity,
         limits=limits,
     )
     for line in draw(stage, options, show, camera, quantity):
@@ -114,7 +114,7 @@ def preview(
 
 
 def draw(
-    path: Path, options: Options, show: str | None, camera: str | None, colour: str | None
+    path: Path, options: Options, show: str | None, camera: str | None, color: str | None
 ) -> list[str]:
     """Draw what was asked for; returns what to say of it.
 
@@ -135,7 +135,7 @@ def draw(
         width, height = (n + n % 2 for n in options.size)
         options = replace(options, size=(width, height))
         notes.append(f"note: H.264 wants even sizes: {width}x{height}")
-    source = PictureStage(path, show, camera=camera, colour=colour)
+    source = PictureStage(path, show, camera=camera, color=color)
     motion = source.motion
     if not options.film and options.sheet is None:
         source.require_time(options.frame)

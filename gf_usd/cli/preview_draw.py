@@ -1,4 +1,4 @@
-"""Pictures of a stage at any of its times, alike in camera, light and colours."""
+"""Pictures of a stage at any of its times, alike in camera, light and colors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gf_usd.view.render.render import render
 
 Pixels = NDArray[np.uint8]
 
-PALETTE_FRAMES = 6  # of a gif that its colours are taken from
+PALETTE_FRAMES = 6  # of a gif that its colors are taken from
 
 
 class Drawing:
@@ -29,7 +29,7 @@ class Drawing:
     Parameters
     ----------
     size : (width, height) [pixels].
-    limits : range of the colours; None: from the motion.
+    limits : range of the colors; None: from the motion.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quant
 
 
 def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
-    """A page of `options.sheet` frames evenly spread over the time codes, each labelled."""
+    """A page of `options.sheet` frames evenly spread over the time codes, each labeled."""
     spread = np.linspace(0, len(codes) - 1, min(options.sheet or 1, len(codes)))
     chosen = [codes[i] for i in np.round(spread).astype(int)]
     tiles = [

@@ -28,7 +28,7 @@ class Options:
     sheet: int | None  # number of tiles
     columns: int | None
     fps: float | None
-    limits: tuple[float, float] | None  # range of the colours
+    limits: tuple[float, float] | None  # range of the colors
 
     @property
     def film(self) -> bool:
@@ -54,7 +54,7 @@ def read_options(
     sheet: int | None,
     columns: int | None,
     fps: float | None,
-    colour: str | None,
+    color: str | None,
     limits: str | None,
 ) -> Options:
     """Judge the options.  Raises UsageError for what cannot be or does not go together."""
@@ -72,7 +72,7 @@ def read_options(
         (frames is not None, "--frames", many, "use --frame for one picture, or --sheet 12"),
         (fps is not None, "--fps", film, "write a film: -o out.mp4"),
         (columns is not None, "--columns", sheet is not None, "ask for a sheet: --sheet 12"),
-        (limits is not None, "--range", colour is not None, "give --colour strain or stress"),
+        (limits is not None, "--range", color is not None, "give --color strain or stress"),
     ):
         _refuse(given and not needed, f"{name} does not go with the rest.", hint)
     for value, name in ((sheet, "--sheet"), (columns, "--columns")):

@@ -92,7 +92,7 @@ def _show(results: Sequence[Result]) -> None:
                 result.case.source,
                 style=None if m.passed else "red",
             )
-    # rich leaves colours out of a pipe; without a width it would also fold the rows there.
+    # rich leaves colors out of a pipe; without a width it would also fold the rows there.
     console = Console(markup=False, highlight=False, width=None if sys.stdout.isatty() else 200)
     console.print(table)
     seconds = sum(result.seconds for result in results)

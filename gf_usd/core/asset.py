@@ -1,4 +1,4 @@
-"""What colours a surface: the diffuse look of a material that is bound to it.
+"""What colors a surface: the diffuse look of a material that is bound to it.
 
 Where a bake begins and how its time codes run, where the source leaves it open.
 
@@ -13,7 +13,7 @@ Captured Gaussians: what every splat file means, in one value.
 with d the direction from the camera to the Gaussian in its own space.  Files differ in how they
 store the numbers (logarithms, logits, bytes); here opacities lie in 0..1, scales are linear
 standard deviations, quaternions are (w, x, y, z), and the coefficients are those of UsdVol: raw
-f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its three colours.
+f_dc first, then f_rest with degree 1, 2, 3 in order, each coefficient with its three colors.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class SurfaceMaterial:
     """The diffuse look of a bound material."""
 
     path: str
-    colour: tuple[float, float, float]  # constant diffuse, linear
+    color: tuple[float, float, float]  # constant diffuse, linear
     texture: Texture | None = None  # multiplies nothing: replaces the constant where present
 
 
@@ -71,7 +71,7 @@ class StageFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class Texture:
-    """A colour texture as stored in its file."""
+    """A color texture as stored in its file."""
 
     pixels: NDArray[np.uint8]  # (H, W, 3), row 0 at the top
     srgb: bool  # True: pixels are sRGB-encoded; False: linear
@@ -93,7 +93,7 @@ class Surface:
     normals: Floats | None = None  # (K, 3) authored normals, world, unit; None where none
     normals_interpolation: str = ""  # vertex | varying | faceVarying | uniform | ""
     normal_points: Ints | None = None  # (K,) the point whose deformation carries each normal
-    triangle_colours: Floats | None = None  # (T, 3, 3) displayColor at triangle corners, linear
+    triangle_colors: Floats | None = None  # (T, 3, 3) displayColor at triangle corners, linear
     triangle_uvs: Floats | None = None  # (T, 3, 2) of the primvar that the texture reads
     triangle_materials: Ints | None = None  # (T,) into materials; -1 where nothing is bound
     materials: tuple[SurfaceMaterial, ...] = ()
@@ -158,7 +158,7 @@ class Splats:
 
     @cached_property
     def points(self) -> NDArray[np.float64]:
-        """(N, 3) [m] centres, world."""
+        """(N, 3) [m] centers, world."""
         return np.asarray(self.positions, float) @ self.to_world[:3, :3] + self.to_world[3, :3]
 
     @cached_property
@@ -168,11 +168,11 @@ class Splats:
 
     @property
     def riding(self) -> Floats:
-        """(N, 3) [m] the points that ride on the body: the centres, or what carries them."""
+        """(N, 3) [m] the points that ride on the body: the centers, or what carries them."""
         return self.points if self.anchors is None else self.anchors
 
     @property
-    def colours(self) -> NDArray[np.float64]:
+    def colors(self) -> NDArray[np.float64]:
         """(N, 3) of degree 0, encoded as the capture is: sRGB in practice."""
         return np.clip(0.5 + Y_0 * np.asarray(self.harmonics[:, 0], float), 0.0, 1.0)
 

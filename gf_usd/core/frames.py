@@ -32,7 +32,7 @@ class Particles:
     material: Ints  # (N,) into the materials of the bake
     orientation: Floats  # (N, 4) rest orientation; axis 0 is the surface normal
     scale: Floats  # (N, 3) [m] rest standard deviations (sigma_r, sigma_t, sigma_t)
-    colour: Floats  # (N, 3) linear
+    color: Floats  # (N, 3) linear
     opacity: Floats  # (N,)
     surface: Ints  # (N,) index of the nearest surface: where the particle came from
     spacing: float  # [m] mean distance s = (V / N)^(1/3)
@@ -132,7 +132,7 @@ class Health:
     potential: float = 0.0  # [J] of gravity, relative to the floor (or the origin)
     contact: float = 0.0  # [J] stored in the penalty springs
     mass: float = 0.0  # [kg]
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] centre of mass
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] center of mass
     momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m/s]
     angular_momentum: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [kg m^2/s] about the origin
     min_J: float = 1.0

@@ -44,12 +44,12 @@ def weld(points: Floats, tolerance: float | None = None) -> tuple[NDArray[np.int
     # where the pair search alone would be quadratic.
     cell = tolerance / 4.0
     cell_of = _rows_as_labels(np.floor((points - low) / cell))
-    centres = points[np.unique(cell_of, return_index=True)[1]]
+    centers = points[np.unique(cell_of, return_index=True)[1]]
     reach = tolerance + 2.0 * np.sqrt(3.0) * cell
-    pairs = pairs_within(centres, reach)
+    pairs = pairs_within(centers, reach)
     from scipy.sparse import coo_matrix
 
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centres),) * 2)
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(centers),) * 2)
     n_unique, cluster = components(graph)
     return _first_of_each(cluster[cell_of]), int(n_unique)
 
@@ -113,7 +113,7 @@ def shells(triangles: Ints) -> NDArray[np.int64]:
 def signed_volume(points: Floats, triangles: Ints) -> float:
     """V = 1/6 sum a . (b x c) over the triangles; positive where they face outward.
 
-    Meaningful for a closed mesh.  Taken about the mesh's own centre, so that an asset far from
+    Meaningful for a closed mesh.  Taken about the mesh's own center, so that an asset far from
     the origin loses no digits.
     """
     triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)

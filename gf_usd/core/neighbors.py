@@ -4,11 +4,11 @@ Importing `scipy.sparse` takes 0.2 CPU seconds, its graphs and `scipy.spatial` 0
 a small body takes to be read, filled and set up.  So they are imported where they are used, and
 what is few is found without them, to the bit as they find it.
 
-Derivatives at scattered points by least squares over neighbours, as one sparse operator.
+Derivatives at scattered points by least squares over neighbors, as one sparse operator.
 
     da/dX = [sum_j w_j (a_j - a) d_j] M^+,   M = sum_j w_j d_j d_j^T,   d_j = X_j - X
 
-exact for affine a where the neighbours fill space.  Along a direction in which there are none M is
+exact for affine a where the neighbors fill space.  Along a direction in which there are none M is
 singular, and the derivative of least norm, 0 along it, is taken.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FEW = 200_000  # pairs of points of which a table of distances is made
 SMALL = 50_000  # nodes of a graph, beyond which SciPy is three times as fast as libigl
-SWEEPS = 8  # neighbours along a line that are looked at before a tree is taken
+SWEEPS = 8  # neighbors along a line that are looked at before a tree is taken
 WAY = np.array([0.532, 0.311, 0.788])  # of that line: askew, since meshes love the axes
 
 
@@ -109,7 +109,7 @@ def components(graph: coo_matrix) -> tuple[int, Ints]:
     return int(parts), np.asarray(part, np.int64)
 
 
-FLAT = 1e-9  # eigenvalue of M, beside the largest, of a direction without neighbours
+FLAT = 1e-9  # eigenvalue of M, beside the largest, of a direction without neighbors
 
 
 def operator(near: Ints, d: Floats, w: Floats) -> csr_matrix:

@@ -59,7 +59,7 @@ def terms(x, y, z):
 def basis(directions: Floats) -> NDArray[np.float64]:
     """Y (N, 16) at unit directions (N, 3).
 
-    Normalised so that the integral of Y_i Y_j over the sphere is 1 where i = j and 0 elsewhere.
+    Normalized so that the integral of Y_i Y_j over the sphere is 1 where i = j and 0 elsewhere.
     """
     x, y, z = np.asarray(directions, dtype=np.float64).T
     return np.stack(terms(x, y, z), axis=1)

@@ -1,6 +1,6 @@
 """What a picture is made of: plain arrays between the room that reads and the room that draws.
 
-Lengths are metres in the world frame of the stage, quaternions (w, x, y, z), colours linear
+Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), colors linear
 Rec. 709 unless a field says otherwise.  Everything here is immutable and knows neither USD nor
 the renderer.
 
@@ -8,7 +8,7 @@ Which captured Gaussians a picture has to hold: captures have strays far from al
 
 A baked motion as plain arrays, between the room that reads it and the room that shows it.
 
-Lengths are metres in the world frame of the stage, colours linear Rec. 709.
+Lengths are meters in the world frame of the stage, colors linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from gf_usd.core.asset import Texture
 
 @dataclass(frozen=True, kw_only=True)
 class RenderMesh:
-    """Triangles with a colour, or a texture, at each corner."""
+    """Triangles with a color, or a texture, at each corner."""
 
     name: str  # prim path
     points: Floats  # (V, 3) [m]
     triangles: Ints  # (T, 3) into points
     normals: Floats | None = None  # (T, 3, 3) at corners; None: computed from the points
     crease_angle: float = 50.0  # [deg] computed normals: faces that meet more sharply stay sharp
-    colours: Floats  # (T, 3, 3) linear diffuse at corners; (3,) where it is one for all
+    colors: Floats  # (T, 3, 3) linear diffuse at corners; (3,) where it is one for all
     uvs: Floats | None = None  # (T, 3, 2); v = 0 is the bottom row of the texture
     textures: tuple[Texture, ...] = ()
-    triangle_textures: Ints | None = None  # (T,) into textures; -1: the corner colours
+    triangle_textures: Ints | None = None  # (T,) into textures; -1: the corner colors
     roughness: Floats  # (T,) or (): 0 mirror .. 1 matt
     metallic: Floats  # (T,) or (): 0 dielectric .. 1 metal
     values: Floats | None = None  # (V,) of the `Quantity` in the picture; None: has none
@@ -50,10 +50,10 @@ class RenderSplats:
     name: str
     positions: Floats  # (N, 3) [m]
     axes: Floats  # (N, 3, 3) [m] A: columns are the axes, as long as the standard deviations
-    colours: Floats  # (N, 3) linear
+    colors: Floats  # (N, 3) linear
     opacities: Floats  # (N,) 0..1
-    lit: bool = False  # True: colours are albedo; False: radiance as captured, shown unchanged
-    harmonics: Harmonics | None = None  # where given, replaces the colours of unlit splats
+    lit: bool = False  # True: colors are albedo; False: radiance as captured, shown unchanged
+    harmonics: Harmonics | None = None  # where given, replaces the colors of unlit splats
     values: Floats | None = None  # (N,) of the `Quantity` in the picture; None: has none
 
 
@@ -68,18 +68,18 @@ class Harmonics:
 
 @dataclass(frozen=True, kw_only=True)
 class RenderEllipsoids:
-    """Solid ellipsoids centre + A s, |s| = 1; a sphere is A = radius times the identity."""
+    """Solid ellipsoids center + A s, |s| = 1; a sphere is A = radius times the identity."""
 
     name: str
     positions: Floats  # (N, 3) [m]
     axes: Floats  # (N, 3, 3) [m]; columns are the semi-axes
-    colours: Floats  # (N, 3) linear diffuse
+    colors: Floats  # (N, 3) linear diffuse
     values: Floats | None = None  # (N,) of the `Quantity` in the picture; None: has none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """What the values of a picture measure, and the range that colours stand for."""
+    """What the values of a picture measure, and the range that colors stand for."""
 
     title: str
     measure: str = ""  # of several that go by the title
@@ -180,7 +180,7 @@ class GaussianSet:
     """What does not change about the Gaussians of a bake."""
 
     name: str  # prim path
-    colours: Floats  # (N, 3) linear
+    colors: Floats  # (N, 3) linear
     opacities: Floats  # (N,)
     rest_scales: Floats  # (N, 3) [m] standard deviations at rest
     masses: Floats | None = None  # (N,) [kg]; None where the file has none

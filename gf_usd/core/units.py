@@ -58,7 +58,7 @@ def check_unit(meters_per_unit: float | None) -> None:
     if meters_per_unit is not None and not LEAST < meters_per_unit < MOST:
         raise UsageError(
             f"--meters-per-unit {meters_per_unit:g} is not a size",
-            "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+            "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
         )
 
 

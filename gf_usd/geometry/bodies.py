@@ -78,11 +78,11 @@ def spread(points: Floats, triangles: Ints, spacing: float) -> Floats:
 def _meets(X: Floats, solid: Solid, surface: int, reach: float) -> bool:
     """Whether a point (n, 3) [m] lies in a surface or within reach [m] of it."""
     points, triangles = solid.surfaces[surface].points, solid.triangles[surface]
-    centre = points.mean(0)
+    center = points.mean(0)
     near = ((points.min(0) - reach <= X) & (points.max(0) + reach >= X)).all(1)
     if not near.any():
         return False
-    X, points = np.ascontiguousarray(X[near] - centre), np.ascontiguousarray(points - centre)
+    X, points = np.ascontiguousarray(X[near] - center), np.ascontiguousarray(points - center)
     squared = igl.point_mesh_squared_distance(X, points, triangles)[0]
     if np.asarray(squared).min() <= reach**2:
         return True

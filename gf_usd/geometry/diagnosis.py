@@ -1,7 +1,7 @@
 """What is right and wrong with a mesh as a boundary of something solid.
 
 Faces are counted as authored; everything else is measured on the welded triangles that the fill
-uses.  Lengths are in metres.
+uses.  Lengths are in meters.
 
 Faces that are there more than once: duplicates, walls back to back, surfaces with two sides.
 
@@ -32,7 +32,7 @@ class Hole:
 
     edges: int
     size: float  # [m] diagonal of its box
-    centre: Floats  # (3,) [m]
+    center: Floats  # (3,) [m]
     share: float  # of the area of its shell with all holes closed by flat fans
 
 
@@ -47,7 +47,7 @@ class Shell:
     area: float  # [m^2]
     volume: float  # [m^3] enclosed, were all its triangles to agree; holes closed by the winding
     winding: str  # outward | inside out | cavity | mixed | one-sided | open | flat
-    against: int  # triangles that face against their neighbours
+    against: int  # triangles that face against their neighbors
     holes: tuple[Hole, ...]
     inner: bool = False  # lies in the flesh of another shell: it bounds nothing
 
@@ -195,7 +195,7 @@ def _holes(rings: list[Floats], area: float) -> tuple[Hole, ...]:
         Hole(
             edges=len(ring),
             size=float(np.linalg.norm(np.ptp(ring, axis=0))),
-            centre=ring.mean(0),
+            center=ring.mean(0),
             share=fan / closed if closed > 0.0 else 0.0,
         )
         for ring, fan in zip(rings, fans)
@@ -256,7 +256,7 @@ def doubled(triangles: Ints, face: Ints) -> Ints:
     DUPLICATE : one that faces the same way, or more of them, is there too.
     WALL : as many face one way as the other, so that they cancel: both go.
     OTHER_SIDE : so too, but without them the rest would be open or gone (a surface that was
-    modelled with both its sides): one side stays.
+    modeled with both its sides): one side stays.
 
     Whole faces (T,) are compared by their outlines, since a quad and its reverse may be cut along
     different diagonals; then what is left, triangle by triangle.

@@ -56,7 +56,7 @@ class Part:
         return float(np.linalg.norm(self.high - self.low))
 
     @property
-    def centre(self) -> Floats:
+    def center(self) -> Floats:
         """(3,) [m]"""
         return 0.5 * (self.low + self.high)
 

@@ -91,11 +91,11 @@ def make_pin(region: Region, solid: Solid) -> Pin:
 
 
 class _Shape:
-    """Triangles to ask for distances; centred, so that far from the origin no digits are lost."""
+    """Triangles to ask for distances; centered, so that far from the origin no digits are lost."""
 
     def __init__(self, points: Floats, triangles: Ints) -> None:
-        self.centre = points.mean(0)
-        self._points = np.ascontiguousarray(points - self.centre, dtype=float)
+        self.center = points.mean(0)
+        self._points = np.ascontiguousarray(points - self.center, dtype=float)
         self._triangles = np.ascontiguousarray(triangles, dtype=np.int64)
 
     def closest(self, X: Floats) -> tuple[Floats, Floats]:
@@ -103,9 +103,9 @@ class _Shape:
         if len(X) == 0:
             return np.zeros(0), np.zeros((0, 3))
         squared, _, nearest = igl.point_mesh_squared_distance(
-            np.ascontiguousarray(X - self.centre), self._points, self._triangles
+            np.ascontiguousarray(X - self.center), self._points, self._triangles
         )
-        return np.sqrt(np.asarray(squared).reshape(-1)), np.asarray(nearest) + self.centre
+        return np.sqrt(np.asarray(squared).reshape(-1)), np.asarray(nearest) + self.center
 
     def nearest(self, X: Floats) -> Floats:
         """(n, 3) [m] on the triangles."""
@@ -115,7 +115,7 @@ class _Shape:
         """(n,) inside, by the winding number."""
         if len(X) == 0:
             return np.zeros(0, bool)
-        w = igl.fast_winding_number(self._points, self._triangles, X - self.centre)
+        w = igl.fast_winding_number(self._points, self._triangles, X - self.center)
         return np.abs(np.asarray(w).reshape(-1)) > INSIDE
 
 

@@ -40,8 +40,8 @@ class Repairs:
     slivers: int = 0  # dropped: without area
     duplicates: int = 0  # dropped: another one faces the same way
     walls: int = 0  # dropped: back to back inside others or on them, bounding nothing
-    other_sides: int = 0  # dropped: the second side of a surface that was modelled with both
-    turned: int = 0  # faced against their neighbours
+    other_sides: int = 0  # dropped: the second side of a surface that was modeled with both
+    turned: int = 0  # faced against their neighbors
     turned_parts: int = 0  # whole parts that faced the wrong way
     cavities: int = 0  # parts inside others that face inward, kept so
     inner: int = 0  # parts dropped: inside others, where there is flesh anyway
@@ -145,7 +145,7 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """A surface whose triangles bound a solid as well as they can, and what was done.
 
     In this order: drop collapsed triangles, those without area that hold no seam together,
-    duplicates, walls back to back and second sides; make neighbours agree; face every part outward,
+    duplicates, walls back to back and second sides; make neighbors agree; face every part outward,
     cavities aside; drop parts inside others, which bound nothing; close holes up to `HOLE_LIMIT`.
     Nothing but the triangles and what hangs on their corners changes.
     """
@@ -222,16 +222,16 @@ def _close(points: Floats, vertex: Ints, slots: Ints) -> tuple[Ints, dict[str, A
 def _with_slots(surface: Surface, slots: Ints) -> Surface:
     """The surface with triangles made of these corners of its own triangles, (T', 3).
 
-    A cap takes colour and UV at each corner, and its material, from the triangle beside it.
+    A cap takes color and UV at each corner, and its material, from the triangle beside it.
     """
-    colours, uvs, materials = (
-        surface.triangle_colours, surface.triangle_uvs, surface.triangle_materials,
+    colors, uvs, materials = (
+        surface.triangle_colors, surface.triangle_uvs, surface.triangle_materials,
     )  # fmt: skip
     return replace(
         surface,
         triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[slots]),
         triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[slots]),
-        triangle_colours=None if colours is None else colours.reshape(-1, 3)[slots],
+        triangle_colors=None if colors is None else colors.reshape(-1, 3)[slots],
         triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[slots],
         triangle_materials=None if materials is None else materials[slots[:, 0] // 3],
     )

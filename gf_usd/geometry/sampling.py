@@ -20,7 +20,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.geometry.solid import Solid
-from gf_usd.geometry.surface import colours, nearest
+from gf_usd.geometry.surface import colors, nearest
 
 # Of a stratum that a particle may lie in.  Less is more accurate: of a bar 16 strata long the first
 # frequency is 1.3 % low at 0.7, 0.44 % at 0.35, 0.12 % at 0 (measured); none shows as rows.
@@ -28,7 +28,7 @@ JITTER = 0.35
 # Of a stratum: where the two Gauss points of a cell, .289 h from its middle, lie in its two strata.
 # Bending of a bar four cells thick is 2.2 % too soft with them, 3.7 % with the strata's middles.
 GAUSS = (1.0 - 1.0 / np.sqrt(3.0), 1.0 / np.sqrt(3.0))
-SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbours
+SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbors
 SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid
 MOST_PARTICLES = 50_000_000
@@ -81,7 +81,7 @@ def sample_solid(
         material=np.zeros(n, np.int64),
         orientation=quaternion_from_axis(at.normal),
         scale=np.tile(s * np.array([SIGMA_R, SIGMA_T, SIGMA_T]), (n, 1)),
-        colour=colours(solid, at),
+        color=colors(solid, at),
         opacity=np.ones(n),
         surface=at.surface,
         spacing=s,
@@ -104,7 +104,7 @@ def _strata(
     low, high = _box(solid, turn)
     size = high - low
     n = np.maximum(1, np.ceil(size / a).astype(int))
-    # Centred on the asset: a symmetric asset gets a symmetric lattice.
+    # Centered on the asset: a symmetric asset gets a symmetric lattice.
     corner = low + 0.5 * (size - n * a)
     slab = max(1, CHUNK // int(n[1] * n[2]))
     kept = []

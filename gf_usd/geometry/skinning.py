@@ -28,10 +28,10 @@ from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import stretch
 from gf_usd.core.neighbors import nearest, operator, slopes, squared_distances
 
-NEIGHBOURS = 32  # particles that carry a vertex of the idw skin
+NEIGHBORS = 32  # particles that carry a vertex of the idw skin
 IDW_POWER = 4.0  # by measurement: docs/physics.md, Skins
 PAPER_POWER = 2.0  # not published; fitted to the tables of the paper
-GRADIENT_NEIGHBOURS = 20  # enough for a rank of 3 at a corner, few enough to stay local
+GRADIENT_NEIGHBORS = 20  # enough for a rank of 3 at a corner, few enough to stay local
 # Of dense weights held at once: they stay in a core's cache, and BLAS does not share such a product
 # out among threads, which takes several times as long where cores are busy (measured).
 CHUNK_BYTES = 200_000
@@ -62,7 +62,7 @@ class InverseDistance:
     """
 
     def __init__(
-        self, X: Floats, particles: Floats, *, k: int = NEIGHBOURS, power: float = IDW_POWER
+        self, X: Floats, particles: Floats, *, k: int = NEIGHBORS, power: float = IDW_POWER
     ) -> None:
         self.W = nearest_weights(X, particles, k, power)
         self.offset = X - self.W @ particles
@@ -220,7 +220,7 @@ def turned(T: Floats, offset: Floats) -> Floats:
     return np.einsum("vab,vb->va", T, offset)
 
 
-def rest_gradient(particles: Floats, k: int = GRADIENT_NEIGHBOURS) -> sparse.csr_matrix:
+def rest_gradient(particles: Floats, k: int = GRADIENT_NEIGHBORS) -> sparse.csr_matrix:
     """The operator of `slopes` over the k nearest particles, weights 1 / |dX|^2."""
     distance, near = nearest(particles, particles, min(k + 1, len(particles)))
     apart = distance > 0.0  # the particle itself, and any that lies on it, tells nothing

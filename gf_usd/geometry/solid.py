@@ -1,6 +1,6 @@
 """Which surfaces bound a solid, and where its inside is.
 
-A point is inside where the generalised winding number of a closed surface exceeds one half
+A point is inside where the generalized winding number of a closed surface exceeds one half
 (Jacobson, Kavan and Sorkine-Hornung 2013), taken surface by surface and regardless of sign: shells
 that overlap, that are inside out or that miss a few faces are judged right.
 """
@@ -42,11 +42,11 @@ class Solid:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""
         out = np.zeros(len(X), bool)
         for surface, triangles in zip(self.surfaces, self.triangles):
-            # Centred, so that an asset far from the origin loses no digits.
-            centre = surface.points.mean(0)
+            # Centered, so that an asset far from the origin loses no digits.
+            center = surface.points.mean(0)
             near = ~out & self._in_box(X, surface.points)
             if near.any():
-                w = igl.fast_winding_number(surface.points - centre, triangles, X[near] - centre)
+                w = igl.fast_winding_number(surface.points - center, triangles, X[near] - center)
                 out[np.flatnonzero(near)] |= np.abs(w) > INSIDE
         return out
 
@@ -86,8 +86,8 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
     start, end = points[edges[:, 0]], points[edges[:, 1]]
     loop = np.unique(label, return_inverse=True)[1]
     count = np.bincount(loop)
-    centre = np.stack([np.bincount(loop, start[:, d]) / count for d in range(3)], 1)[loop]
-    fan = 0.5 * np.linalg.norm(np.cross(start - centre, end - centre), axis=1).sum()
+    center = np.stack([np.bincount(loop, start[:, d]) / count for d in range(3)], 1)[loop]
+    fan = 0.5 * np.linalg.norm(np.cross(start - center, end - center), axis=1).sum()
     return float(fan / (area + fan))
 
 

@@ -32,8 +32,8 @@ from gf_usd.core.radiance import srgb_to_linear
 
 FAINT = 0.1  # opacity below which a Gaussian is haze
 GIANT = 0.25  # of the body's size: a longer standard deviation is background
-NEIGHBOURS = 8
-STRAY = 10.0  # mean distance of the neighbours over the median of all
+NEIGHBORS = 8
+STRAY = 10.0  # mean distance of the neighbors over the median of all
 ISLAND = 0.02  # share of the Gaussians below which what hangs together is no body
 LEAST = 50  # Gaussians that can bound a body
 FAR = 2.0  # [cells] beyond the surface: what lies farther hangs on it
@@ -79,7 +79,7 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
         + ("; a side of it is missing and is closed flat" if region.flat else "")
     )
     _, near = cKDTree(splats.points[kept]).query(points, k=4)
-    colours = srgb_to_linear(splats.colours[kept][near].mean(axis=1))
+    colors = srgb_to_linear(splats.colors[kept][near].mean(axis=1))
     surface = Surface(
         path=splats.path,
         type_name=TYPE,
@@ -88,14 +88,14 @@ def hull(splats: Splats, up: int) -> tuple[Surface, tuple[str, ...]]:
         face_indices=triangles.ravel(),
         triangles=triangles,
         triangle_corners=np.arange(triangles.size).reshape(-1, 3),
-        triangle_colours=colours[triangles],
+        triangle_colors=colors[triangles],
         splats=replace(splats, anchors=_anchors(splats.points, points, triangles, FAR * grid.h)),
     )
     return surface, tuple(notes)
 
 
 def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
-    """Rows of the Gaussians that may bound the body, their mean distance [m] from neighbours, and
+    """Rows of the Gaussians that may bound the body, their mean distance [m] from neighbors, and
     how many of the others there are.
     """
     rows = np.arange(len(splats))
@@ -109,7 +109,7 @@ def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
         _require(splats, rows)
 
     drop(splats.opacities < FAINT, f"are faint (opacity below {FAINT:g})")
-    near, _ = cKDTree(splats.points[rows]).query(splats.points[rows], k=NEIGHBOURS + 1)
+    near, _ = cKDTree(splats.points[rows]).query(splats.points[rows], k=NEIGHBORS + 1)
     mean = near[:, 1:].mean(axis=1)
     spacing = float(np.median(mean))
     drop(mean > STRAY * max(spacing, 1e-300), "are strays, far from all others")
@@ -158,16 +158,16 @@ def _require(splats: Splats, rows: Ints) -> None:
 
 def _anchors(X: Floats, points: Floats, triangles: Ints, far: float) -> NDArray[np.float64]:
     """(n, 3) [m] X itself inside the surface and near it; elsewhere the nearest point of it."""
-    centre = points.mean(0)
-    local = points - centre
-    found: Any = igl.point_mesh_squared_distance(X - centre, local, triangles)
+    center = points.mean(0)
+    local = points - center
+    found: Any = igl.point_mesh_squared_distance(X - center, local, triangles)
     squared, _, closest = found
     out = np.array(X, float)
     away = np.flatnonzero(squared > far * far)
     if len(away):
-        w = igl.fast_winding_number(local, triangles, X[away] - centre)
+        w = igl.fast_winding_number(local, triangles, X[away] - center)
         away = away[np.abs(w) < 0.5]
-        out[away] = closest[away] + centre
+        out[away] = closest[away] + center
     return out
 
 
@@ -195,18 +195,18 @@ REACH = 2.2  # [standard deviations] a Gaussian is cut off at exp(-2.4) = 0.09
 LEVEL = 0.2  # rho of a solid cell: one opaque Gaussian at the corner of its cell has 0.22
 PAIRS = 150_000_000  # Gaussians times cells looked at: about ten seconds
 CHUNK = 4_000_000  # of them at once: bounds memory
-PER_SPACING = 4.0  # cells between neighbours, at most
+PER_SPACING = 4.0  # cells between neighbors, at most
 BRIDGES = (1.5, 3.0, 5.0, 8.0)  # [cells]
 CLOSINGS = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)  # [cells]
 PATCHED = 2.0  # [cells] where none of them closes it: a side is missing, and that is closed flat
 LEAK = 0.05  # share of the solid that may lie open and yet be blocked on all six sides
 BLUR = 1.0  # [cells] takes the steps off
-OUTER = 0.1  # share of the centres that end up outside
+OUTER = 0.1  # share of the centers that end up outside
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Cells of a box; the centre of cell (0, 0, 0) is at low."""
+    """Cells of a box; the center of cell (0, 0, 0) is at low."""
 
     low: NDArray[np.float64]  # (3,) [m]
     h: float  # [m]
@@ -233,7 +233,7 @@ def field(
 ) -> tuple[Grid, NDArray[np.float64]]:
     """rho of Gaussians at points (n, 3) [m] with axes (n, 3, 3) [m] on a grid around them.
 
-    spacing : [m] between neighbours; finer cells would see nothing but gaps.
+    spacing : [m] between neighbors; finer cells would see nothing but gaps.
     """
     low, high = points.min(0), points.max(0)
     h = max(float((high - low).max()) / RESOLUTION, spacing / PER_SPACING)

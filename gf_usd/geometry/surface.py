@@ -1,4 +1,4 @@
-"""The nearest point of a set of surfaces, with its normal and colour."""
+"""The nearest point of a set of surfaces, with its normal and color."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gf_usd.core.asset import Texture
 from gf_usd.core.radiance import srgb_to_linear
 from gf_usd.geometry.solid import Solid
 
-DEFAULT_COLOUR = (0.18, 0.18, 0.18)  # mid grey, UsdPreviewSurface's own fallback
+DEFAULT_COLOR = (0.18, 0.18, 0.18)  # mid gray, UsdPreviewSurface's own fallback
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,12 +33,12 @@ def nearest(solid: Solid, X: Floats) -> Nearest:
     counts = [len(s.points) for s in solid.surfaces]
     first = np.cumsum([0, *counts])
     points = np.concatenate([s.points for s in solid.surfaces])
-    centre = points.mean(0)
-    points = points - centre
+    center = points.mean(0)
+    points = points - center
     faces = np.concatenate([t + o for t, o in zip(solid.triangles, first)])
     owner = np.repeat(np.arange(len(counts)), [len(t) for t in solid.triangles])
     source = np.concatenate(solid.sources)
-    found: Any = igl.point_mesh_squared_distance(X - centre, points, faces)
+    found: Any = igl.point_mesh_squared_distance(X - center, points, faces)
     squared, at, closest = found
     a, b, c = np.moveaxis(points[faces[at]], 1, 0)
     n = np.cross(b - a, c - a)
@@ -69,19 +69,19 @@ def barycentric(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
     return out / out.sum(1, keepdims=True)
 
 
-def colours(solid: Solid, at: Nearest) -> NDArray[np.float64]:
-    """(n, 3) linear colours at nearest points.
+def colors(solid: Solid, at: Nearest) -> NDArray[np.float64]:
+    """(n, 3) linear colors at nearest points.
 
-    A bound material's texture comes first, then its constant, then displayColor, then grey.
+    A bound material's texture comes first, then its constant, then displayColor, then gray.
     """
-    out = np.tile(np.asarray(DEFAULT_COLOUR), (len(at.triangle), 1))
+    out = np.tile(np.asarray(DEFAULT_COLOR), (len(at.triangle), 1))
     for index, surface in enumerate(solid.surfaces):
         mine = np.flatnonzero(at.surface == index)
         if len(mine) == 0:
             continue
         triangle, weight = at.triangle[mine], at.barycentric[mine]
-        if surface.triangle_colours is not None:
-            out[mine] = np.einsum("nk,nkc->nc", weight, surface.triangle_colours[triangle])
+        if surface.triangle_colors is not None:
+            out[mine] = np.einsum("nk,nkc->nc", weight, surface.triangle_colors[triangle])
         if surface.triangle_materials is None:
             continue
         bound = surface.triangle_materials[triangle]
@@ -93,12 +93,12 @@ def colours(solid: Solid, at: Nearest) -> NDArray[np.float64]:
                 uv = np.einsum("nk,nkc->nc", weight[here], surface.triangle_uvs[triangle[here]])
                 out[mine[here]] = sample(material.texture, uv)
             else:
-                out[mine[here]] = material.colour
+                out[mine[here]] = material.color
     return out
 
 
 def sample(texture: Texture, uv: Floats) -> NDArray[np.float64]:
-    """(n, 3) linear texture colours at uv (n, 2), bilinear; v grows upward from the last row."""
+    """(n, 3) linear texture colors at uv (n, 2), bilinear; v grows upward from the last row."""
     height, width = texture.pixels.shape[:2]
     x = uv[:, 0] * width - 0.5
     y = (1.0 - uv[:, 1]) * height - 0.5

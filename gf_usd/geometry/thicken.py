@@ -77,12 +77,12 @@ def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Sur
         surface, points=np.concatenate(points), triangles=np.concatenate(triangles),
         triangle_corners=surface.triangle_corners.reshape(-1)[slot],
     )  # fmt: skip
-    colours, uvs, bound = (
-        surface.triangle_colours, surface.triangle_uvs, surface.triangle_materials,
+    colors, uvs, bound = (
+        surface.triangle_colors, surface.triangle_uvs, surface.triangle_materials,
     )  # fmt: skip
     return replace(
         made_of,
-        triangle_colours=None if colours is None else colours.reshape(-1, 3)[slot],
+        triangle_colors=None if colors is None else colors.reshape(-1, 3)[slot],
         triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[slot],
         triangle_materials=None if bound is None else bound[slot[:, 0] // 3],
     ), done

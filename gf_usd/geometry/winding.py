@@ -44,7 +44,7 @@ def areas(points: Floats, triangles: Ints) -> Floats:
 def patches(points: Floats, triangles: Ints, edges: Edges) -> Patches:
     """Patches of welded triangles (T, 3), and which triangles face against their own.
 
-    Two copies of every triangle, as it is and turned, are joined wherever two neighbours agree: a
+    Two copies of every triangle, as it is and turned, are joined wherever two neighbors agree: a
     patch that can be made to agree falls into two sheets, each the other turned inside out.
     """
     n = len(triangles)
@@ -72,12 +72,12 @@ def turned(triangles: Ints, which: Flags) -> Ints:
 
 
 def volumes(points: Floats, triangles: Ints, label: Ints) -> Floats:
-    """(K,) [m^3] signed volume of each part, about its own centre; positive faces outward."""
+    """(K,) [m^3] signed volume of each part, about its own center; positive faces outward."""
     corners = points[triangles]
     count = np.bincount(label)
     mean = corners.mean(1)
-    centre = np.stack([np.bincount(label, mean[:, d]) / count for d in range(3)], 1)
-    a, b, c = np.moveaxis(corners - centre[label][:, None, :], 1, 0)
+    center = np.stack([np.bincount(label, mean[:, d]) / count for d in range(3)], 1)
+    a, b, c = np.moveaxis(corners - center[label][:, None, :], 1, 0)
     return np.bincount(label, np.einsum("ti,ti->t", a, np.cross(b, c)) / 6.0)
 
 
@@ -135,9 +135,9 @@ def containers(points: Floats, triangles: Ints, label: Ints) -> Ints:
 def winding_inside(points: Floats, triangles: Ints, X: Floats) -> Flags:
     """(n,) True for X (n, 3) where the winding number of the triangles exceeds one half."""
     used, local = np.unique(triangles, return_inverse=True)
-    centre = points[used].mean(0)
+    center = points[used].mean(0)
     local = np.ascontiguousarray(local.reshape(-1, 3), np.int64)
-    w = igl.fast_winding_number(points[used] - centre, local, X - centre)
+    w = igl.fast_winding_number(points[used] - center, local, X - center)
     return np.abs(np.atleast_1d(w)) > 0.5
 
 
@@ -160,7 +160,7 @@ def facing(points: Floats, triangles: Ints, label: Ints) -> Facing:
 
     Parts face outward, if they have an inside: some volume, and no mouth wider than
     `OPEN_FRACTION`.  One that lies inside another and faces the other way bounds a cavity: that
-    is how hollow things are modelled, and it stays opposite to what it lies in.
+    is how hollow things are modeled, and it stays opposite to what it lies in.
     """
     volume = volumes(points, triangles, label)
     area = np.bincount(label, areas(points, triangles))
@@ -301,8 +301,8 @@ def overlapping(points: Floats, triangles: Ints, label: Ints) -> NDArray[np.bool
     low, high = boxes(points, triangles, label)
     depth = DEPTH * np.linalg.norm(high - low, axis=1)[label[rows]][:, None, None]
     X = (a + u * (b - a) + v * (c - a) - depth * normal).reshape(-1, 3)
-    centre = points[triangles].mean((0, 1))
+    center = points[triangles].mean((0, 1))
     faces = np.ascontiguousarray(triangles, np.int64)
-    w = np.asarray(igl.fast_winding_number(points - centre, faces, X - centre))
+    w = np.asarray(igl.fast_winding_number(points - center, faces, X - center))
     shared = (w.reshape(len(rows), -1) > SHARED).any(1)
     return np.bincount(label[rows], shared, count) > 0

@@ -1,4 +1,4 @@
-"""From the world, in metres, to a prim's local space, in stage units.
+"""From the world, in meters, to a prim's local space, in stage units.
 
 With row vectors and W(t) the inverse of the prim's local-to-world matrix (rows 0-2 linear, row 3
 offset), a world point x(t) and its velocity v become

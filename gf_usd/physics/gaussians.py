@@ -87,7 +87,7 @@ class CarriedSplats:
         arm = splats.points - splats.riding
         self._hanging = np.flatnonzero((arm != 0.0).any(axis=1))
         self._arm = arm[self._hanging]
-        self._colours = splats.degree > 0
+        self._colors = splats.degree > 0
         self.clamped = 0  # Gaussians that were kept within bounds, summed over the frames
 
     def state(self) -> dict[str, Floats]:
@@ -115,7 +115,7 @@ class CarriedSplats:
         # rounding is no clamp
         self.clamped += int((np.abs(scales - made.scales) > 1e-9 * self._most).any(axis=1).sum())
         harmonics = None
-        if self._colours:
+        if self._colors:
             harmonics = rotated(self.splats.harmonics, self._track.turn)
         return SplatPose(
             positions=x, orientations=made.orientations, scales=scales, harmonics=harmonics

@@ -247,7 +247,7 @@ class SplatDeformer:
             orientations=turned.as_quat()[:, [3, 0, 1, 2]],
             scales=np.maximum(np.asarray(frame.gaussians.scales) / self._unit, TINY),
             opacities=p.opacity,
-            harmonics=((linear_to_srgb(p.colour) - 0.5) / Y_0)[:, None, :],
+            harmonics=((linear_to_srgb(p.color) - 0.5) / Y_0)[:, None, :],
         )
 
     @property

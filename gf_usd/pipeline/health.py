@@ -222,7 +222,7 @@ def flight_drift(
 ) -> tuple[float, float]:
     """Largest |p - p0 - m g t| [kg m/s] and |L - L0| [kg m^2/s] of a body that nothing holds.
 
-    L is the angular momentum about the centre of mass, L_o - c x p, on which uniform gravity has
+    L is the angular momentum about the center of mass, L_o - c x p, on which uniform gravity has
     no torque.  interval : [s] between frames.
     """
     first = flight[0]
@@ -230,14 +230,14 @@ def flight_drift(
     for i, f in enumerate(flight):
         fallen = [p + f.mass * g * i * interval for p, g in zip(first.momentum, gravity)]
         linear = max(linear, math.dist(f.momentum, fallen))
-        spin = max(spin, math.dist(_about_centre(f), _about_centre(first)))
+        spin = max(spin, math.dist(_about_center(f), _about_center(first)))
     return linear, spin
 
 
 def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> float | None:
     """Rebound over impact speed of the first bounce, v' / v, or None where there was none.
 
-    Speeds are those of the centre of mass along the floor's normal at the height where it first
+    Speeds are those of the center of mass along the floor's normal at the height where it first
     touched, found from the frames in free flight on either side: v_c^2 = v^2 + 2 g (y - y_c), which
     holds whatever part of the flight a frame shows.  drop : [m] along the up axis that the asset
     fell before touching.
@@ -250,10 +250,10 @@ def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> fl
     left = next((i for i in range(touched, len(frames)) if frames[i].penetration == 0.0), None)
     if left is None:
         return None
-    y_c = _dot(frames[0].centre, normal) - drop * _dot(normal, settings.up)
+    y_c = _dot(frames[0].center, normal) - drop * _dot(normal, settings.up)
 
     def squared_speed(f: Health) -> float:
-        return (_dot(f.momentum, normal) / f.mass) ** 2 + 2.0 * g * (_dot(f.centre, normal) - y_c)
+        return (_dot(f.momentum, normal) / f.mass) ** 2 + 2.0 * g * (_dot(f.center, normal) - y_c)
 
     before, after = squared_speed(frames[touched - 1]), squared_speed(frames[left])
     if before <= 0.0:
@@ -261,8 +261,8 @@ def restitution(frames: Sequence[Health], settings: Settings, drop: float) -> fl
     return math.sqrt(max(0.0, after) / before)
 
 
-def _about_centre(f: Health) -> tuple[float, float, float]:
-    (a, b, c), (p, q, r) = f.centre, f.momentum
+def _about_center(f: Health) -> tuple[float, float, float]:
+    (a, b, c), (p, q, r) = f.center, f.momentum
     carried = (b * r - c * q, c * p - a * r, a * q - b * p)
     x, y, z = (whole - part for whole, part in zip(f.angular_momentum, carried))
     return x, y, z

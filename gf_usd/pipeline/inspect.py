@@ -1,6 +1,6 @@
 """What an inspection found: plain data, and the JSON that ``gf-usd inspect --json`` prints.
 
-Keys of the JSON; lengths in metres unless a name says otherwise, None where it does not apply:
+Keys of the JSON; lengths in meters unless a name says otherwise, None where it does not apply:
 
 file, bakeable, refusal {message, hint}, warnings [], notes [], skipped [{path, reason}]
 units       meters_per_unit, kilograms_per_unit, up_axis, and for the first and the last whether
@@ -11,10 +11,10 @@ meshes      of each: path, type, points, faces, triangles, quads, ngons, largest
             (filled | rides along | refused), reason, watertight, boundary_edges, holes, hole_share,
             volume_m3, area_m2, collapsed, slivers, duplicates, non_manifold_edges, repairs {};
             shells: index, triangles, low, size, volume_m3, area_m2, winding, against, and holes:
-            edges, size, centre, share
+            edges, size, center, share
 body        particles, spacing, volume_m3, radius, frames, fps, start, drop, first_contact_frame
 parts       poorly filled: path, shell, kind (empty | few | thin | bare region | thin region),
-            centre, size, thickness, particles, suggested_particles; none where faults of a mesh
+            center, size, thickness, particles, suggested_particles; none where faults of a mesh
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
@@ -136,7 +136,7 @@ class Inspection:
                     "winding": s.winding,
                     "against": s.against,
                     "holes": [
-                        {"edges": h.edges, "size": h.size, "centre": _plain(h.centre),
+                        {"edges": h.edges, "size": h.size, "center": _plain(h.center),
                          "share": h.share}
                         for h in s.holes
                     ],
@@ -194,7 +194,7 @@ def _part(part: Part) -> dict[str, Any]:
         "path": part.path,
         "shell": part.shell,
         "kind": part.kind,
-        "centre": _plain(part.centre),
+        "center": _plain(part.center),
         "size": part.size,
         "thickness": part.thickness,
         "particles": part.particles,

@@ -303,9 +303,9 @@ def blended(
             continue
         several = True
         members = np.flatnonzero(np.asarray(bodies.of_surface) == b)
-        centre = particles.X[mine].mean(0)
-        meshes = [_faces_of(int(kind), members, of_slot, slots, solid, centre) for kind in kinds]
-        weights = part_weights(particles.X[mine] - centre, meshes, width)
+        center = particles.X[mine].mean(0)
+        meshes = [_faces_of(int(kind), members, of_slot, slots, solid, center) for kind in kinds]
+        weights = part_weights(particles.X[mine] - center, meshes, width)
         for name, column in table.items():
             values[name][mine] = weights @ column[kinds]
     return values if several else None
@@ -317,14 +317,14 @@ def _faces_of(
     of_slot: dict[int, int],
     slots: Sequence[Ints],
     solid: Solid,
-    centre: Floats,
+    center: Floats,
 ) -> tuple[Floats, Ints]:
-    """Points about a centre and triangles of the faces of one material, of the surfaces given."""
+    """Points about a center and triangles of the faces of one material, of the surfaces given."""
     points, faces, first = [], [], 0
     kinds = {s for s, owner in of_slot.items() if owner == kind}
     for k in members:
         has = np.isin(slots[k][solid.sources[k]], list(kinds))
-        points.append(solid.surfaces[k].points - centre)
+        points.append(solid.surfaces[k].points - center)
         faces.append(solid.triangles[k][has] + first)
         first += len(points[-1])
     return np.concatenate(points), np.concatenate(faces)

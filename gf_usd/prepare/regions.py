@@ -71,7 +71,7 @@ def owners(
     """
     labels = [r for r in regions if isinstance(r, MaterialLabel)]
     boxes = [r for r in regions if isinstance(r, MaterialBox)]
-    by_label = labelled(labels, surfaces, particles)
+    by_label = labeled(labels, surfaces, particles)
     by_box = boxed(boxes, particles.X, unit)
     of = np.where(by_box >= 0, len(labels) + by_box, by_label)
     near = np.bincount(by_label[by_label >= 0], minlength=len(labels))
@@ -185,7 +185,7 @@ def _parse_label(text: str) -> MaterialLabel:
     return MaterialLabel(text=text, material=material, name=name, value=number)
 
 
-def labelled(
+def labeled(
     labels: Sequence[MaterialLabel], surfaces: Sequence[Surface], particles: Particles
 ) -> Ints:
     """(N,) index of the label that the nearest Gaussian of each particle has, -1: none.

@@ -23,7 +23,7 @@ def read_asset(
     up_axis: str | None = None,
     time_code: float | None = None,
 ) -> Asset:
-    """The surfaces and facts of an asset file, in metres, posed at one time.
+    """The surfaces and facts of an asset file, in meters, posed at one time.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Mesh files: each is parsed, becomes a USD layer and is read as USD.
 
-obj, ply, off   metres are assumed, Y up; own readers: polygons and seams stay
-stl             metres are assumed, Z up, as printers have it; trimesh
-glb, gltf       metres, Y up by their standard; own reader
+obj, ply, off   meters are assumed, Y up; own readers: polygons and seams stay
+stl             meters are assumed, Z up, as printers have it; trimesh
+glb, gltf       meters, Y up by their standard; own reader
 fbx             what the file says; the program usd-convert-asset
 spz, splat, ply with Gaussians: usd_splat_source
 """
@@ -45,7 +45,7 @@ def convert_mesh(
     if meters_per_unit is not None and not 0.0 < meters_per_unit < math.inf:
         raise InputError(
             f"--meters-per-unit {meters_per_unit:g} is not a size",
-            "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+            "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
         )
     if is_splat_file(path):
         return convert_splats(path, meters_per_unit=meters_per_unit, up_axis=up_axis)

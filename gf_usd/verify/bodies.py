@@ -80,7 +80,7 @@ def cloud(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Partic
         material=np.zeros(n, np.int64),
         orientation=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
         scale=np.ones((n, 3)),
-        colour=np.zeros((n, 3)),
+        color=np.zeros((n, 3)),
         opacity=np.ones(n),
         surface=np.zeros(n, np.int64),
         spacing=float(np.cbrt(volume / n)),

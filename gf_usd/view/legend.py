@@ -1,6 +1,6 @@
-"""Words on pictures: the colour bar of a quantity, and labels.
+"""Words on pictures: the color bar of a quantity, and labels.
 
-Numbers as colours: a ramp of even perceptual steps, and scenes painted with it.
+Numbers as colors: a ramp of even perceptual steps, and scenes painted with it.
 
 The ramp goes from dark violet over blue, teal and green to light yellow.  Equal differences of the
 number are equal distances in CIELAB, and lightness L* rises all the way: it reads the same in gray
@@ -49,7 +49,7 @@ def font(size: int) -> Font:
 
 
 class Legend:
-    """The colour bar of a quantity, drawn once and laid over every picture of a film.
+    """The color bar of a quantity, drawn once and laid over every picture of a film.
 
     Parameters
     ----------
@@ -179,8 +179,8 @@ def fraction(values: Floats, low: float, high: float) -> NDArray[np.float64]:
     return np.clip(np.nan_to_num((np.asarray(values) - low) / span, nan=0.0), 0.0, 1.0)
 
 
-def colours(values: Floats, low: float, high: float) -> NDArray[np.float64]:
-    """Linear colours (..., 3) of values (...)."""
+def colors(values: Floats, low: float, high: float) -> NDArray[np.float64]:
+    """Linear colors (..., 3) of values (...)."""
     at = fraction(values, low, high) * (STEPS - 1)
     return np.stack([np.interp(at, np.arange(STEPS), channel) for channel in ramp().T], axis=-1)
 
@@ -192,10 +192,10 @@ def _texture() -> Texture:
 
 
 def paint(scene: Scene, low: float, high: float) -> Scene:
-    """The scene with all that has values coloured by them, matt; the rest as it was.
+    """The scene with all that has values colored by them, matt; the rest as it was.
 
     Meshes carry the ramp as a texture whose coordinate is the value, so that between vertices it
-    is the value that is interpolated and not the colour.
+    is the value that is interpolated and not the color.
     """
     return replace(
         scene,
@@ -203,13 +203,13 @@ def paint(scene: Scene, low: float, high: float) -> Scene:
         splats=tuple(
             cloud
             if cloud.values is None
-            else replace(cloud, colours=colours(cloud.values, low, high), harmonics=None)
+            else replace(cloud, colors=colors(cloud.values, low, high), harmonics=None)
             for cloud in scene.splats
         ),
         ellipsoids=tuple(
             cloud
             if cloud.values is None
-            else replace(cloud, colours=colours(cloud.values, low, high))
+            else replace(cloud, colors=colors(cloud.values, low, high))
             for cloud in scene.ellipsoids
         ),
     )

@@ -68,7 +68,7 @@ class Window:
             if made is not None:
                 self._shapes[kind] = self._o3d.geometry.TriangleMesh()
                 self._shapes[kind].triangles = self._ints(made.triangles)
-                self._shapes[kind].vertex_colors = self._floats(made.colours)
+                self._shapes[kind].vertex_colors = self._floats(made.colors)
         self.shown = next(iter(self._shapes))
         low, high = self._bounds()
         times = [recording.seconds(code) for code in recording.time_codes]
@@ -304,12 +304,12 @@ CELLS = 10  # of the floor's grid, each way from the middle
 
 
 class Skin:
-    """All meshes as one, with vertices split at creases and where the colour changes."""
+    """All meshes as one, with vertices split at creases and where the color changes."""
 
     def __init__(self, meshes: tuple[RenderMesh, ...]) -> None:
         self._skin = make_skin(meshes, sum(len(mesh.points) for mesh in meshes))
         self.triangles = self._skin.corners
-        self.colours = self._skin.colours / 255.0
+        self.colors = self._skin.colors / 255.0
 
     def pose(self, meshes: tuple[Floats, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Vertices and unit normals (D, 3) of the meshes' points; n = sum of a x b over faces."""
@@ -335,8 +335,8 @@ class Balls:
         count = len(self._chosen)
         first = len(self._corners) * np.arange(count)[:, None, None]
         self.triangles = (faces + first).reshape(-1, 3)
-        colours = linear_to_srgb(np.clip(cloud.colours[self._chosen], 0.0, 1.0))
-        self.colours = np.repeat(colours, len(self._corners), axis=0)
+        colors = linear_to_srgb(np.clip(cloud.colors[self._chosen], 0.0, 1.0))
+        self.colors = np.repeat(colors, len(self._corners), axis=0)
 
     def pose(self, positions: Floats, axes: Floats) -> tuple[Floats, Floats]:
         """Vertices x = c + A s and normals along A^-T s, both (12 n, 3)."""

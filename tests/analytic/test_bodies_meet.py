@@ -13,8 +13,8 @@ from solids import cube, sphere, surface
 from gf_usd.core.materials import G0
 from gf_usd.pipeline.health import gain_of_frames
 
-LEFT = sphere(centre=(-1.3, 0.0, 0.0), path="/Left")
-RIGHT = sphere(centre=(1.3, 0.2, 0.0), path="/Right")  # a little off the line: they spin too
+LEFT = sphere(center=(-1.3, 0.0, 0.0), path="/Left")
+RIGHT = sphere(center=(1.3, 0.2, 0.0), path="/Right")  # a little off the line: they spin too
 SPEED = 3.0  # [m/s] of each: a fall of half a meter
 ROUNDING = 1e-5  # of m v: float32 sums over some hundred substeps
 
@@ -79,7 +79,7 @@ def test_what_new_planes_store_is_counted():
 
 
 def test_equal_bodies_swap_velocities_up_to_restitution():
-    right = sphere(centre=(1.3, 0.0, 0.0), path="/Right")
+    right = sphere(center=(1.3, 0.0, 0.0), path="/Right")
     solver = meeting(
         LEFT, right, particles=600, frames=20, velocity=[(SPEED, 0.0, 0.0), (0.0, 0.0, 0.0)]
     )
@@ -128,7 +128,7 @@ def plate(degrees: float, **said):
 def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
     """A tilted plate that hits a ball, and the ball that hits the plate: Galilei."""
     count, w = 16, np.array([0.8, 3.0, 0.0])
-    ball = sphere(centre=1.4 * tilted([[0.0, 1.0, 0.0]], 25.0)[0], path="/Ball")
+    ball = sphere(center=1.4 * tilted([[0.0, 1.0, 0.0]], 25.0)[0], path="/Ball")
     track = np.arange(count)[:, None] / 24.0 * w
     hit = meeting(
         ball, particles=300, frames=count, velocity=[(0.0, 0.0, 0.0)],
@@ -160,7 +160,7 @@ def test_a_plane_without_friction_leaves_what_is_along_it():
     slope = half_space(25.0, friction=0.0)
     along, out = tilted([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 25.0)
     # Far from the corners that define the plane: it has no end.
-    ball = sphere(centre=1.3 * out + 50.0 * along, path="/Ball")
+    ball = sphere(center=1.3 * out + 50.0 * along, path="/Ball")
     solver = meeting(
         ball, particles=300, frames=16, colliders=(slope,), velocity=[tuple(along - 2.0 * out)]
     )

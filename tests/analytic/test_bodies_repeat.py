@@ -14,8 +14,8 @@ from gf_usd.core.frames import Health
 def falling(threads: int = 2, frames: int = 7):
     """Two balls on a slope that comes up: they meet it, each other and themselves."""
     rise = np.arange(frames)[:, None] * [0.0, 0.02, 0.0]
-    low = sphere(centre=(0.0, 1.1, 0.0), subdivisions=2, path="/Low")
-    high = sphere(centre=(0.3, 3.2, 0.1), subdivisions=2, path="/High")
+    low = sphere(center=(0.0, 1.1, 0.0), subdivisions=2, path="/Low")
+    high = sphere(center=(0.3, 3.2, 0.1), subdivisions=2, path="/High")
     return meeting(
         low, high, particles=400, frames=frames, threads=threads, gravity=(0.0, -9.81, 0.0),
         velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)], colliders=(half_space(10.0, offset=rise),),

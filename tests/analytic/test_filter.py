@@ -43,7 +43,7 @@ def filtered(body: str, velocity: Any, *, substeps: int, followers: bool):
 def test_momentum_and_its_moment_are_kept_to_rounding(body, followers):
     X, m, before, after = filtered(body, noise, substeps=40, followers=followers)
     assert np.abs(after - before).max() > 0.5
-    # 40 filters of sums of some hundred terms, 1e-16 each, of speeds of one metre a second.
+    # 40 filters of sums of some hundred terms, 1e-16 each, of speeds of one meter a second.
     np.testing.assert_allclose(m @ after, m @ before, atol=1e-12 * m.sum())
     moments = [m @ np.cross(X, v) for v in (before, after)]
     np.testing.assert_allclose(moments[1], moments[0], atol=1e-12 * m.sum())

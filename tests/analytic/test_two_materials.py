@@ -77,7 +77,7 @@ def test_the_first_frequency_is_that_of_springs_in_series(width):
         body = replace(body, own={**values, "mu": 0.5 * E, "lam": 0.0 * E})
     w = measured(body, materials, exact, x, shape)
     # Splines cannot kink, so that about half a cell of the soft half stretches like the stiff one:
-    # w^2 rises by half a cell of the half metre, w by h / 2, where the border is sharp.  Over one
+    # w^2 rises by half a cell of the half meter, w by h / 2, where the border is sharp.  Over one
     # twelve cells wide lumped mass lowers it by (k h)^2 / 8, with k of the soft half; as much again
     # for the places of the particles.
     k = exact * np.sqrt(DENSITY / SOFT)

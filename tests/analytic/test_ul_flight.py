@@ -76,7 +76,7 @@ def test_a_body_at_rest_stays_at_rest():
     body, _ = ball(300)
     made = look("rubber", body)
     *_, last = UpdatedLagrangian(body, [made], settings(frames=30)).frames()
-    np.testing.assert_allclose(last.particles.x, body.X, atol=1e-7)  # f32 of X - centre
+    np.testing.assert_allclose(last.particles.x, body.X, atol=1e-7)  # f32 of X - center
     assert np.abs(last.particles.v).max() == 0.0
     np.testing.assert_array_equal(last.particles.F, np.broadcast_to(np.eye(3), (len(body), 3, 3)))
     assert last.health.elastic == 0.0

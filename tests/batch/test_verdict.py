@@ -23,7 +23,7 @@ FINISHED = {"finished": {"event": "finished", **RESULT}}
 SLICED = {"sliced": {"event": "sliced", "look": "rubber", "done": 3, "frames": 5}}
 GOES_ON = "the same command goes on with it"
 ERROR = {"error": {"event": "error", "status": 3, "message": DAMAGED, "hint": "export it again"}}
-STDERR = f"note: centimetres\nerror: {DAMAGED}\n\nhint: export it again\n"
+STDERR = f"note: centimeters\nerror: {DAMAGED}\n\nhint: export it again\n"
 
 
 def ended(status: int, err: str = "", **more: Any) -> Ended:

@@ -51,7 +51,7 @@ def cube(name, x, body="", meta=""):
 
 @pytest.fixture
 def stage(tmp_path):
-    """Write a stage of cubes, in metres."""
+    """Write a stage of cubes, in meters."""
 
     def write(*prims: str, name: str = "things.usda") -> Path:
         path = tmp_path / name

@@ -120,7 +120,7 @@ def test_auto_slows_a_small_body_down(gf_usd, here: Path, block: Path) -> None:
     drop = ("--drop", "150", "-q", "--json")
     done = gf_usd("bake", block, *SMALL, "--time-scale", "auto", *drop)
     settings = strict(done.out)["settings"]
-    # r = (3 V / 4 pi)^(1/3) of 0.012 m^3; T is sqrt(r) of that of a metre.
+    # r = (3 V / 4 pi)^(1/3) of 0.012 m^3; T is sqrt(r) of that of a meter.
     radius = (3.0 * 0.012 / (4.0 * math.pi)) ** (1.0 / 3.0)
     assert settings["time_scale"] == pytest.approx(math.sqrt(radius), rel=1e-3)
     t = 5.0 / 48.0 * settings["time_scale"]

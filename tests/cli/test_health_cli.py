@@ -12,7 +12,7 @@ from small_bakes import HEALTH, SMALL, names, strict
 import gf_usd as package
 from gf_usd.prepare.options.table import MAX_HOURS
 
-# What a metre of fall does to jelly under the corotated law, which does not resist collapse
+# What a meter of fall does to jelly under the corotated law, which does not resist collapse
 # (materials.py): particles turn inside out in the first frame on the floor.
 CRUSH = ("-m", "jelly", "--law", "corotated", "--particles", "300", "--frames", "12")
 HIGH = ("--drop", "60", "--fps", "24")

@@ -60,11 +60,11 @@ def test_a_textured_glb_from_file_to_layers(gf_usd, glb, tmp_path, monkeypatch):
     file = texture.GetAttribute("inputs:file").Get()
     assert file.resolvedPath.startswith(str(out / "toy.textures"))
     gaussians = stage.GetPrimAtPath(f"{stage.GetDefaultPrim().GetPath()}/GaussianFlesh/Points")
-    colours = np.array(UsdGeom.PrimvarsAPI(gaussians).GetPrimvar("displayColor").Get())
+    colors = np.array(UsdGeom.PrimvarsAPI(gaussians).GetPrimvar("displayColor").Get())
     # the picture reaches the particles: each is red or blue, hardly one in between
-    assert colours[:, 1].max() < 0.01
-    assert (colours[:, 0] > 0.5).mean() > 0.3
-    assert (colours[:, 2] > 0.5).mean() > 0.3
+    assert colors[:, 1].max() < 0.01
+    assert (colors[:, 0] > 0.5).mean() > 0.3
+    assert (colors[:, 2] > 0.5).mean() > 0.3
 
 
 def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):

@@ -95,8 +95,8 @@ def test_a_ball_rolls_down_a_tilted_floor(tmp_path: Path) -> None:
         ball, particles=400, frames=24, drop="0.05", floor="0.3,1,0", output=tmp_path / "o.usda"
     )
     first, last = result.bakes[0].per_frame[0], result.bakes[0].per_frame[-1]
-    assert last["centre"][0] - first["centre"][0] > 0.3  # down the slope, which points to +x
+    assert last["center"][0] - first["center"][0] > 0.3  # down the slope, which points to +x
     assert result.health["deepest_penetration_spacings"] < 1.0
     # it stays on the plane, not on the ground below it
     n = np.array([0.3, 1.0, 0.0]) / np.hypot(0.3, 1.0)
-    assert min(np.dot(f["centre"], n) for f in result.bakes[0].per_frame) > 0.3
+    assert min(np.dot(f["center"], n) for f in result.bakes[0].per_frame) > 0.3

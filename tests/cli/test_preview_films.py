@@ -1,4 +1,4 @@
-"""gf-usd preview as films, sheets and colours, from the command line to the file."""
+"""gf-usd preview as films, sheets and colors, from the command line to the file."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
     assert run(stage, "-o", tmp_path / "1.png", "--frame", "1", "--size", "120x90").exit_code == 0
     with Image.open(out) as film:
         assert film.n_frames == 3
-        # the dither, the grouping of codes and the nearest of 255 colours: a few codes
+        # the dither, the grouping of codes and the nearest of 255 colors: a few codes
         error = np.abs(np.asarray(film.convert("RGB")).astype(int) - pixels(tmp_path / "1.png"))
     assert error.mean() < 3.0
 
@@ -131,9 +131,9 @@ def Camera "cam" {
         (("-o", "a.mp4", "--frames", "1:3:1e-9"), "more than 100000"),
         (("-o", "none/a.mp4",), "none is not a folder"),
         (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
-        (("--colour", "heat"), "Unknown --colour heat"),
-        (("--colour", "strain", "--range", "1:1"), "--range 1:1 is empty"),
-        (("--colour", "strain", "--range", "big"), "--range big is not a range"),
+        (("--color", "heat"), "Unknown --color heat"),
+        (("--color", "strain", "--range", "1:1"), "--range 1:1 is empty"),
+        (("--color", "strain", "--range", "big"), "--range big is not a range"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_words(stage, tmp_path, monkeypatch, arguments, message):
@@ -153,21 +153,21 @@ def test_a_still_makes_no_film(tmp_path):
     assert "does not move" in error.message
 
 
-def test_a_bake_in_colours_has_a_legend_beside_the_body(gf_usd, here, block):
+def test_a_bake_in_colors_has_a_legend_beside_the_body(gf_usd, here, block):
     done = gf_usd("bake", block, "--particles", 300, "--frames", 8, "--drop", 0, "--stress", "-q")
     assert done.status == 0, done.err
     pictures = {}
-    for colour, more in (("none", ()), ("strain", ()), ("stress", ("--range", "0:1e3"))):
-        out = here / f"{colour}.png"
-        words = ("--colour", colour, *more, "--size", "320x240")
+    for color, more in (("none", ()), ("strain", ()), ("stress", ("--range", "0:1e3"))):
+        out = here / f"{color}.png"
+        words = ("--color", color, *more, "--size", "320x240")
         done = gf_usd("preview", here / "block.rubber.usda", "-o", out, "--frame", 105, *words)
         assert done.status == 0, done.err
-        pictures[colour] = pixels(out)
-    for colour in ("strain", "stress"):
-        left = pictures[colour][:, :60]
+        pictures[color] = pixels(out)
+    for color in ("strain", "stress"):
+        left = pictures[color][:, :60]
         yellow = (left[..., 0] > 200) & (left[..., 1] > 180) & (left[..., 2] < 120)
         assert yellow.sum() > 20
-        assert not np.array_equal(pictures[colour], pictures["none"])
+        assert not np.array_equal(pictures[color], pictures["none"])
     none = pictures["none"][:, :60]
     assert not ((none[..., 0] > 200) & (none[..., 2] < 120)).any()
 

@@ -56,10 +56,10 @@ def test_a_bake_becomes_one_page_of_all_its_looks(gf_usd, work):
     for look, bake in zip(looks, report["bakes"]):
         plots = {plot["title"]: plot for plot in look["plots"]}
         assert set(plots) == {"Height", "Stretch", "Volume ratio J", "Energy", "Depth in the floor"}
-        (centre,) = [c for c in plots["Height"]["curves"] if c["name"] == "centre of mass"]
-        truth = [frame["centre"][2] for frame in bake["per_frame"]]  # Z is up
+        (center,) = [c for c in plots["Height"]["curves"] if c["name"] == "center of mass"]
+        truth = [frame["center"][2] for frame in bake["per_frame"]]  # Z is up
         factor = {"m": 1.0, "cm": 0.01, "mm": 0.001}[plots["Height"]["unit"]]
-        assert [y * factor for y in centre["y"]] == pytest.approx(truth, rel=1e-5)
+        assert [y * factor for y in center["y"]] == pytest.approx(truth, rel=1e-5)
         assert look["codes"] == [101 + i for i in range(6)]
         assert look["up"] == "Z"
     text = page.read_text(encoding="utf-8")

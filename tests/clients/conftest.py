@@ -12,13 +12,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def duck(tmp_path_factory: pytest.TempPathFactory) -> Baked:
-    """The sample duck with three looks: centimetres, Y up, normals, UVs, subsets."""
+    """The sample duck with three looks: centimeters, Y up, normals, UVs, subsets."""
     return bake_duck(ROOT / "samples" / "duck.usda", tmp_path_factory.mktemp("duck"))
 
 
 @pytest.fixture(scope="session")
 def blocks(tmp_path_factory: pytest.TempPathFactory) -> Baked:
-    """Centimetres, Z up, 30 fps, nested, turned, unevenly scaled and mirrored meshes."""
+    """Centimeters, Z up, 30 fps, nested, turned, unevenly scaled and mirrored meshes."""
     return bake_blocks(tmp_path_factory.mktemp("blocks"))
 
 
@@ -30,5 +30,5 @@ def apart(tmp_path_factory: pytest.TempPathFactory) -> Baked:
 
 @pytest.fixture(scope="session")
 def obj(tmp_path_factory: pytest.TempPathFactory) -> Baked:
-    """An OBJ file of metres, Y up."""
+    """An OBJ file of meters, Y up."""
     return bake_obj(tmp_path_factory.mktemp("obj"))

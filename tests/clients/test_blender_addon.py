@@ -98,7 +98,7 @@ def test_a_result_is_a_cache_on_a_copy_of_the_object(drive: Callable[[str], Any]
 
 
 def test_units_parents_modifiers_and_mirrors(drive: Callable[[str], Any]) -> None:
-    told = drive("in_centimetres")
+    told = drive("in_centimeters")
     assert told["ended"] == ["FINISHED"]
     stage = Usd.Stage.Open(told["files"][0])
     assert UsdGeom.GetStageMetersPerUnit(stage) == pytest.approx(0.01)
@@ -166,7 +166,7 @@ def test_esc_ends_the_process_and_leaves_the_scene(drive: Callable[[str], Any]) 
     told = drive("stopped")
     assert told["ended"] == ["CANCELLED"]
     assert told["status"] == 143  # it was asked to stop, and did
-    assert told["reports"] == [["INFO", "gf-usd: cancelled"]]
+    assert told["reports"] == [["INFO", "gf-usd: canceled"]]
     assert told["timers"] == []
     assert told["objects"] == ["Ball"]
     assert not told["running"]

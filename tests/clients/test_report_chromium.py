@@ -89,7 +89,7 @@ def browser(opened: Browser, file: Path) -> Iterator[Browser]:
     page.evaluate("player.pause(); player.viewer.orbit.reset()")
     page.evaluate("player.open(0).then(() => player.seek(0))")
     page.click("[data-show=mesh]")
-    page.select_option("#mode", "colour")
+    page.select_option("#mode", "color")
     yield opened
     # whatever a test did: nothing was fetched, and nothing went wrong
     assert [url for url in opened.asked if url.split("#")[0] != file.as_uri()] == []
@@ -142,7 +142,7 @@ def test_mesh_gaussians_and_both_are_three_pictures(browser: Browser) -> None:
     assert browser.picture() == pictures[0]
 
 
-def test_strain_has_colours_and_a_legend(browser: Browser) -> None:
+def test_strain_has_colors_and_a_legend(browser: Browser) -> None:
     page = browser.page
     page.fill("#slider", "3")
     plain = browser.picture()

@@ -51,7 +51,7 @@ def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(look) -> None:
 
 
 def test_looks_in_known_numbers() -> None:
-    # docs/physics.md: rubber's nu comes out as .17; mu = 26.1 of rho g0 r = 10791 Pa at one metre.
+    # docs/physics.md: rubber's nu comes out as .17; mu = 26.1 of rho g0 r = 10791 Pa at one meter.
     rubber = LOOKS["rubber"].material(1.0)
     assert rubber.poissons_ratio == pytest.approx(0.167, abs=0.0005)
     assert rubber.mu == pytest.approx(26.1 * 1100.0 * 9.81)

@@ -51,7 +51,7 @@ def test_the_box_of_the_motion_and_of_a_picture(tmp_path):
         name="/ball",
         positions=rest.positions,
         axes=rest.axes,
-        colours=rest.colours,
+        colors=rest.colors,
         opacities=rest.opacities,
     )
     assert np.abs(content(Scene(up=(0.0, 1.0, 0.0), splats=(cloud,)))).max() < 0.6

@@ -13,7 +13,7 @@ def found(*surfaces, spacing: float = 0.1, **more) -> list[int]:
 
 def test_a_nose_in_a_head_and_a_hat_on_it_fall_as_one() -> None:
     head = sphere(1.0, path="/Head")
-    nose = sphere(0.2, centre=(1.0, 0.0, 0.0), path="/Nose")
+    nose = sphere(0.2, center=(1.0, 0.0, 0.0), path="/Nose")
     hat = cube((-0.5, 1.0, -0.5), 1.0, path="/Hat")  # touches the top vertex
     assert found(head, nose, hat) == [0, 0, 0]
 

@@ -35,7 +35,7 @@ def test_a_box_without_a_lid_has_one_hole_of_a_sixth():
     assert hole.edges == 4
     assert hole.share == pytest.approx(1 / 6)
     assert hole.size == pytest.approx(np.sqrt(2.0))
-    np.testing.assert_allclose(hole.centre, [0.5, 0.5, 0.0])
+    np.testing.assert_allclose(hole.center, [0.5, 0.5, 0.0])
     assert seen.hole_share == pytest.approx(1 / 6)
     # All that is wrong is a hole that repair would leave: it is not recommended.
     assert tolerated(seen) == "</Body> is filled in spite of 1 hole (17 % of the closed area)"

@@ -45,7 +45,7 @@ def test_shells_with_no_or_few_particles_are_named():
     flat, small = found
     assert (flat.particles, flat.suggested) == (0, None)  # a layer in it takes 4e9 particles
     assert flat.thickness == pytest.approx(0.001, rel=0.01)
-    np.testing.assert_allclose(flat.centre, [3.25, 0.25, 0.0405])
+    np.testing.assert_allclose(flat.center, [3.25, 0.25, 0.0405])
     assert 0 < small.particles < FEW
     # Thickness 2 V / A = edge / 3 of a box bounds the spacing here.
     assert small.suggested == pytest.approx(solid(sphere()).volume / 0.04**3, rel=0.1)
@@ -89,7 +89,7 @@ def test_a_cavity_is_no_empty_part():
 
 
 def test_a_shell_inside_another_shares_its_particles():
-    eye = sphere(radius=0.3, centre=(0.5, 0.0, 0.0), path="/Eye")
+    eye = sphere(radius=0.3, center=(0.5, 0.0, 0.0), path="/Eye")
     assert parts_of(sphere(path="/Head"), eye, particles=4000) == ()
 
 

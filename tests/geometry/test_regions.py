@@ -52,7 +52,7 @@ def test_a_box_that_holds_no_point_moves_with_all() -> None:
 
 
 def test_a_volume_is_what_its_triangles_enclose_far_from_the_origin_too() -> None:
-    ball = sphere(0.5, centre=(1e5, 0.0, 0.0))
+    ball = sphere(0.5, center=(1e5, 0.0, 0.0))
     region = Region(
         name="/Ball", kind="volume", points=ball.points, triangles=ball.triangles,
         path=ball.points[None],

@@ -60,21 +60,21 @@ def test_the_authored_mesh_stays_as_it_is():
         assert getattr(mended, name) is getattr(body, name)
 
 
-def test_a_cap_takes_colour_uv_and_material_from_what_is_beside_it():
+def test_a_cap_takes_color_uv_and_material_from_what_is_beside_it():
     whole = sphere()
     body = without(whole, around(whole, 20))
     corners = body.triangles.reshape(-1)
     body = replace(
         body,
         # Every value is that of the point, so that a cap's can be told by its corners.
-        triangle_colours=body.points[corners].reshape(-1, 3, 3),
+        triangle_colors=body.points[corners].reshape(-1, 3, 3),
         triangle_uvs=body.points[corners, :2].reshape(-1, 3, 2),
         triangle_materials=np.full(len(body.triangles), 4),
     )
     mended, done = repair_surface(turned_like(body, np.arange(7)))
     assert done.caps > 0
-    assert len(mended.triangle_colours) == len(mended.triangles)
-    np.testing.assert_array_equal(mended.triangle_colours, body.points[mended.triangles])
+    assert len(mended.triangle_colors) == len(mended.triangles)
+    np.testing.assert_array_equal(mended.triangle_colors, body.points[mended.triangles])
     np.testing.assert_array_equal(mended.triangle_uvs, body.points[mended.triangles][..., :2])
     np.testing.assert_array_equal(mended.triangle_materials, 4)
     np.testing.assert_array_equal(body.face_indices[mended.triangle_corners], mended.triangles)
@@ -83,7 +83,7 @@ def test_a_cap_takes_colour_uv_and_material_from_what_is_beside_it():
 def turned_like(body, rows):
     """Turned triangles with all that hangs on their corners."""
     made = {}
-    for name in ("triangles", "triangle_corners", "triangle_colours", "triangle_uvs"):
+    for name in ("triangles", "triangle_corners", "triangle_colors", "triangle_uvs"):
         values = getattr(body, name).copy()
         values[rows] = values[rows, ::-1]
         made[name] = values
@@ -152,7 +152,7 @@ def test_many_small_holes_no_longer_stand_in_the_way():
     mended, (done,) = repair_asset(asset(body))
     assert done.holes_closed > 150
     # Where holes touch, their rims may be capped together, flatter than the ball was; a triangle
-    # that has lost all its neighbours is a shell of its own and stays.
+    # that has lost all its neighbors is a shell of its own and stays.
     assert build_solid(mended).volume == pytest.approx(volume(whole), rel=0.01)
 
 

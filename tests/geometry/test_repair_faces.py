@@ -28,7 +28,7 @@ def test_triangles_against_the_rest_are_turned():
 
 
 def test_a_part_that_is_inside_out_is_turned():
-    good, bad = sphere(), sphere(radius=0.8, centre=(1.2, 0.0, 0.0))  # neither in the other
+    good, bad = sphere(), sphere(radius=0.8, center=(1.2, 0.0, 0.0))  # neither in the other
     body = joined(good, turned(bad, slice(None)))
     assert [s.winding for s in diagnose(body).shells] == ["outward", "inside out"]
     mended, done = repair_surface(body)
@@ -68,7 +68,7 @@ def test_a_triangle_that_is_there_twice_is_dropped():
     assert "dropped triangles: 3 duplicate" in done.words()[0]
 
 
-def test_a_body_modelled_with_both_sides_keeps_one():
+def test_a_body_modeled_with_both_sides_keeps_one():
     whole = sphere()
     body = surface(whole.points, np.concatenate([whole.triangles, whole.triangles[:, ::-1]]))
     with pytest.raises(InputError, match="flat"):

@@ -32,7 +32,7 @@ def test_about_as_many_particles_as_asked_for(wanted):
 
 
 def test_particles_lie_inside_and_share_the_volume():
-    body = solid(sphere(0.3, centre=(5.0, -2.0, 1.0)))
+    body = solid(sphere(0.3, center=(5.0, -2.0, 1.0)))
     particles, _ = fill(body, 700)
     assert body.inside(particles.X).all()
     assert particles.V0.sum() == pytest.approx(body.volume, rel=1e-12)
@@ -76,8 +76,8 @@ def test_full_cells_inside_a_ball_hold_eight_too():
     h = 2.0 * particles.lattice
     made = build_stencil(particles.X, particles.V0, h, particles.corner)
     base, _ = made.base(particles.X[made.order[made.cell_start[:-1]]])
-    centre = made.origin + h * (base + 1)  # cells lie about the middle one of their nodes
-    deep = np.linalg.norm(centre, axis=1) < 0.97 - h * np.sqrt(3.0) / 2.0
+    center = made.origin + h * (base + 1)  # cells lie about the middle one of their nodes
+    deep = np.linalg.norm(center, axis=1) < 0.97 - h * np.sqrt(3.0) / 2.0
     assert deep.sum() > 100
     assert set(np.diff(made.cell_start)[deep]) == {8}
 
@@ -90,7 +90,7 @@ def test_a_seed_gives_the_same_points_and_another_seed_others():
     assert not np.array_equal(one[0].X[:50], other[0].X[:50])
 
 
-def test_the_lattice_is_centred_on_the_asset():
+def test_the_lattice_is_centered_on_the_asset():
     # Mirror images get mirrored lattices: a symmetric asset is filled evenly on both sides.
     particles = sample_solid(solid(cube(edge=1.0)), particles=None, spacing=0.3, seed=0)
     middle = particles.corner + 0.5 * 0.3 * np.ceil(1.0 / 0.3 - 1e-9)

@@ -181,7 +181,7 @@ def test_velocity_is_that_of_the_skin_in_a_twist(skin: type) -> None:
     expected = moving(lambda s: twisting(particles.X, s), made)
     carried = blend_velocity(made, particles.X)
     rate_term = np.linalg.norm(expected - carried, axis=1).max()
-    # Neighbours up to two spacings away, a gradient that changes over a radius: the least squares
+    # Neighbors up to two spacings away, a gradient that changes over a radius: the least squares
     # are off by that ratio, a quarter, at most; without them all of the term would be missing.
     assert 2.0 * particles.spacing < 0.3
     assert distance(found.v, expected).max() < 2.0 * particles.spacing * rate_term

@@ -10,7 +10,7 @@ from gf_usd.core.matrices import stretch
 from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.skinning import (
     CHUNK_BYTES,
-    NEIGHBOURS,
+    NEIGHBORS,
     CloudWeights,
     inverse_distance,
     nearest_weights,
@@ -26,10 +26,10 @@ SHIFT = np.array([3.0, -2.0, 0.5])
 
 
 def test_weights_sum_to_one() -> None:
-    nearest = nearest_weights(VERTICES, BALL.X, NEIGHBOURS, 4.0)
+    nearest = nearest_weights(VERTICES, BALL.X, NEIGHBORS, 4.0)
     np.testing.assert_allclose(nearest.sum(1), 1.0, atol=ROUNDING)
     assert nearest.data.min() > 0.0
-    assert (np.diff(nearest.indptr) == NEIGHBOURS).all()
+    assert (np.diff(nearest.indptr) == NEIGHBORS).all()
     cloud = CloudWeights(VERTICES, BALL.X, 2.0, CHUNK_BYTES)
     np.testing.assert_allclose(cloud @ np.ones((len(BALL), 1)), 1.0, atol=ROUNDING)
 
@@ -44,14 +44,14 @@ def test_weights_follow_the_power_whatever_the_unit() -> None:
 
 def test_few_particles_all_carry() -> None:
     few = BALL.X[:20]
-    W = nearest_weights(VERTICES, few, NEIGHBOURS, 2.0)
+    W = nearest_weights(VERTICES, few, NEIGHBORS, 2.0)
     full = CloudWeights(VERTICES, few, 2.0, CHUNK_BYTES) @ np.eye(20)
     np.testing.assert_allclose(W.toarray(), full, atol=ROUNDING)
 
 
 def test_vertex_on_two_particles_follows_their_mean() -> None:
     twice = np.concatenate([BALL.X, BALL.X[7:8]])
-    W = nearest_weights(BALL.X[7:8], twice, NEIGHBOURS, 4.0).toarray()[0]
+    W = nearest_weights(BALL.X[7:8], twice, NEIGHBORS, 4.0).toarray()[0]
     assert W[[7, len(BALL)]].tolist() == [0.5, 0.5]
     assert W.sum() == 1.0
 

@@ -34,7 +34,7 @@ def test_a_closed_box_has_its_exact_volume_and_inside():
 
 
 def test_an_asset_far_from_the_origin_loses_no_digits():
-    # At 1e6 m a float64 has 1e-10 left; volumes are taken about the asset's own centre.
+    # At 1e6 m a float64 has 1e-10 left; volumes are taken about the asset's own center.
     body = solid(cube(low=(1e6, -2e6, 5e5), edge=0.01))
     assert body.volume == pytest.approx(1e-6, rel=1e-6)
     X = np.array([[1e6, -2e6, 5e5]]) + 0.01 * np.array([[0.5, 0.5, 0.5], [1.5, 0.5, 0.5]])
@@ -52,7 +52,7 @@ def test_a_surface_that_is_inside_out_has_the_same_inside():
 def test_spheres_that_overlap_are_counted_once():
     # Two unit spheres 1 m apart share a lens of 5 pi / 12; geodesic ones are smaller by the same
     # share as their volume.
-    a, b = sphere(path="/A"), sphere(centre=(1.0, 0.0, 0.0), path="/B")
+    a, b = sphere(path="/A"), sphere(center=(1.0, 0.0, 0.0), path="/B")
     one = solid(a).volume
     shrunk = one / (4.0 / 3.0 * np.pi)
     body = solid(a, b)
@@ -63,7 +63,7 @@ def test_spheres_that_overlap_are_counted_once():
 
 
 def test_one_mesh_of_two_overlapping_shells_is_counted_once_too():
-    a, b = sphere(), sphere(centre=(1.0, 0.0, 0.0))
+    a, b = sphere(), sphere(center=(1.0, 0.0, 0.0))
     both = surface(
         np.concatenate([a.points, b.points]),
         np.concatenate([a.triangles, b.triangles + len(a.points)]),
@@ -72,7 +72,7 @@ def test_one_mesh_of_two_overlapping_shells_is_counted_once_too():
 
 
 def test_opposite_orientations_of_overlapping_surfaces_do_not_cancel():
-    a, b = sphere(path="/A"), sphere(centre=(1.0, 0.0, 0.0), path="/B")
+    a, b = sphere(path="/A"), sphere(center=(1.0, 0.0, 0.0), path="/B")
     turned = surface(b.points, b.triangles[:, ::-1], path="/B")
     X = grid_points(-1.0, 2.0)
     np.testing.assert_array_equal(solid(a, turned).inside(X), solid(a, b).inside(X))
@@ -173,7 +173,7 @@ def test_every_surface_is_named_where_none_can_be_filled():
 
 
 def test_walls_thinner_than_any_probe_are_refused_in_words():
-    # Two plates of a millimetre, a metre apart: the lattice of 200 000 points in their box, 17 mm
+    # Two plates of a millimeter, a meter apart: the lattice of 200 000 points in their box, 17 mm
     # apart, has no layer within either.
     plates = [
         cube(low=(0.0, 1.0003 * k, 0.0), edge=(1.0, 1e-3, 1.0), path=f"/P{k}") for k in (0, 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import COLOUR, ball, facing, sphere_directions, together
+from captures import COLOR, ball, facing, sphere_directions, together
 
 from gf_usd.core.asset import Asset, Splats, StageFacts
 from gf_usd.core.errors import InputError
@@ -22,7 +22,7 @@ from gf_usd.geometry.splat_hull import RESOLUTION, hull, with_hulls
 
 BALL = 4.0 / 3.0 * np.pi * 0.5**3
 CELL = 1.0 / RESOLUTION  # of a ball of width 1
-# A tenth of the centres lie outside, on a surface that is smoothed over a cell: it is within half
+# A tenth of the centers lie outside, on a surface that is smoothed over a cell: it is within half
 # a cell of the true one.
 NEAR = 0.5 * CELL
 
@@ -48,11 +48,11 @@ def test_a_hollow_ball_is_closed_and_filled():
     assert surface.path == "/ball"
 
 
-def test_it_has_the_colours_of_the_capture():
+def test_it_has_the_colors_of_the_capture():
     surface, _ = hull(ball(500), up=1)
-    assert surface.triangle_colours is not None
-    expected = np.broadcast_to(srgb_to_linear(np.array(COLOUR)), surface.triangle_colours.shape)
-    np.testing.assert_allclose(surface.triangle_colours, expected, atol=1e-6)
+    assert surface.triangle_colors is not None
+    expected = np.broadcast_to(srgb_to_linear(np.array(COLOR)), surface.triangle_colors.shape)
+    np.testing.assert_allclose(surface.triangle_colors, expected, atol=1e-6)
 
 
 def test_sparse_discs_are_closed():
@@ -236,6 +236,6 @@ def test_a_solid_cloud_needs_no_filling():
         path="/cloud",
     )
     surface, _ = hull(cloud, up=1)
-    # a tenth of the centres are outside: r = 0.9^(1/3) of the ball at most
+    # a tenth of the centers are outside: r = 0.9^(1/3) of the ball at most
     assert volume(surface) == pytest.approx(0.9 * BALL, rel=0.1)
     assert shells(surface.triangles).max() == 0

@@ -1,4 +1,4 @@
-"""The nearest surface point, its normal and its colour."""
+"""The nearest surface point, its normal and its color."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from solids import CUBE_TRIANGLES, cube, solid, sphere, surface
 
 from gf_usd.core.asset import SurfaceMaterial, Texture
 from gf_usd.core.radiance import srgb_to_linear
-from gf_usd.geometry.surface import DEFAULT_COLOUR, barycentric, colours, nearest, sample
+from gf_usd.geometry.surface import DEFAULT_COLOR, barycentric, colors, nearest, sample
 
 RED, GREEN, BLUE = (0.8, 0.1, 0.1), (0.1, 0.7, 0.2), (0.0, 0.2, 0.9)
 
@@ -60,57 +60,57 @@ def test_barycentric_weights_of_corners_middles_and_slivers():
     np.testing.assert_allclose(barycentric(a, a, a, a), [[1.0, 0.0, 0.0]])
 
 
-def face_colours(shape, X=((0.5, 0.4, 0.05), (0.5, 0.6, 0.95))):
+def face_colors(shape, X=((0.5, 0.4, 0.05), (0.5, 0.6, 0.95))):
     body = solid(shape)
-    return colours(body, nearest(body, np.array(X)))
+    return colors(body, nearest(body, np.array(X)))
 
 
-def test_nothing_said_is_grey():
-    np.testing.assert_array_equal(face_colours(cube()), [DEFAULT_COLOUR] * 2)
+def test_nothing_said_is_gray():
+    np.testing.assert_array_equal(face_colors(cube()), [DEFAULT_COLOR] * 2)
 
 
-def test_display_colours_are_blended_over_the_triangle():
+def test_display_colors_are_blended_over_the_triangle():
     corner = np.zeros((12, 3, 3))
-    corner[:] = cube().points[CUBE_TRIANGLES]  # colour = position
-    got = face_colours(cube(triangle_colours=corner))
+    corner[:] = cube().points[CUBE_TRIANGLES]  # color = position
+    got = face_colors(cube(triangle_colors=corner))
     np.testing.assert_allclose(got, [[0.5, 0.4, 0.0], [0.5, 0.6, 1.0]], atol=1e-12)
 
 
-def test_a_bound_constant_wins_over_display_colour_where_it_is_bound():
+def test_a_bound_constant_wins_over_display_color_where_it_is_bound():
     bound = np.full(12, -1)
     bound[:2] = 1
     shape = cube(
-        triangle_colours=np.tile(RED, (12, 3, 1)), triangle_materials=bound,
+        triangle_colors=np.tile(RED, (12, 3, 1)), triangle_materials=bound,
         materials=(
-            SurfaceMaterial(path="/M0", colour=BLUE), SurfaceMaterial(path="/M1", colour=GREEN),
+            SurfaceMaterial(path="/M0", color=BLUE), SurfaceMaterial(path="/M1", color=GREEN),
         ),
     )  # fmt: skip
-    np.testing.assert_allclose(face_colours(shape), [GREEN, RED])
+    np.testing.assert_allclose(face_colors(shape), [GREEN, RED])
 
 
 def test_a_texture_wins_over_its_materials_constant():
     pixels = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [51, 51, 51]]], np.uint8)
     uvs = cube().points[CUBE_TRIANGLES][..., :2]  # u = x, v = y on the faces across z
-    made = SurfaceMaterial(path="/M", colour=BLUE, texture=Texture(pixels=pixels, srgb=False))
+    made = SurfaceMaterial(path="/M", color=BLUE, texture=Texture(pixels=pixels, srgb=False))
     shape = cube(triangle_uvs=uvs, triangle_materials=np.zeros(12, int), materials=(made,))
-    # Texel centres lie at 1/4 and 3/4; row 0 is at the top, v = 3/4.
+    # Texel centers lie at 1/4 and 3/4; row 0 is at the top, v = 3/4.
     X = [(0.25, 0.75, 0.01), (0.75, 0.75, 0.01), (0.25, 0.25, 0.99), (0.75, 0.25, 0.99)]
     wanted = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, 0.2]]
-    np.testing.assert_allclose(face_colours(shape, X), wanted, atol=1e-9)
+    np.testing.assert_allclose(face_colors(shape, X), wanted, atol=1e-9)
 
 
 def test_a_texture_without_coordinates_falls_back_to_its_constant():
     texture = Texture(pixels=np.zeros((1, 1, 3), np.uint8), srgb=True)
-    made = SurfaceMaterial(path="/M", colour=GREEN, texture=texture)
+    made = SurfaceMaterial(path="/M", color=GREEN, texture=texture)
     shape = cube(triangle_materials=np.zeros(12, int), materials=(made,))
-    np.testing.assert_allclose(face_colours(shape), [GREEN, GREEN])
+    np.testing.assert_allclose(face_colors(shape), [GREEN, GREEN])
 
 
-def test_every_surface_gives_its_own_colour():
-    a = cube(path="/A", triangle_colours=np.tile(RED, (12, 3, 1)))
-    b = cube(low=(3.0, 0.0, 0.0), path="/B", triangle_colours=np.tile(BLUE, (12, 3, 1)))
+def test_every_surface_gives_its_own_color():
+    a = cube(path="/A", triangle_colors=np.tile(RED, (12, 3, 1)))
+    b = cube(low=(3.0, 0.0, 0.0), path="/B", triangle_colors=np.tile(BLUE, (12, 3, 1)))
     body = solid(a, b)
-    got = colours(body, nearest(body, np.array([[3.5, 0.5, 0.1], [0.5, 0.5, 0.1]])))
+    got = colors(body, nearest(body, np.array([[3.5, 0.5, 0.1], [0.5, 0.5, 0.1]])))
     np.testing.assert_allclose(got, [BLUE, RED])
 
 
@@ -125,7 +125,7 @@ def test_texels_are_blended_in_linear_light():
     [("repeat", [0.2, 1.0]), ("clamp", [1.0, 0.2]), ("mirror", [1.0, 0.2]), ("black", [0.0, 0.0])],
 )
 def test_coordinates_beyond_the_picture_follow_its_wrap_mode(mode, beyond):
-    # Texel centres lie at u = 1/6, 3/6, 5/6: these are one beyond either end.
+    # Texel centers lie at u = 1/6, 3/6, 5/6: these are one beyond either end.
     pixels = np.array([[[51] * 3, [153] * 3, [255] * 3]], np.uint8)
     texture = Texture(pixels=pixels, srgb=False, wrap_s=mode, wrap_t="repeat")
     got = sample(texture, np.array([[7.0 / 6.0, 0.5], [-1.0 / 6.0, 0.5]]))[:, 0]

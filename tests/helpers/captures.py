@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from gf_usd.core.asset import Splats
 from gf_usd.readers.splats.write import ply_bytes
 
-COLOUR = (0.8, 0.3, 0.1)  # encoded, of every disc
+COLOR = (0.8, 0.3, 0.1)  # encoded, of every disc
 Y_0 = 0.28209479177387814
 
 
@@ -40,7 +40,7 @@ def ball(count: int = 800, radius: float = 0.5, degree: int = 0, seed: int = 0) 
     n = sphere_directions(count)
     wide = radius * np.sqrt(4.0 * np.pi / count)  # the spacing of the discs
     harmonics = 0.2 * rng.normal(size=(count, (degree + 1) ** 2, 3))
-    harmonics[:, 0] = (np.array(COLOUR) - 0.5) / Y_0
+    harmonics[:, 0] = (np.array(COLOR) - 0.5) / Y_0
     return Splats(
         positions=(radius * n).astype(np.float32),
         orientations=facing(n),

@@ -14,7 +14,7 @@ import gf_usd
 import gf_usd.system.usd_schema
 
 FRAMES = 5
-CENTIMETRE = 0.01
+CENTIMETER = 0.01
 # A turn about an oblique axis, uneven scales, and one mirror
 PLACES = {
     "left": ((-9.0, 1.0, 8.0), (20.0, 35.0, -15.0), (2.0, 1.0, 1.5)),
@@ -50,14 +50,14 @@ def bake_duck(sample: Path, folder: Path) -> Baked:
 
 
 def bake_blocks(folder: Path, combine: bool = True) -> Baked:
-    """Two blocks of centimetres, Z up, under transforms that nothing may mix up.
+    """Two blocks of centimeters, Z up, under transforms that nothing may mix up.
 
     combine : as one body, and so of one material; jelly apart is two, softer for the smaller block.
     """
     asset = folder / "blocks.usdc"
     stage = Usd.Stage.CreateNew(str(asset))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, CENTIMETRE)
+    UsdGeom.SetStageMetersPerUnit(stage, CENTIMETER)
     stage.SetTimeCodesPerSecond(30)
     stage.SetStartTimeCode(101)
     root = UsdGeom.Xform.Define(stage, "/Blocks")
@@ -74,7 +74,7 @@ def bake_blocks(folder: Path, combine: bool = True) -> Baked:
 
 
 def bake_obj(folder: Path) -> Baked:
-    """A block of metres out of an OBJ file."""
+    """A block of meters out of an OBJ file."""
     asset = folder / "block.obj"
     points, quads = cube_grid(4)
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in 0.1 * points]
@@ -173,11 +173,11 @@ def _block(stage: Usd.Stage, path: str) -> None:
         ("red", (0.8, 0.1, 0.1), range(half)),
         ("blue", (0.1, 0.1, 0.8), range(half, 2 * half)),
     )
-    for name, colour, faces in looks:
+    for name, color, faces in looks:
         subset = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).CreateMaterialBindSubset(
             name, Vt.IntArray(list(faces))
         )
-        material = _material(stage, f"/Blocks/Materials/{name}", colour)
+        material = _material(stage, f"/Blocks/Materials/{name}", color)
         UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
 
 
@@ -186,12 +186,12 @@ def _normal(points: np.ndarray, quad: Sequence[int]) -> np.ndarray:
     return across / np.linalg.norm(across)
 
 
-def _material(stage: Usd.Stage, path: str, colour: tuple[float, ...]) -> UsdShade.Material:
+def _material(stage: Usd.Stage, path: str, color: tuple[float, ...]) -> UsdShade.Material:
     UsdGeom.Scope.Define(stage, Sdf.Path(path).GetParentPath())
     material = UsdShade.Material.Define(stage, path)
     shader = UsdShade.Shader.Define(stage, f"{path}/Surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*colour))
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*color))
     shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     return material

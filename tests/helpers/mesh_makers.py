@@ -29,9 +29,9 @@ def cube_obj(first: int = 1) -> str:
     return points + "".join(f"f {' '.join(str(i + first) for i in quad)}\n" for quad in QUADS)
 
 
-def png(colour: tuple[int, int, int] = (200, 30, 10), size: tuple[int, int] = (4, 2)) -> bytes:
-    """A picture of one colour, its lower left texel white."""
-    picture = Image.new("RGB", size, colour)
+def png(color: tuple[int, int, int] = (200, 30, 10), size: tuple[int, int] = (4, 2)) -> bytes:
+    """A picture of one color, its lower left texel white."""
+    picture = Image.new("RGB", size, color)
     picture.putpixel((0, size[1] - 1), (255, 255, 255))
     out = BytesIO()
     picture.save(out, "PNG")

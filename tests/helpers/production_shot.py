@@ -3,12 +3,12 @@
     shot.usda            root: sublayers, variant selections, overrides, cameras and lights
       anim.usda          sublayer with an offset of 100: animated transforms and visibility
       set.usda           sublayer: the hierarchy
-        props/crate.usda reference: metres, Z up, 48 time codes a second; a subdivision cage
+        props/crate.usda reference: meters, Z up, 48 time codes a second; a subdivision cage
         props/ball.usdc  payload: inches; points only in time samples
         props/chair.usda instances of it, with an instance inside
         props/rock.usda  prototype of a PointInstancer
 
-The shot is in centimetres, Y up, 24 time codes a second, from 101 to 104; the animation begins at
+The shot is in centimeters, Y up, 24 time codes a second, from 101 to 104; the animation begins at
 91.  Sizes in the world are about 20 cm.
 """
 
@@ -112,7 +112,7 @@ def Xform "Ball"
 
 
 def chair() -> str:
-    """Centimetres: a seat, and two legs that are instances themselves."""
+    """Centimeters: a seat, and two legs that are instances themselves."""
     return f"""#usda 1.0
 (
     defaultPrim = "Chair"
@@ -167,7 +167,7 @@ def Mesh "Rock"
 
 
 def crate() -> str:
-    """Metres, Z up: a cage with everything that hangs on faces, edges, points and corners."""
+    """Meters, Z up: a cage with everything that hangs on faces, edges, points and corners."""
     points, counts, indices = box(0.2)
     tall = points * (1.0, 1.0, 1.5)
     n_points, n_faces, n_corners = len(points), len(counts), len(indices)

@@ -54,7 +54,7 @@ class FallingBox:
                     name="/Box",
                     points=self.points(0),
                     triangles=TRIANGLES,
-                    colours=np.broadcast_to((0.8, 0.2, 0.1), (12, 3, 3)),
+                    colors=np.broadcast_to((0.8, 0.2, 0.1), (12, 3, 3)),
                     roughness=np.array(0.5),
                     metallic=np.array(0.0),
                 ),
@@ -62,7 +62,7 @@ class FallingBox:
             baked=(True,),
             gaussians=GaussianSet(
                 name="/Box/Gaussians",
-                colours=np.full((gaussians, 3), 0.4),
+                colors=np.full((gaussians, 3), 0.4),
                 opacities=np.ones(gaussians),
                 rest_scales=np.full((gaussians, 3), 0.01),
                 masses=np.full(gaussians, 1.0),
@@ -100,7 +100,7 @@ def health(frame: int) -> dict[str, Any]:
     low, stretch = squash(frame)
     return {
         "kinetic": 1.0 * frame, "elastic": 0.5, "potential": 2.0 * low, "contact": 0.0,
-        "centre": [0.0, low + stretch * SIDE / 2, 0.0], "min_J": stretch, "max_J": 1.0,
+        "center": [0.0, low + stretch * SIDE / 2, 0.0], "min_J": stretch, "max_J": 1.0,
         "min_stretch": stretch, "max_stretch": 1.1, "penetration": 0.001 if low == 0.0 else 0.0,
     }  # fmt: skip
 

@@ -37,7 +37,7 @@ CUBE = f"""
     float3[] extent = [(0, 0, 0), (1, 1, 1)]
 """
 # Float32 keeps 6e-8 of the largest number that a point passes through; local coordinates under
-# scales of 50 and offsets of metres are within a hundred units here.
+# scales of 50 and offsets of meters are within a hundred units here.
 EPS = 2e-6
 RUBBER = Material(
     name="rubber",
@@ -149,7 +149,7 @@ def particles_of(asset: Asset, count: int = 40, *, bodies: int = 1) -> Particles
         material=np.arange(count) % bodies,
         orientation=quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
         scale=spacing * rng.uniform(0.1, 1.0, (count, 3)),
-        colour=rng.random((count, 3)),
+        color=rng.random((count, 3)),
         opacity=rng.uniform(0.3, 1.0, count),
         surface=np.zeros(count, int),
         spacing=spacing,

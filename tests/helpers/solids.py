@@ -31,7 +31,7 @@ CUBE_TRIANGLES = np.array(
 
 
 def facts(**changes: Any) -> StageFacts:
-    """A stage in metres, Y up, that says nothing else."""
+    """A stage in meters, Y up, that says nothing else."""
     said: dict[str, Any] = {
         "path": Path("asset.usda"),
         "units": StageUnits(),
@@ -66,11 +66,11 @@ def cube(low: Any = (0.0, 0.0, 0.0), edge: Any = 1.0, **more: Any) -> Surface:
 
 
 def sphere(
-    radius: float = 1.0, centre: Any = (0.0, 0.0, 0.0), subdivisions: int = 3, **more: Any
+    radius: float = 1.0, center: Any = (0.0, 0.0, 0.0), subdivisions: int = 3, **more: Any
 ) -> Surface:
     """A geodesic sphere whose vertices lie on the radius [m]."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return surface(np.asarray(centre) + mesh.vertices, np.asarray(mesh.faces), **more)
+    return surface(np.asarray(center) + mesh.vertices, np.asarray(mesh.faces), **more)
 
 
 def asset(*surfaces: Surface) -> Asset:

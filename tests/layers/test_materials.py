@@ -21,7 +21,7 @@ def test_a_material_speaks_the_proposals_and_newtons_words(tmp_path: Path) -> No
     assert "NewtonMPMMaterialAPI" in applied
     # single precision
     near = {name: pytest.approx(value, rel=2**-23) for name, value in {
-        "physics:youngsModulus": RUBBER.youngs_modulus * 1e-2,  # centimetres: kg/(cm s^2)
+        "physics:youngsModulus": RUBBER.youngs_modulus * 1e-2,  # centimeters: kg/(cm s^2)
         "newton:mpm:youngsModulus": RUBBER.youngs_modulus * 1e-2,
         "physics:poissonsRatio": RUBBER.poissons_ratio,
         "newton:mpm:poissonsRatio": RUBBER.poissons_ratio,

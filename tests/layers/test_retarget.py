@@ -14,9 +14,9 @@ VARIANTS = Source(
     f"""
 def Xform "root" (
     inherits = </_class>
-    prepend variantSets = "colour"
+    prepend variantSets = "color"
     variants = {{
-        string colour = "red"
+        string color = "red"
     }}
 )
 {{
@@ -28,7 +28,7 @@ def Xform "root" (
         append rel added = </_materials/green>
         rel inside = </root>
     }}
-    variantSet "colour" = {{
+    variantSet "color" = {{
         "red" {{
             over "m"
             {{
@@ -88,11 +88,11 @@ def test_bindings_and_connections_are_kept(
 def test_a_targets_strength_among_the_sources_variants_stays(tmp_path: Path) -> None:
     asset = VARIANTS.asset(tmp_path)
     root, _, _ = bake(asset, tmp_path)
-    for colour in ("red", "green"):
+    for color in ("red", "green"):
         theirs, ours = (Usd.Stage.Open(str(p)) for p in (asset.facts.path, root.path))
         for stage in (theirs, ours):
             stage.SetEditTarget(stage.GetSessionLayer())
-            stage.GetPrimAtPath("/root").GetVariantSet("colour").SetVariantSelection(colour)
+            stage.GetPrimAtPath("/root").GetVariantSet("color").SetVariantSelection(color)
         for path in (
             "/root/m.material:binding",
             "/root/m.mixed",
@@ -102,7 +102,7 @@ def test_a_targets_strength_among_the_sources_variants_stays(tmp_path: Path) -> 
         ):
             expected = theirs.GetRelationshipAtPath(path).GetTargets()
             assert expected, path
-            assert ours.GetRelationshipAtPath(path).GetTargets() == expected, (colour, path)
+            assert ours.GetRelationshipAtPath(path).GetTargets() == expected, (color, path)
     assert root.notes == ()
 
 

@@ -26,7 +26,7 @@ def health(kinetic: float = 0.0, **changes: float) -> Health:
 
 
 def place(x: np.ndarray | None = None) -> Pose:
-    """Three particles at rest, a metre apart."""
+    """Three particles at rest, a meter apart."""
     x = np.arange(9.0).reshape(3, 3) if x is None else x
     return Pose(x=x, v=np.zeros_like(x), F=np.broadcast_to(np.eye(3), (len(x), 3, 3)))
 
@@ -166,12 +166,12 @@ def test_a_step_that_is_too_long_is_rolled_back() -> None:
         assert energy(now.health) - energy(before.health) <= GAIN * scale
         # each rollback of a frame halves its step
         assert now.health.substeps >= solver.coarse << now.health.rollbacks
-    # It still is the same ball: a step up to six times as long as the sound one moves its centre by
+    # It still is the same ball: a step up to six times as long as the sound one moves its center by
     # .011 m at most (measured), in contact; the bound is twice that.
     fine = run(dropped())
     assert sum(f.health.rollbacks for f in fine) == 0
     for rough, sound in zip(frames, fine):
-        assert rough.health.centre[1] == pytest.approx(sound.health.centre[1], abs=0.022)
+        assert rough.health.center[1] == pytest.approx(sound.health.center[1], abs=0.022)
 
 
 def test_without_the_guard_that_step_gains_energy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,7 +72,7 @@ def test_fewer_particles_a_cell_are_never_given_more():
 
 
 def operators(per_cell: float, nu: float, seed: int):
-    """M^-1/2 K M^-1/2 of the linearised body and its shear part alone, with c = h = 1.
+    """M^-1/2 K M^-1/2 of the linearized body and its shear part alone, with c = h = 1.
 
     K is the derivative of the nodal forces -sum V0 P(F) G at rest: P = 2 mu sym + lam tr.
     """

@@ -25,7 +25,7 @@ from gf_usd.prepare.plan import Plan, Variant
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """A rubber ball of half a metre that falls a metre."""
+    """A rubber ball of half a meter that falls a meter."""
     shape = sphere(0.5, path="/Ball")
     particles, samples = fill(solid(shape), 300)
     return Plan(
@@ -177,7 +177,7 @@ def test_first_contact_is_a_fall(plan: Plan) -> None:
     assert cost(replace(plan, drop=20.0))["first_contact_frame"] is None, "after the bake"
     none = replace(plan, settings=replace(plan.settings, floor=None))
     assert cost(none)["first_contact_frame"] is None
-    # On a slope of 60 degrees, 1 m of height is half a metre along the normal, and so is g: the
+    # On a slope of 60 degrees, 1 m of height is half a meter along the normal, and so is g: the
     # time is the same.
     n = (math.sin(math.pi / 3.0), math.cos(math.pi / 3.0), 0.0)
     tilted = replace(plan, settings=replace(plan.settings, floor_normal=n))

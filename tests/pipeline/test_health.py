@@ -13,7 +13,7 @@ from gf_usd.pipeline.health import HealthLog, restitution
 
 G = 9.81
 MASS = 2.0  # [kg]
-TOUCH = 0.7  # [m] height of the centre when the body first touches
+TOUCH = 0.7  # [m] height of the center when the body first touches
 HOLD = 0.13  # [s] in contact
 
 
@@ -42,15 +42,15 @@ def bounces(
         else:
             s = t - leaving
             y, v = TOUCH + e * speed * s - 0.5 * G * s * s, e * speed - G * s
-        centre, momentum = np.zeros(3), np.zeros(3)
-        centre[up], momentum[up] = y, MASS * v
-        centre[0] += drift * t
+        center, momentum = np.zeros(3), np.zeros(3)
+        center[up], momentum[up] = y, MASS * v
+        center[0] += drift * t
         momentum[0] += MASS * drift
         in_contact = t > landing and before < leaving
         out.append(
             Health(
                 mass=MASS,
-                centre=tuple(centre),
+                center=tuple(center),
                 momentum=tuple(momentum),
                 penetration=0.01 if in_contact else 0.0,
             )
@@ -84,7 +84,7 @@ def test_other_gravity_has_other_speeds_and_the_same_rebound() -> None:
     slow = [
         Health(
             mass=f.mass,
-            centre=f.centre,
+            center=f.center,
             momentum=tuple(p / math.sqrt(2.0) for p in f.momentum),
             penetration=f.penetration,
         )
@@ -188,7 +188,7 @@ def test_losses_are_no_gain() -> None:
 
 
 def test_a_weight_is_the_least_scale_of_energy() -> None:
-    # m g0 r of 2 kg and half a metre, where hardly anything moves
+    # m g0 r of 2 kg and half a meter, where hardly anything moves
     frames = [Health(mass=MASS, kinetic=1e-6)] * 2
     assert log_of(frames).summary()["energy_scale_J"] == pytest.approx(MASS * G * 0.5)
 
@@ -204,20 +204,20 @@ def test_a_body_that_moves_does_not_rest() -> None:
 
 
 def flight(frames: int, fps: float, spin: float = 0.0, push: float = 0.0) -> list[Health]:
-    """A body thrown sideways over the origin, turning at spin [kg m^2/s] about its centre.
+    """A body thrown sideways over the origin, turning at spin [kg m^2/s] about its center.
 
     push : [kg m/s] that comes out of nothing by the last frame.
     """
     out = []
     for i in range(frames):
         t = i / fps
-        centre = np.array([3.0 * t, 50.0 - 0.5 * G * t * t, 1.0])
+        center = np.array([3.0 * t, 50.0 - 0.5 * G * t * t, 1.0])
         p = MASS * np.array([3.0, -G * t, 0.0]) + push * i / (frames - 1) * np.eye(3)[2]
-        L = np.cross(centre, p) + np.array([0.0, 0.0, spin])
+        L = np.cross(center, p) + np.array([0.0, 0.0, spin])
         energy = 0.5 * p @ p / MASS
         out.append(
             Health(
-                mass=MASS, centre=tuple(centre), momentum=tuple(p), angular_momentum=tuple(L),
+                mass=MASS, center=tuple(center), momentum=tuple(p), angular_momentum=tuple(L),
                 kinetic=float(energy),
             )
         )  # fmt: skip
@@ -272,7 +272,7 @@ def test_a_tilted_floor_is_bounced_off_along_its_normal() -> None:
     turned = [
         Health(
             mass=MASS,
-            centre=along(n, f.centre[1]),
+            center=along(n, f.center[1]),
             momentum=along(n, f.momentum[1]),
             penetration=f.penetration,
         )
@@ -289,7 +289,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     log = log_of(frames, scene(start=101.0, fps=12.0), drop=3.0)
     assert log.summary()["first_contact_frame"] is None
     rows = log.per_frame()
-    assert [row["centre"] for row in rows] == [f.centre for f in frames]
+    assert [row["center"] for row in rows] == [f.center for f in frames]
     assert [row["time_code"] for row in rows] == [101.0, 103.0, 105.0, 107.0, 109.0]
     assert set(rows[0]) == {"time_code", *Health.__dataclass_fields__, "energy", "energy_gain"}
     energies = log_of(

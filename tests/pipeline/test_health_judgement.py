@@ -17,7 +17,7 @@ from gf_usd.pipeline.result import BakeResult, VariantResult, require_healthy
 
 
 def summary(*frames: Health, **changes: Any) -> dict[str, Any]:
-    """Of a body of 1 kg and half a metre, 100 particles a tenth apart; 10 J are its scale."""
+    """Of a body of 1 kg and half a meter, 100 particles a tenth apart; 10 J are its scale."""
     log = HealthLog(
         settings(gravity=(0.0, -9.81, 0.0)), spacing=0.1, drop=1.0, radius=0.5, particles=100
     )

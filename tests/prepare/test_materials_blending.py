@@ -16,7 +16,7 @@ from gf_usd.geometry.bodies import smoothstep
 from gf_usd.pipeline.run import bake, prepare
 from gf_usd.prepare.plan import Plan
 
-UNIT = 0.01  # [m]: centimetres; the bar is 40 x 10 x 10 of them
+UNIT = 0.01  # [m]: centimeters; the bar is 40 x 10 x 10 of them
 RINGS, LENGTH = 8, 40.0
 FEW: dict[str, Any] = {"particles": 400, "frames": 2}
 SOFT, STIFF = 1e5, 1e6  # [Pa]

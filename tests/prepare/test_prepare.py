@@ -36,8 +36,8 @@ def mesh(name: str, points, faces) -> str:
 """
 
 
-def ball(name="Ball", radius=1.0, centre=(0.0, 0.0, 0.0), rows=slice(None)) -> str:
-    body = sphere(radius, centre, subdivisions=2)
+def ball(name="Ball", radius=1.0, center=(0.0, 0.0, 0.0), rows=slice(None)) -> str:
+    body = sphere(radius, center, subdivisions=2)
     return mesh(name, body.points, body.triangles[rows])
 
 

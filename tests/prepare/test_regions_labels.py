@@ -27,7 +27,7 @@ def halves() -> Splats:
     return replace(ball, labels={"label": np.where(ball.positions[:, 0] > 0.0, 3, 7)})
 
 
-def labelled_ply(path: Path, kind: str = "int") -> Path:
+def labeled_ply(path: Path, kind: str = "int") -> Path:
     """`halves` as a 3DGS PLY file with a column more."""
     ball = halves()
     captures.write_ply(path, ball)
@@ -39,7 +39,7 @@ def labelled_ply(path: Path, kind: str = "int") -> Path:
     return path
 
 
-def labelled_stage(path: Path) -> Path:
+def labeled_stage(path: Path) -> Path:
     """`halves` as a ParticleField with an indexed primvar."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -63,9 +63,9 @@ def names(plan) -> np.ndarray:
 def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind: str) -> None:
     ball = halves()
     if kind == "usd":
-        path = labelled_stage(tmp_path / "ball.usda")
+        path = labeled_stage(tmp_path / "ball.usda")
     else:
-        path = labelled_ply(tmp_path / "ball.ply", kind)
+        path = labeled_ply(tmp_path / "ball.ply", kind)
     asked = {"output": tmp_path / "out.usda", "material_labels": ("label=3:metal",), **FEW}
     plan = prepare(path, **asked).plan
     X = plan.particles.X
@@ -80,7 +80,7 @@ def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind:
 
 
 def test_boxes_hold_before_labels(tmp_path: Path) -> None:
-    path = labelled_ply(tmp_path / "ball.ply")
+    path = labeled_ply(tmp_path / "ball.ply")
     plan = prepare(
         path, output=tmp_path / "out.usda", material_boxes=("foam:-1,0,-1,1,1,1",),
         material_labels=("label=3:metal", "label=7:rubber"), **FEW,
@@ -93,7 +93,7 @@ def test_boxes_hold_before_labels(tmp_path: Path) -> None:
 def test_labels_are_written_as_primvars_of_the_source_layer(tmp_path: Path) -> None:
     from gf_usd.readers import convert
 
-    made = convert(labelled_ply(tmp_path / "ball.ply"))
+    made = convert(labeled_ply(tmp_path / "ball.ply"))
     assert made is not None
     stage = Usd.Stage.Open(str(made.layer))
     splats = next(p for p in stage.Traverse() if p.GetTypeName().startswith("ParticleField"))
@@ -110,7 +110,7 @@ def test_labels_are_written_as_primvars_of_the_source_layer(tmp_path: Path) -> N
     ],
 )
 def test_what_is_not_there_is_refused(tmp_path: Path, label: str, words: str) -> None:
-    path = labelled_ply(tmp_path / "ball.ply")
+    path = labeled_ply(tmp_path / "ball.ply")
     with pytest.raises(InputError, match=words):
         prepare(path, output=tmp_path / "out.usda", material_labels=(label,), **FEW)
     seen = inspect(path, material_labels=(label,), **FEW)
@@ -119,7 +119,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path, label: str, words: str) ->
 
 
 def test_a_label_without_particles_is_refused(tmp_path: Path) -> None:
-    path = labelled_ply(tmp_path / "ball.ply")
+    path = labeled_ply(tmp_path / "ball.ply")
     with pytest.raises(InputError, match="boxes take all of its particles"):
         prepare(
             path, output=tmp_path / "out.usda", material_labels=("label=3:metal",),

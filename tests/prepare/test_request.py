@@ -156,12 +156,12 @@ def test_rates_are_in_units_of_the_body() -> None:
     assert settled(filter_rate=0.0).filter_rate == 0.0
 
 
-def test_auto_plays_every_size_like_a_metre() -> None:
-    small, metre = settled(radius=0.01, time_scale="auto"), settled(time_scale="auto")
-    # T of a centimetre is a tenth of that of a metre: ten times slower.
+def test_auto_plays_every_size_like_a_meter() -> None:
+    small, meter = settled(radius=0.01, time_scale="auto"), settled(time_scale="auto")
+    # T of a centimeter is a tenth of that of a meter: ten times slower.
     assert small.time_scale == pytest.approx(0.1)
-    assert metre.time_scale == pytest.approx(1.0)
-    assert small.frames == metre.frames
+    assert meter.time_scale == pytest.approx(1.0)
+    assert small.frames == meter.frames
     assert settled(radius=0.01).frames < small.frames
     assert settled(time_scale="0.5").time_scale == 0.5
     assert slowed(None, PAPER_T) == 1.0

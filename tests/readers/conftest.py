@@ -20,7 +20,7 @@ HEADER = """#usda 1.0
 
 @pytest.fixture
 def write(tmp_path: Path) -> Callable[..., Path]:
-    """Write text (or bytes) under a name; a body without a header gets one in metres, Y up."""
+    """Write text (or bytes) under a name; a body without a header gets one in meters, Y up."""
 
     def write(body: str | bytes, name: str = "asset.usda") -> Path:
         path = tmp_path / name

@@ -125,8 +125,8 @@ def test_pictures_inside_a_file_are_written_beside_the_layer(tmp_path):
     folder = tmp_path / "out" / "thing.textures"
     assert source.textures(target) == (folder / "_skin.png", folder / "_skin_2.png")
     source.write(target)
-    colours = [s.materials[0].texture.pixels[0, 0].tolist() for s in read_asset(target).surfaces]
-    assert colours == [[255, 0, 0], [0, 0, 255], [255, 0, 0]]
+    colors = [s.materials[0].texture.pixels[0, 0].tolist() for s in read_asset(target).surfaces]
+    assert colors == [[255, 0, 0], [0, 0, 255], [255, 0, 0]]
     (folder / "_skin_2.png").unlink()
     assert not source.is_at(target)
 

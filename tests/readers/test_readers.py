@@ -13,7 +13,7 @@ from gf_usd.readers import read_asset
 from gf_usd.readers.formats import FORMATS, MESH, PROGRAM, SPLATS, SUFFIXES, USD, format_of
 
 
-def test_missing_file_names_its_neighbours(tmp_path):
+def test_missing_file_names_its_neighbors(tmp_path):
     (tmp_path / "duck.usda").write_text("#usda 1.0\n")
     with pytest.raises(InputError) as error:
         read_asset(tmp_path / "dukc.usda")

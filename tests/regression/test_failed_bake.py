@@ -214,7 +214,7 @@ def test_looks_before_are_published_only_with_the_rest(here: Path, fault: Fault)
 @pytest.mark.parametrize(
     ("options", "about"),
     [
-        # a ball of a metre that lands at 44 m/s, and one that weighs ten thousand times as much
+        # a ball of a meter that lands at 44 m/s, and one that weighs ten thousand times as much
         (
             {"drop": "100r", "fps": 6, "frames": 34, "material": "jelly", "law": "corotated"},
             "inside-out",

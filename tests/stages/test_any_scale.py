@@ -1,4 +1,4 @@
-"""One object in units of a millimetre, a metre and a kilometre, and far from the origin."""
+"""One object in units of a millimeter, a meter and a kilometer, and far from the origin."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ SAME = 1e-4  # of the box's longest side, 1 m
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.3, 0.3) for z in (-0.4, 0.4)])
 FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
 CASES = {
-    "millimetres": (1e-3, (0, 0, 0)),
-    "kilometres": (1e3, (0, 0, 0)),
+    "millimeters": (1e-3, (0, 0, 0)),
+    "kilometers": (1e3, (0, 0, 0)),
     "far along x": (1.0, (FAR, 0, 0)),
     "far along z": (1.0, (0, 0, -FAR)),
     "far up": (1.0, (0, FAR, 0)),
-    "millimetres, far along all": (1e-3, (FAR, -FAR, FAR)),
-    "kilometres, far along all": (1e3, (-FAR, FAR, FAR)),
+    "millimeters, far along all": (1e-3, (FAR, -FAR, FAR)),
+    "kilometers, far along all": (1e3, (-FAR, FAR, FAR)),
 }
 
 Motion = tuple[np.ndarray, np.ndarray]
@@ -97,25 +97,25 @@ def in_world(stage: Usd.Stage, time_code: float) -> np.ndarray:
     )
 
 
-@pytest.fixture(name="metres", scope="module")
-def metres_fixture(tmp_path_factory: pytest.TempPathFactory) -> Motion:
+@pytest.fixture(name="meters", scope="module")
+def meters_fixture(tmp_path_factory: pytest.TempPathFactory) -> Motion:
     at = (0.0, 0.0, 0.0)
-    return motion(bake(tmp_path_factory.mktemp("metres"), 1.0, at), 1.0, at)
+    return motion(bake(tmp_path_factory.mktemp("meters"), 1.0, at), 1.0, at)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_motion_is_the_same_at_any_scale_and_place(
-    name: str, metres: Motion, tmp_path: Path
+    name: str, meters: Motion, tmp_path: Path
 ) -> None:
     unit, at = CASES[name]
-    for here, there in zip(motion(bake(tmp_path, unit, at), unit, at), metres):
+    for here, there in zip(motion(bake(tmp_path, unit, at), unit, at), meters):
         np.testing.assert_allclose(here, there, rtol=0, atol=SAME)
-    rest, end = metres[0][0], metres[0][-1]
+    rest, end = meters[0][0], meters[0][-1]
     deformed = np.linalg.norm(end[0] - end[-1]) / np.linalg.norm(rest[0] - rest[-1])
     assert abs(deformed - 1.0) > 10.0 * SAME  # it hit the floor
 
 
-def test_the_motion_is_the_same_with_z_up(metres: Motion, tmp_path: Path) -> None:
+def test_the_motion_is_the_same_with_z_up(meters: Motion, tmp_path: Path) -> None:
     """The same box, turned with the axis: (x, y, z) is (x, -z, y).
 
     Samples are the same to the last digit, and a light node follows all nodes that are as near to
@@ -132,7 +132,7 @@ def test_the_motion_is_the_same_with_z_up(metres: Motion, tmp_path: Path) -> Non
         box, output=tmp_path / "out.usda", material="rubber", particles=150, frames=FRAMES,
         start=1, floor="-1", drop="0.15",
     ).root  # fmt: skip
-    for here, there in zip(motion(root, 1.0, (0.0, 0.0, 0.0)), metres):
+    for here, there in zip(motion(root, 1.0, (0.0, 0.0, 0.0)), meters):
         as_y_up = here[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
         np.testing.assert_allclose(as_y_up[:3], there[:3], rtol=0, atol=1e-6)  # until it lands
         np.testing.assert_allclose(as_y_up, there, rtol=0, atol=SAME)
@@ -146,7 +146,7 @@ def test_gaussians_far_out_follow_a_root_that_moves(tmp_path: Path) -> None:
 
 
 def bake_in(folder: Path, at: tuple[float, ...]) -> Path:
-    """A bake in metres of a box whose root prim moves."""
+    """A bake in meters of a box whose root prim moves."""
     folder.mkdir()
     return bake(folder, 1.0, at, moves=True)
 

@@ -223,15 +223,15 @@ def test_samples_of_the_bake_take_the_place_of_the_sources(baked: Baked) -> None
 def test_the_variants_of_the_source_still_switch(baked: Baked) -> None:
     for variant in ("none", "rubber"):
         stages = baked.source, baked.stage(variant)
-        colours = []
+        colors = []
         for stage in stages:
             stage.SetEditTarget(stage.GetSessionLayer())
             sets = stage.GetPrimAtPath(f"{PROPS}/Mirror/Tall").GetVariantSets()
             assert sets.GetVariantSelection("shape") == "tall"
             assert sets.SetSelection("paint", "blue")
-            colours.append(stage.GetAttributeAtPath(f"{TALL}.primvars:displayColor").Get())
-        assert colours[0] == colours[1]
-        assert colours[0][0][0] == pytest.approx(0.5)
+            colors.append(stage.GetAttributeAtPath(f"{TALL}.primvars:displayColor").Get())
+        assert colors[0] == colors[1]
+        assert colors[0][0][0] == pytest.approx(0.5)
 
 
 def test_animation_before_the_start_gives_the_velocity_at_the_start(baked: Baked) -> None:

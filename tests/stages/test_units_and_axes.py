@@ -1,4 +1,4 @@
-"""Units and axes: the same crate in shots that count in metres, centimetres, inches and feet."""
+"""Units and axes: the same crate in shots that count in meters, centimeters, inches and feet."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pxr import Usd
 import gf_usd
 
 SHOTS = {
-    "metres, Z up": (1.0, "Z"),
-    "centimetres, Y up": (0.01, "Y"),
+    "meters, Z up": (1.0, "Z"),
+    "centimeters, Y up": (0.01, "Y"),
     "inches, Z up": (0.0254, "Z"),
     "feet, Y up": (0.3048, "Y"),
 }
@@ -22,7 +22,7 @@ G = 9.81
 
 
 def write_shot(folder: Path, unit: float, up: str) -> Path:
-    """Two root prims, no default prim; the layers below are in metres, Z up, and in inches, Y up.
+    """Two root prims, no default prim; the layers below are in meters, Z up, and in inches, Y up.
 
     /Left/Crate is scaled into the shot's unit by a prim above; /Right is the inches' payload.
     """
@@ -84,13 +84,13 @@ def test_a_body_falls_by_half_g_t_squared_in_any_unit(name: str, tmp_path: Path)
         # float32 of numbers below 100 and scales of up to 100
         np.testing.assert_allclose(points, box + fallen * down, rtol=0, atol=2e-5 / min(unit, 1.0))
         mean = world_points(baked, "/Right/Skin", 1.0 + frame).mean(0)
-        # it bends besides, by millimetres: the mean of its vertices is not quite that of its mass
+        # it bends besides, by millimeters: the mean of its vertices is not quite that of its mass
         np.testing.assert_allclose(
             mean, skin.mean(0) + frame * way + fallen * down, rtol=0, atol=2e-3 / unit
         )
 
 
-def test_the_shots_are_the_same_in_metres(tmp_path: Path) -> None:
+def test_the_shots_are_the_same_in_meters(tmp_path: Path) -> None:
     found = []
     for number, (unit, up) in enumerate(SHOTS.values()):
         stage = Usd.Stage.Open(str(write_shot(tmp_path / f"{number}", unit, up)))

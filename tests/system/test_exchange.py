@@ -60,7 +60,7 @@ def test_a_number_of_numpy_stays_one() -> None:
 def test_what_is_shared_stays_shared() -> None:
     texture = Texture(pixels=np.zeros((2, 2, 3), np.uint8), srgb=True)
     looks = tuple(
-        SurfaceMaterial(path=path, colour=(1.0, 0.5, 0.0), texture=texture) for path in ("/a", "/b")
+        SurfaceMaterial(path=path, color=(1.0, 0.5, 0.0), texture=texture) for path in ("/a", "/b")
     )
     points = np.zeros((3, 3))
     surface = Surface(
@@ -71,7 +71,7 @@ def test_what_is_shared_stays_shared() -> None:
     one, other = passed((surface, surface))
     assert one is other
     assert one.materials[0].texture is one.materials[1].texture
-    assert one.materials[0].colour == (1.0, 0.5, 0.0)
+    assert one.materials[0].color == (1.0, 0.5, 0.0)
     assert one.normals is None
 
 

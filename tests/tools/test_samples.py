@@ -170,8 +170,8 @@ def test_every_face_has_one_material(stage: Usd.Stage) -> None:
         material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial()
         shader = material.ComputeSurfaceSource()[0]
         assert shader.GetIdAttr().Get() == "UsdPreviewSurface"
-        colour = shader.GetInput("diffuseColor").Get()
-        assert colour in list(mesh.GetDisplayColorAttr().Get())
+        color = shader.GetInput("diffuseColor").Get()
+        assert color in list(mesh.GetDisplayColorAttr().Get())
 
 
 def test_usd_validation_finds_nothing(stage: Usd.Stage) -> None:
@@ -184,7 +184,7 @@ def open_sample(name: str) -> Usd.Stage:
     return Usd.Stage.Open(str(REPO / "samples" / f"{name}.usda"))
 
 
-def test_duck_is_ten_centimetres_long_and_sits_on_the_floor() -> None:
+def test_duck_is_ten_centimeters_long_and_sits_on_the_floor() -> None:
     stage = open_sample("duck")
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     points, faces, _ = arrays(stage)
@@ -205,9 +205,9 @@ def test_duck_has_two_eyes_and_a_beak_in_front() -> None:
     stage = open_sample("duck")
     points, faces, _ = arrays(stage)
     subsets = UsdShade.MaterialBindingAPI(the_mesh(stage)).GetMaterialBindSubsets()
-    centre = points[faces].mean(axis=1)
+    center = points[faces].mean(axis=1)
     parts = {
-        subset.GetPrim().GetName(): centre[subset.GetIndicesAttr().Get()] for subset in subsets
+        subset.GetPrim().GetName(): center[subset.GetIndicesAttr().Get()] for subset in subsets
     }
     assert set(parts) == {"body", "beak", "eyes"}
     sides = np.sign(parts["eyes"][:, 0])
@@ -231,7 +231,7 @@ def test_border_of_an_eye_is_a_circle() -> None:
 
 
 @pytest.mark.parametrize("name", ["sphere", "deformed_sphere"])
-def test_spheres_are_in_metres_about_the_origin(name: str) -> None:
+def test_spheres_are_in_meters_about_the_origin(name: str) -> None:
     stage = open_sample(name)
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     points, faces, _ = arrays(stage)

@@ -65,7 +65,7 @@ def test_nothing_overlaps_at_the_start(asset: Asset, physics: StagePhysics) -> N
     clouds = {s.path: s.points for s in asset.surfaces}
     for one, other in combinations(clouds, 2):
         gap = cKDTree(clouds[one]).query(clouds[other])[0].min()
-        assert gap > 0.2, f"{one} and {other}"  # two metres long
+        assert gap > 0.2, f"{one} and {other}"  # two meters long
     rim = physics.colliders[0].points[:, 1].max()
     lows = sorted(points[:, 1].min() for points in clouds.values())
     assert lows[0] > 1.8

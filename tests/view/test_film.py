@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 96, 64
 
 
 def picture(i: int, count: int = 12) -> np.ndarray:
-    """A grey ramp on which a red square moves to the right."""
+    """A gray ramp on which a red square moves to the right."""
     y = np.mgrid[0:HEIGHT, 0:WIDTH][0]
     pixels = np.repeat((150 + 60 * y / HEIGHT)[..., None], 3, axis=2).astype(np.uint8)
     at = 4 + i * (WIDTH - 28) // count
@@ -37,7 +37,7 @@ def read_mp4(path) -> tuple[dict, list[np.ndarray]]:
     return facts, [np.frombuffer(f, np.uint8).reshape(HEIGHT, WIDTH, 3) for f in reader]
 
 
-def test_an_mp4_holds_the_frames_the_rate_and_the_colours(tmp_path):
+def test_an_mp4_holds_the_frames_the_rate_and_the_colors(tmp_path):
     path = tmp_path / "a.mp4"
     write_mp4(path, frames(), 24.0, (WIDTH, HEIGHT))
     facts, shown = read_mp4(path)
@@ -111,7 +111,7 @@ def test_a_gif_plays_for_ever_in_real_time(tmp_path):
             film.seek(i)
             length += film.info["duration"]
             error = np.abs(np.asarray(film.convert("RGB")).astype(int) - picture(i, 24))
-            # half the dither, the grouping of codes and a neighbour in the palette
+            # half the dither, the grouping of codes and a neighbor in the palette
             assert error.max() <= 12
     # 24 frames at 24 a second: one second, though a frame lasts 4 or 5 hundredths
     assert length == 1000

@@ -1,4 +1,4 @@
-"""The ramp of colours and what it paints."""
+"""The ramp of colors and what it paints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gf_usd.core.scene import Quantity, RenderEllipsoids, RenderMesh, RenderSpla
 from gf_usd.view.legend import (
     SMALLEST_PICTURE,
     Legend,
-    colours,
+    colors,
     fraction,
     label,
     paint,
@@ -52,7 +52,7 @@ def test_values_beyond_the_range_have_its_ends_and_what_is_no_number_the_low_one
     assert fraction(np.array([-1.0, 2.0, 3.0, 9.0, np.nan]), 2.0, 4.0) == pytest.approx(
         [0.0, 0.0, 0.5, 1.0, 0.0]
     )
-    shown = colours(np.array([0.0, 0.5, 1.0]), 0.0, 1.0)
+    shown = colors(np.array([0.0, 0.5, 1.0]), 0.0, 1.0)
     assert np.allclose(shown[[0, 2]], ramp()[[0, -1]])
     assert fraction(np.array([3.0]), 3.0, 3.0) == [0.0]
 
@@ -62,7 +62,7 @@ def scene() -> Scene:
         name="/mesh",
         points=np.eye(3),
         triangles=np.array([(0, 1, 2)]),
-        colours=np.ones(3),
+        colors=np.ones(3),
         roughness=np.array(0.1),
         metallic=np.array(1.0),
         values=np.array([0.0, 0.5, 2.0]),
@@ -71,7 +71,7 @@ def scene() -> Scene:
         name="/prop",
         points=np.eye(3),
         triangles=np.array([(0, 1, 2)]),
-        colours=np.ones(3),
+        colors=np.ones(3),
         roughness=np.array(0.1),
         metallic=np.array(1.0),
     )
@@ -86,9 +86,9 @@ def scene() -> Scene:
         up=(0, 1, 0),
         meshes=(mesh, bare),
         splats=(
-            RenderSplats(**common, colours=white, opacities=np.ones(2), lit=True, values=values),
+            RenderSplats(**common, colors=white, opacities=np.ones(2), lit=True, values=values),
         ),
-        ellipsoids=(RenderEllipsoids(**common, colours=white, values=values),),
+        ellipsoids=(RenderEllipsoids(**common, colors=white, values=values),),
     )
 
 
@@ -97,13 +97,13 @@ def test_what_has_values_is_painted_and_the_rest_is_not():
     mesh, prop = painted.meshes
     assert prop is not None
     assert prop.textures == ()
-    assert np.array_equal(prop.colours, np.ones(3))
+    assert np.array_equal(prop.colors, np.ones(3))
     (texture,) = mesh.textures
     texel = np.floor(mesh.uvs[0, :, 0] * texture.pixels.shape[1]).astype(int)
     assert texel.tolist() == [0, 128, 255]
     assert float(mesh.metallic) == 0.0
     for cloud in (painted.splats[0], painted.ellipsoids[0]):
-        assert np.allclose(cloud.colours, ramp()[[0, -1]])
+        assert np.allclose(cloud.colors, ramp()[[0, -1]])
 
 
 @pytest.mark.parametrize(

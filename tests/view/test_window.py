@@ -68,7 +68,7 @@ def test_a_balls_normals_stand_on_its_ellipsoid():
         gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
         assert normals[12 * i : 12 * i + 12] == pytest.approx(gradient, abs=1e-6)
     assert balls.triangles.max() == 59
-    assert balls.colours.shape == (60, 3)
+    assert balls.colors.shape == (60, 3)
 
 
 def test_a_box_has_flat_sides():

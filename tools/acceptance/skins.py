@@ -4,7 +4,7 @@
 
 Every map is applied exactly to the particles of a body (positions, velocities, F), the skins carry
 the vertices of its mesh, and where these come to lie is compared with the map.  A map takes rest
-positions q (n, 3) in radii from the body's centre and an amplitude s, 1 at full deformation and 0
+positions q (n, 3) in radii from the body's center and an amplitude s, 1 at full deformation and 0
 at rest, to deformed positions.  Read as a motion, s is time.  The embedding rides on nodal
 displacements u instead, which the map does not give; two ways to find them are measured:
 
@@ -26,7 +26,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles, Pose
 from gf_usd.geometry.sampling import sample_solid
-from gf_usd.geometry.skinning import NEIGHBOURS, SKINS, InverseDistance, Skin
+from gf_usd.geometry.skinning import NEIGHBORS, SKINS, InverseDistance, Skin
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.grid.embedding import pose
 from gf_usd.physics.grid.reference import build_stencil
@@ -36,7 +36,7 @@ from gf_usd.readers import read_asset
 Map = Callable[[Floats, float], Floats]
 STEP = 1e-5  # of central differences, in radii and in s: both errors are near 1e-10
 
-BEND = 0.5  # curvature [1/r]: the fibre at one radius on the inside is half as long
+BEND = 0.5  # curvature [1/r]: the fiber at one radius on the inside is half as long
 TWIST = np.pi / 4.0  # [rad/r]: a quarter turn over two radii
 SQUASH = 0.6  # height over rest height
 
@@ -75,15 +75,15 @@ MAPS: dict[str, Map] = {"squash": squash, "90° turn": turn, "bend": bend, "twis
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """A map at the scale r [m] and the centre (3,) [m] of a body, at s = 1."""
+    """A map at the scale r [m] and the center (3,) [m] of a body, at s = 1."""
 
     map: Map
-    centre: Floats
+    center: Floats
     radius: float
 
     def x(self, X: Floats, s: float = 1.0) -> Floats:
         """(n, 3) [m] deformed positions of X (n, 3) [m]."""
-        return self.centre + self.radius * self.map((X - self.centre) / self.radius, s)
+        return self.center + self.radius * self.map((X - self.center) / self.radius, s)
 
     def v(self, X: Floats) -> Floats:
         """dx/ds (n, 3) [m] at s = 1."""
@@ -144,9 +144,9 @@ class Body:
         )
 
     def motion(self, name: str) -> Motion:
-        """A map of MAPS about the particles' centre, in radii of the body."""
+        """A map of MAPS about the particles' center, in radii of the body."""
         X = self.particles.X
-        return Motion(map=MAPS[name], centre=X.mean(0), radius=self.particles.radius)
+        return Motion(map=MAPS[name], center=X.mean(0), radius=self.particles.radius)
 
     def rides(self) -> dict[str, Ride]:
         """Every skin by name."""
@@ -247,7 +247,7 @@ def powers(body: Body) -> Iterator[str]:
     """The table of the power of the idw skin: errors on exact and on jittered particles."""
     X, spacing = body.particles.X, body.particles.spacing
     jitter = NOISE * spacing * np.random.default_rng(0).normal(size=X.shape)
-    yield f"**{body.name}**, k = {NEIGHBOURS}:"
+    yield f"**{body.name}**, k = {NEIGHBORS}:"
     yield ""
     yield (
         "| power | bend: mean [r] | normals [deg] | twist: mean [r] | normals [deg]"

@@ -1,6 +1,6 @@
 """Simulated seconds a second at equal error: the cheapest setting of each solver that is right.
 
-Right is a least height (of the height at rest) and a rebound, the top of the centre's path over its
+Right is a least height (of the height at rest) and a rebound, the top of the center's path over its
 height at rest, that are both within 2 % of a converged reference.  The reference is gf-usd with
 the solver's own law at three particle counts, each four times the last, extrapolated.
 

@@ -81,7 +81,7 @@ def cloud(count: int) -> Particles:
         material=np.zeros(count, int),
         orientation=turn / np.linalg.norm(turn, axis=1, keepdims=True),
         scale=spacing * rng.uniform(0.2, 1.0, (count, 3)),
-        colour=rng.random((count, 3)),
+        color=rng.random((count, 3)),
         opacity=np.ones(count),
         surface=np.zeros(count, int),
         spacing=spacing,

@@ -79,7 +79,7 @@ def speed(made: Callable[[], Any], body: Any, dt: float, seconds: float) -> dict
 def drop(body: Any, dt: float) -> dict[str, Any]:
     """Least height of the ball over its height at rest, and the top of the rebound [m]."""
     every = chunk(dt)
-    heights, centres = [], []
+    heights, centers = [], []
     wall, cpu = 0.0, 0.0
     rest = float(np.ptp(body.positions()[:, 1]))
     for _ in range(int(np.ceil(scene.SECONDS / (every * dt)))):
@@ -91,19 +91,19 @@ def drop(body: Any, dt: float) -> dict[str, Any]:
         if not np.isfinite(x).all():
             return {"failed": "positions that are no longer finite"}
         heights.append(float(np.ptp(x[:, 1])) / rest)
-        centres.append(float(x[:, 1].mean()))
-    low = int(np.argmin(centres))
+        centers.append(float(x[:, 1].mean()))
+    low = int(np.argmin(centers))
     return {
         "squash": peak(-np.array(heights)) * -1.0,
-        "rebound": peak(np.array(centres[low:])) - scene.RADIUS,
-        "simulated": len(centres) * every * dt,
+        "rebound": peak(np.array(centers[low:])) - scene.RADIUS,
+        "simulated": len(centers) * every * dt,
         "wall": wall,
         "cpu": cpu,
     }
 
 
 def peak(y: np.ndarray) -> float:
-    """The top of the parabola through the largest value and its neighbours."""
+    """The top of the parabola through the largest value and its neighbors."""
     k = int(np.argmax(y))
     if k in (0, len(y) - 1):
         return float(y[k])

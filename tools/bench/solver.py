@@ -33,7 +33,7 @@ def ball(n: int) -> Particles:
     return Particles(
         X=X, V0=np.full(n, volume / n), material=np.zeros(n, int),
         orientation=np.tile((1.0, 0.0, 0.0, 0.0), (n, 1)), scale=np.full((n, 3), a),
-        colour=np.full((n, 3), 0.5), opacity=np.ones(n), surface=np.zeros(n, int),
+        color=np.full((n, 3), 0.5), opacity=np.ones(n), surface=np.zeros(n, int),
         spacing=float(np.cbrt(volume / n)), volume=volume, lattice=a, corner=corner,
     )  # fmt: skip
 

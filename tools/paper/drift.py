@@ -102,13 +102,13 @@ def distances(points: Floats, vertices: Floats, triangles: Ints) -> Floats:
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
     tensor: Any = open3d.core.Tensor  # its stub knows no numpy arrays
-    # single precision: centred, so that far from the origin no digits are lost
-    centre = vertices.mean(0)
+    # single precision: centered, so that far from the origin no digits are lost
+    center = vertices.mean(0)
     scene.add_triangles(
-        tensor((vertices - centre).astype(np.float32)),
+        tensor((vertices - center).astype(np.float32)),
         tensor(triangles.astype(np.uint32)),
     )
-    query = tensor((points - centre).astype(np.float32))
+    query = tensor((points - center).astype(np.float32))
     return scene.compute_distance(query).numpy().astype(float)
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tools.acceptance.plot import BOTTOM, INK, LEFT, RIGHT, TOP, Axis, text, ticks
 
-COLOURS = ("#c0392b", "#2266aa", "#2e8b57", "#8e5bb5")
+COLORS = ("#c0392b", "#2266aa", "#2e8b57", "#8e5bb5")
 WIDTH, HEIGHT = 720, 260
 POINTS = 600  # of a curve: more are not seen
 
@@ -47,9 +47,9 @@ def curves(
         # the last value stays, whatever the step
         at = sorted({*range(0, len(line), step), len(line) - 1})
         path = " ".join(f"{across(k):.1f},{upward(line[k]):.1f}" for k in at)
-        colour = COLOURS[number % len(COLOURS)]
-        out.append(f'<polyline points="{path}" fill="none" stroke="{colour}"/>')
-        more = f'fill="{colour}" font-weight="bold"'
+        color = COLORS[number % len(COLORS)]
+        out.append(f'<polyline points="{path}" fill="none" stroke="{color}"/>')
+        more = f'fill="{color}" font-weight="bold"'
         out.append(text(right - 6, TOP + 14 + 14 * number, name, "end").replace(
             f'fill="{INK}"', more))  # fmt: skip
     return "\n".join([*out, "</svg>"]) + "\n"

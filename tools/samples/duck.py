@@ -1,4 +1,4 @@
-"""The rubber duck: blended implicit shapes in centimetres, Y up, facing +Z, and its quads."""
+"""The rubber duck: blended implicit shapes in centimeters, Y up, facing +Z, and its quads."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Floats = NDArray[np.float64]
 
 X, Y, Z = np.eye(3)
 
-HEAD_CENTRE = np.array([0.0, 7.05, 1.55])
+HEAD_CENTER = np.array([0.0, 7.05, 1.55])
 HEAD_RADIUS = 2.5
 EYE_DIRECTION = np.array([0.62, 0.20, 0.76])
-EYE_CENTRE = HEAD_CENTRE + (HEAD_RADIUS - 0.37) * EYE_DIRECTION
+EYE_CENTER = HEAD_CENTER + (HEAD_RADIUS - 0.37) * EYE_DIRECTION
 EYE_RADIUS = 0.60
 
 
@@ -32,7 +32,7 @@ def trunk(p: Floats) -> Floats:
     chest = ellipsoid(p, (0.0, 3.2, 0.9), (3.0, 3.05, 2.9))
     lifted = tilt(one_side(p), (3.1, 3.7, -0.9), -14.0)
     wing = ellipsoid(lifted, (2.95, 3.6, -0.8), (0.7, 1.3, 2.3))
-    head = np.linalg.norm((p - HEAD_CENTRE) / [1.0, 0.97, 1.0], axis=-1) - HEAD_RADIUS
+    head = np.linalg.norm((p - HEAD_CENTER) / [1.0, 0.97, 1.0], axis=-1) - HEAD_RADIUS
     return join(join(join(body, chest, 1.6), wing, 0.8), head, 1.3)
 
 
@@ -66,7 +66,7 @@ def bill(p: Floats) -> Floats:
 
 def eyes(p: Floats) -> Floats:
     """Two domes, sunk into the head."""
-    return np.linalg.norm(one_side(p) - EYE_CENTRE, axis=-1) - EYE_RADIUS
+    return np.linalg.norm(one_side(p) - EYE_CENTER, axis=-1) - EYE_RADIUS
 
 
 def duck(p: Floats) -> Floats:
@@ -105,7 +105,7 @@ def steer_eyes(points: Floats, blocks: Quads, relax: Relaxation) -> Floats:
     ring = ring[blocks.points[ring, 0] > 0]
     for _ in range(10):
         middle = points[ring].mean(axis=0)
-        shift = 0.3 * (EYE_CENTRE - middle)
+        shift = 0.3 * (EYE_CENTER - middle)
         for flip in (np.ones(3), MIRROR):
             distance = np.linalg.norm(points - flip * middle, axis=1)
             points = points + np.exp(-(distance**2) / 1.5)[:, None] * flip * shift

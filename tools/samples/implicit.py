@@ -13,24 +13,24 @@ Field = Callable[[Floats], Floats]  # (n, 3) -> (n,)
 STEP = 1e-5  # [length] of the differences: rounding stays near 1e-10
 
 
-def ellipsoid(p: Floats, centre: tuple[float, ...], radii: tuple[float, ...]) -> Floats:
-    """First-order distance g / |grad g| of g = |q / r| - 1, with q = p - centre."""
-    q = (p - np.array(centre)) / np.array(radii)
+def ellipsoid(p: Floats, center: tuple[float, ...], radii: tuple[float, ...]) -> Floats:
+    """First-order distance g / |grad g| of g = |q / r| - 1, with q = p - center."""
+    q = (p - np.array(center)) / np.array(radii)
     g = np.linalg.norm(q, axis=-1)
     slope = np.linalg.norm(q / np.array(radii), axis=-1)
     return (g - 1.0) * g / np.maximum(slope, 1e-9)
 
 
-def lozenge(p: Floats, centre: tuple[float, ...], radii: tuple[float, ...]) -> Floats:
+def lozenge(p: Floats, center: tuple[float, ...], radii: tuple[float, ...]) -> Floats:
     """First-order distance to rho^4 + (y/b)^2 = 1 with rho^2 = (x/a)^2 + (z/c)^2.
 
     A flat ellipsoid with twice the radius of curvature at its rim.
     """
-    q = (p - np.array(centre)) / np.array(radii)
+    q = (p - np.array(center)) / np.array(radii)
     rho2 = q[..., 0] ** 2 + q[..., 2] ** 2
     level = rho2**2 + q[..., 1] ** 2 - 1.0
     slope = q * np.stack([4.0 * rho2, 2.0 + 0.0 * rho2, 4.0 * rho2], axis=-1) / np.array(radii)
-    return level / np.sqrt(np.sum(slope**2, axis=-1) + 0.1)  # 0.1: finite at the centre
+    return level / np.sqrt(np.sum(slope**2, axis=-1) + 0.1)  # 0.1: finite at the center
 
 
 def round_cone(
@@ -53,13 +53,13 @@ def meet(a: Floats, b: Floats, k: float) -> Floats:
     return -join(-a, -b, k)
 
 
-def tilt(p: Floats, centre: tuple[float, ...], degrees: float) -> Floats:
-    """Points in a frame turned about the x axis through ``centre``; a shape drawn there has its
+def tilt(p: Floats, center: tuple[float, ...], degrees: float) -> Floats:
+    """Points in a frame turned about the x axis through ``center``; a shape drawn there has its
     +z end raised by ``degrees``."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    q = p - np.array(centre)
+    q = p - np.array(center)
     turned = np.stack([q[..., 0], c * q[..., 1] - s * q[..., 2], s * q[..., 1] + c * q[..., 2]], -1)
-    return turned + np.array(centre)
+    return turned + np.array(center)
 
 
 def gradient(field: Field, p: Floats) -> Floats:

@@ -51,8 +51,8 @@ def box_surface(boxes: Sequence[Box]) -> Quads:
         u, v = np.eye(3, dtype=int)[(axis + 1) % 3], np.eye(3, dtype=int)[(axis + 2) % 3]
         square = np.array([0 * u, u, u + v, v])
         for side in (0, 1):
-            neighbour = np.roll(cells, 1 - 2 * side, axis=axis)
-            cell = np.argwhere((cells >= 0) & (neighbour < 0))
+            neighbor = np.roll(cells, 1 - 2 * side, axis=axis)
+            cell = np.argwhere((cells >= 0) & (neighbor < 0))
             ring = square if side else square[::-1]
             corners.append((cell + side * np.eye(3, dtype=int)[axis])[:, None] + ring)
             owners.append(cells[tuple(cell.T)])

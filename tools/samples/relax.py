@@ -1,6 +1,6 @@
 """Quads drawn onto an implicit surface and evened out along it.
 
-Each pass moves every vertex toward the area-weighted mean of its quads' centres (large quads pull,
+Each pass moves every vertex toward the area-weighted mean of its quads' centers (large quads pull,
 so areas even out) and back to f = 0 by Newton's method.  Vertices on a seam between two parts
 slide along the curve f = g = 0 only, so that the border between materials is that smooth curve;
 where two seams meet, f = g = h = 0 pins the vertex.

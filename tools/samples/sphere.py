@@ -56,15 +56,15 @@ def deformed(sphere: Quads) -> tuple[Quads, float]:
 
 
 def sphere_quads() -> Quads:
-    """The unit sphere, centred on the origin."""
+    """The unit sphere, centered on the origin."""
     return cube_sphere(CELLS)
 
 
 def sphere_atlas(mesh: Quads) -> Atlas:
     """Two strips of three cube faces; the equiangular grid keeps texel density within 1.5."""
-    centres = mesh.points[mesh.faces].mean(axis=1)
+    centers = mesh.points[mesh.faces].mean(axis=1)
     outward = np.array([out for strip in STRIPS for out, _, _ in strip])
-    cube_face = np.argmax(centres @ outward.T, axis=1)
+    cube_face = np.argmax(centers @ outward.T, axis=1)
     charts = []
     for row, strip in enumerate(STRIPS):
         numbers = np.flatnonzero(cube_face // 3 == row)

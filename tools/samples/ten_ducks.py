@@ -15,7 +15,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
 from tools.samples.bowl import bowl, rocking
 
 FPS, FRAMES = 24, 97
-SCALE = 0.2  # of a duck in centimetres in a stage in metres: it is two metres long
+SCALE = 0.2  # of a duck in centimeters in a stage in meters: it is two meters long
 G = 9.81
 BOWL_HEIGHT, GROUND = 1.2, 18.0  # [m]
 FIRST, LAST = 0.4, 1.55  # [s] of the fall of the first duck and of the last one
@@ -26,7 +26,7 @@ Types = Sdf.ValueTypeNames
 
 @dataclass(frozen=True, kw_only=True)
 class Stuff:
-    """A soft material and the colour of the ducks that are made of it."""
+    """A soft material and the color of the ducks that are made of it."""
 
     name: str
     density: float  # [kg/m^3]
@@ -35,21 +35,21 @@ class Stuff:
     damping: float  # [s]
     friction: float
     restitution: float
-    colour: tuple[float, float, float]
+    color: tuple[float, float, float]
 
 
 STUFFS = (
     Stuff(
         name="Rubber", density=1100.0, young=4e5, poisson=0.3, damping=6e-4, friction=0.6,
-        restitution=0.6, colour=(0.93, 0.60, 0.015),
+        restitution=0.6, color=(0.93, 0.60, 0.015),
     ),
     Stuff(
         name="Jelly", density=1000.0, young=6e4, poisson=0.42, damping=4e-3, friction=0.5,
-        restitution=0.3, colour=(0.80, 0.05, 0.16),
+        restitution=0.3, color=(0.80, 0.05, 0.16),
     ),
     Stuff(
         name="Hard", density=1200.0, young=2e6, poisson=0.3, damping=2e-4, friction=0.5,
-        restitution=0.7, colour=(0.03, 0.22, 0.62),
+        restitution=0.7, color=(0.03, 0.22, 0.62),
     ),
 )  # fmt: skip
 # From the first duck to the last: what is soft lies below, what is hard falls among the others.
@@ -61,7 +61,7 @@ def write_ten_ducks(path: Path, duck: str) -> None:
     path.unlink(missing_ok=True)
     stage = Usd.Stage.CreateNew(str(path))
     layer = stage.GetRootLayer()
-    layer.documentation = "Ten ducks of three materials fall into a rocking bowl. Metres, Y up."
+    layer.documentation = "Ten ducks of three materials fall into a rocking bowl. Meters, Y up."
     layer.customLayerData = {"license": "Apache-2.0", "madeBy": "gf-usd tools/make_samples.py"}
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -129,15 +129,15 @@ def _ducks(stage: Usd.Stage, materials: list[UsdShade.Material], duck: str) -> N
         binding = UsdShade.MaterialBindingAPI.Apply(prim)
         binding.Bind(materials[made_of], materialPurpose="physics")
         if made_of:
-            _paint(stage, path, stuff.colour)
+            _paint(stage, path, stuff.color)
 
 
-def _paint(stage: Usd.Stage, path: Sdf.Path, colour: tuple[float, float, float]) -> None:
+def _paint(stage: Usd.Stage, path: Sdf.Path, color: tuple[float, float, float]) -> None:
     surface = stage.OverridePrim(path.AppendPath("Materials/Body/Surface"))
     shader = UsdShade.Shader(surface)
-    shader.CreateInput("diffuseColor", Types.Color3f).Set(Gf.Vec3f(*colour))
+    shader.CreateInput("diffuseColor", Types.Color3f).Set(Gf.Vec3f(*color))
     body = UsdGeom.Gprim(stage.OverridePrim(path.AppendPath("Geom/Body")))
-    body.CreateDisplayColorAttr([Gf.Vec3f(*part) for part in (colour, BEAK, EYES)])
+    body.CreateDisplayColorAttr([Gf.Vec3f(*part) for part in (color, BEAK, EYES)])
 
 
 def _collide(prim: Usd.Prim, *, kinematic: bool) -> None:

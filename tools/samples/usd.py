@@ -24,7 +24,7 @@ LICENCE = "Apache-2.0"
 class Look:
     """A UsdPreviewSurface without textures."""
 
-    colour: tuple[float, float, float]  # diffuse, linear Rec. 709
+    color: tuple[float, float, float]  # diffuse, linear Rec. 709
     roughness: float
     clearcoat: float = 0.0
 
@@ -80,7 +80,7 @@ def write_sample(path: Path, sample: Sample) -> None:
 
 
 def define_mesh(stage: Usd.Stage, path: Sdf.Path, sample: Sample) -> UsdGeom.Mesh:
-    """Topology, points, normals, texture coordinates, display colour and extent."""
+    """Topology, points, normals, texture coordinates, display color and extent."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     faces = sample.mesh.faces
     points = Vt.Vec3fArray.FromNumpy(rounded(sample.mesh.points, POINT_DECIMALS))
@@ -101,13 +101,13 @@ def define_mesh(stage: Usd.Stage, path: Sdf.Path, sample: Sample) -> UsdGeom.Mes
 
     # what clients that draw no materials show
     names = list(sample.looks)
-    mesh.CreateDisplayColorAttr([Gf.Vec3f(*look.colour) for look in sample.looks.values()])
-    colour = mesh.GetDisplayColorPrimvar()
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(*look.color) for look in sample.looks.values()])
+    color = mesh.GetDisplayColorPrimvar()
     if len(names) == 1:
-        colour.SetInterpolation(UsdGeom.Tokens.constant)
+        color.SetInterpolation(UsdGeom.Tokens.constant)
     else:
-        colour.SetInterpolation(UsdGeom.Tokens.uniform)
-        colour.SetIndices(Vt.IntArray([names.index(part) for part in sample.mesh.parts]))
+        color.SetInterpolation(UsdGeom.Tokens.uniform)
+        color.SetIndices(Vt.IntArray([names.index(part) for part in sample.mesh.parts]))
     return mesh
 
 
@@ -117,7 +117,7 @@ def define_material(stage: Usd.Stage, path: Sdf.Path, look: Look) -> UsdShade.Ma
     shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
     values = Sdf.ValueTypeNames
-    shader.CreateInput("diffuseColor", values.Color3f).Set(Gf.Vec3f(*look.colour))
+    shader.CreateInput("diffuseColor", values.Color3f).Set(Gf.Vec3f(*look.color))
     shader.CreateInput("roughness", values.Float).Set(look.roughness)
     shader.CreateInput("clearcoat", values.Float).Set(look.clearcoat)
     material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", values.Token))

@@ -1,6 +1,6 @@
 """UV charts: as-rigid-as-possible flattening, and a packed atlas with one texel density.
 
-A chart is a set of quads with the topology of a disc.  Its flattening minimises
+A chart is a set of quads with the topology of a disc.  Its flattening minimizes
 sum_t sum_(ij in t) cot_ij |(u_i - u_j) - R_t (x_i - x_j)|^2 over positions u and one rotation R_t
 per triangle, alternating the two (Liu et al. 2008, A Local/Global Approach to Mesh
 Parameterization).  Points of the plane are complex numbers, so R_t = S / |S| with
@@ -47,7 +47,7 @@ def boundary_loop(faces: Ints) -> Ints:
 
 def on_disc(points: Floats, faces: Ints) -> Plane:
     """Tutte's embedding: the border on the unit circle by arc length, each interior vertex at the
-    mean of its neighbours, hence free of flips."""
+    mean of its neighbors, hence free of flips."""
     count = len(points)
     loop = boundary_loop(faces)
     step = np.linalg.norm(points[np.roll(loop, -1)] - points[loop], axis=1)

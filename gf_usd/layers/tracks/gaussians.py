@@ -75,11 +75,11 @@ class SplatTrack:
             "radiance:sphericalHarmonicsDegree", Types.Int, False, UNIFORM
         )
         degree.Set(0)
-        flat = (np.asarray(p.colour, np.float64) - 0.5) / SH_0
-        colours = Track(prim, "radiance:sphericalHarmonicsCoefficients", VECTORS, half)
-        colours.write(flat, Usd.TimeCode.Default())
+        flat = (np.asarray(p.color, np.float64) - 0.5) / SH_0
+        colors = Track(prim, "radiance:sphericalHarmonicsCoefficients", VECTORS, half)
+        colors.write(flat, Usd.TimeCode.Default())
         self._halves = [
-            track for track in (self._orientations, self._scales, opacities, colours) if track.half
+            track for track in (self._orientations, self._scales, opacities, colors) if track.half
         ]
         for name, value in (("projectionModeHint", "perspective"), ("sortingModeHint", "zDepth")):
             prim.CreateAttribute(name, Types.Token, False, UNIFORM).Set(value)

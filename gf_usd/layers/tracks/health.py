@@ -28,7 +28,7 @@ FRAME: dict[str, tuple[Any, str, str]] = {
     "contactEnergy": (Types.Double, "contact", "energy"),
     "pinWork": (Types.Double, "work", "energy"),
     "injectedEnergy": (Types.Double, "injected", "energy"),
-    "centerOfMass": (Types.Double3, "centre", "length"),
+    "centerOfMass": (Types.Double3, "center", "length"),
     "momentum": (Types.Double3, "momentum", "momentum"),
     "angularMomentum": (Types.Double3, "angular_momentum", "action"),
     "minVolumeRatio": (Types.Float, "min_J", ""),

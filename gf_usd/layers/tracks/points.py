@@ -34,8 +34,8 @@ class PointsTrack:
         points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(self._widths))
         points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         points.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(p), dtype=np.int64)))
-        colour = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-        colour.Set(Vt.Vec3fArray.FromNumpy(f32(p.colour)))
+        color = points.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
+        color.Set(Vt.Vec3fArray.FromNumpy(f32(p.color)))
 
     def write(self, positions: Floats, velocities: Vt.Vec3fArray, time_code: float) -> None:
         """Author positions (N, 3) and velocities in stage units."""

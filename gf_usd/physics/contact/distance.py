@@ -38,20 +38,20 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
     if len(close) == 0:
         return _none()
     used, local = np.unique(triangles[close], return_inverse=True)
-    centre = X.mean(0)
+    center = X.mean(0)
     first, last = corner[close].min((0, 1)) - reach, corner[close].max((0, 1)) + reach
     asked = np.flatnonzero(((first <= X) & (last >= X)).all(1))
     if len(asked) == 0:
         return _none()
     S, at, C, N = igl.signed_distance(
-        np.ascontiguousarray(X[asked] - centre, dtype=float),
-        np.ascontiguousarray(points[used] - centre, dtype=float),
+        np.ascontiguousarray(X[asked] - center, dtype=float),
+        np.ascontiguousarray(points[used] - center, dtype=float),
         np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
     )
     gap, at = np.asarray(S).reshape(-1), close[np.asarray(at).reshape(-1)]
     near = np.flatnonzero(np.abs(gap) < reach)
-    gap, at, point, rows = gap[near], at[near], np.asarray(C)[near] + centre, asked[near]
+    gap, at, point, rows = gap[near], at[near], np.asarray(C)[near] + center, asked[near]
     away = X[rows] - point
     on = np.linalg.norm(away, axis=1) <= ON_SURFACE * reach
     away[on] = np.asarray(N)[near][on]

@@ -10,7 +10,7 @@ sample sticks.  Where it acts while mu f_n is larger it is counted.
 
 Contact of surface samples with other bodies and with obstacles, inside a substep.
 
-A sample s faces at most one plane, chosen by `neighbours` between substeps.  The plane belongs to
+A sample s faces at most one plane, chosen by `neighbors` between substeps.  The plane belongs to
 an obstacle, which moves it (point q, velocity v_q), or to a body, where it rides on that body's
 sample b nearest to it (q = x_b + offset, v_q = v_b).  With the plane's outward normal n, at depth
 d = (q - x_s) . n > 0,

@@ -201,9 +201,9 @@ class BodySkin:
         self._W = rows.W
         self._tree = kd_tree(X)
         corners = skin.points[skin.triangles]
-        centre = corners.mean(1)
-        gap, self._cover = self._tree.query(centre)
-        reach = np.linalg.norm(corners - centre[:, None], axis=2).max(1)
+        center = corners.mean(1)
+        gap, self._cover = self._tree.query(center)
+        reach = np.linalg.norm(corners - center[:, None], axis=2).max(1)
         self._reach = SLACK * (gap + reach)
 
     def near(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
-FIT_NEIGHBOURS = 24  # free nodes in an affine fit
+FIT_NEIGHBORS = 24  # free nodes in an affine fit
 FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
 TIE = 1e-9  # distances that differ by less are equal
 FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
@@ -50,15 +50,15 @@ def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
         gap, closest = nearest(tree, ijk[far], 1)
         tied = np.isfinite(gap)
         around[far] = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
-    distance, near = nearest(tree, around, FIT_NEIGHBOURS)
+    distance, near = nearest(tree, around, FIT_NEIGHBORS)
     # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
     B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
     B[np.isinf(distance)] = 0.0
     B /= B.sum(1, keepdims=True)
-    centre = np.einsum("nk,nka->na", B, free[near])
-    P = free[near] - centre[:, None, :]
+    center = np.einsum("nk,nka->na", B, free[near])
+    P = free[near] - center[:, None, :]
     M = np.einsum("nka,nk,nkb->nab", P, B, P)
-    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - centre)
+    slope = np.einsum("nab,nb->na", np.linalg.pinv(M, rcond=1e-9, hermitian=True), ijk - center)
     e = B * (1.0 + np.einsum("nka,na->nk", P, slope))
     row, column = np.nonzero(B)
     return sparse.csr_matrix(

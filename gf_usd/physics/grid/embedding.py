@@ -69,7 +69,7 @@ def _gradient(rows: Rows, u: Floats) -> Floats:
 
 
 def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
-    """n = cof(F) n0, normalised: surfaces turn with the cofactor, defined at J <= 0 too.
+    """n = cof(F) n0, normalized: surfaces turn with the cofactor, defined at J <= 0 too.
 
     normals : (K, 3) at rest; points : (K,) the point that carries each; F : (V, 3, 3).
     """

@@ -162,7 +162,7 @@ class Holder:
         return Pose(x=out_x, v=out_v, F=out_F)
 
 
-NEIGHBOURS = 24
+NEIGHBORS = 24
 SAME = 1e-6  # of the region's size: a point as near to an anchor as that moves with it
 FLAT = 1e-3  # ratio of the spreads of the anchors under which they count as flat
 
@@ -188,7 +188,7 @@ class Motion:
     def at(self, X: Floats, frame: float) -> tuple[Floats, Floats]:
         """x (n, 3) [m] and A (n, 3, 3) of points X (n, 3) [m]."""
         now = self.anchors_at(frame)
-        k = min(NEIGHBOURS, len(self.anchors))
+        k = min(NEIGHBORS, len(self.anchors))
         distance, near = self._tree.query(X, k=k)
         distance, near = distance.reshape(len(X), k), near.reshape(len(X), k)
         scale = distance.mean(1, keepdims=True) + 1e-300

@@ -22,7 +22,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS, affine_fit, split_nodes
 from gf_usd.physics.grid.pins import Held, Holder, held_by, mirror_points
 
-APART = 40  # [cells] between bodies on the grid: beyond any neighbour that a fit would take
+APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
 CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
 OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 
@@ -32,7 +32,7 @@ def bspline(f: Floats) -> tuple[Floats, Floats]:
 
     f : (..., 3) distance from the base node in cells, in [0.5, 1.5).
     Returns w, dw : (..., 3, 3), second to last axis the node 0..2, last the coordinate; dw is per
-    cell (divide by h for per metre).
+    cell (divide by h for per meter).
     """
     w = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], -2)
     dw = np.stack([f - 1.5, -2.0 * (f - 1.0), f - 0.5], -2)
@@ -239,7 +239,7 @@ def build_stencil(
     body = np.zeros(len(X), np.int64) if body is None else body
     shift = apart(X, body, h)
     X = X + shift[body]
-    # Cells of the quadratic stencil are centred on nodes: their corners lie half a cell off.
+    # Cells of the quadratic stencil are centered on nodes: their corners lie half a cell off.
     origin = np.asarray(corner_at, float) - 0.5 * h
     base, fx = base_node((X - origin) / h)
     corner = base.min(0)

@@ -75,7 +75,7 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),
-        centre=_triple(m @ x / whole),
+        center=_triple(m @ x / whole),
         momentum=_triple(m @ v),
         angular_momentum=_triple(m @ cross(x, v)),
         min_J=float(J.min()),

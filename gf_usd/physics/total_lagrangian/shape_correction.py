@@ -33,7 +33,7 @@ from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 CLOSE = 1e-6  # of the largest stretch, of which `singular_values` are exact to 1e-8
-NEIGHBOURS = 20  # docs/physics.md, fitted
+NEIGHBORS = 20  # docs/physics.md, fitted
 WIDTH = 0.2  # [r] standard deviation of the Gaussian, fitted for r = 1
 
 
@@ -42,9 +42,9 @@ def wls_gradient(X: Floats, width: float) -> sparse.csr_matrix:
 
     X : (N, 3) [m]; width : [m].
     """
-    k = min(NEIGHBOURS, len(X) - 1)
+    k = min(NEIGHBORS, len(X) - 1)
     distance, near = nearest(X, X, k + 1)
-    # By the nearest neighbour's weight, which leaves the fit as it is and cannot underflow.
+    # By the nearest neighbor's weight, which leaves the fit as it is and cannot underflow.
     least = distance[:, 1:2] if k else distance
     # A twin at the same place may come before the particle itself: both then add nothing.
     return operator(near, X[near] - X[:, None], np.exp((least**2 - distance**2) / (2.0 * width**2)))

@@ -117,7 +117,7 @@ class TotalLagrangian(Solver):
             self.launches.run(state, chunk, dt, len(watched))
             left -= chunk
         state.time += substeps * dt
-        state.recentre()
+        state.recenter()
         stats = self._stats(index, active)
         self.shortcuts.note(state, stats)
         return stats

@@ -120,7 +120,7 @@ class State(DeviceState):
         self.put("anchor", start)
         self.put("anchor_rate", (end - start) / self._body.settings.frame_time)
 
-    def recentre(self) -> None:
+    def recenter(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
         if self._body.holder:
             return

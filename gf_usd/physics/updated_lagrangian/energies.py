@@ -62,7 +62,7 @@ def measure(
         potential=float(-(m @ (height @ np.asarray(settings.gravity)))),
         contact=contact,
         mass=float(m.sum()),
-        centre=_triple(m @ x / m.sum()),
+        center=_triple(m @ x / m.sum()),
         momentum=_triple(m @ v),
         angular_momentum=_triple(m @ (np.cross(x, v) + spread * axial)),
         min_J=float(J.min()),

@@ -39,7 +39,7 @@ class Body:
     per: Mapping[str, Floats]  # material values of the particles, (N,) each
     m: Floats  # (N,) [kg]
     h: float  # [m] edge of a cell
-    centre: Floats  # (3,) [m] of mass
+    center: Floats  # (3,) [m] of mass
     phase: Floats  # (3,) [cells] where the grid's node 0 lies, from the offset
     start: Mapping[str, Floats]  # v (N, 3), C and L (N, 3, 3): `start_motion`
     riders: Mapping[str, Ride]
@@ -79,7 +79,7 @@ def build_body(
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
     rows = at_rest.rows(particles.X)
     contact, ride = floor_contact(samples, particles, at_rest, rows, settings, per)
-    centre = m @ particles.X / m.sum()
+    center = m @ particles.X / m.sum()
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
@@ -91,8 +91,8 @@ def build_body(
         per=per,
         m=m,
         h=h,
-        centre=centre,
-        phase=(at_rest.origin - centre) / h,
+        center=center,
+        phase=(at_rest.origin - center) / h,
         start=start_motion(velocity, rows, at_rest),
         riders={name: board(X, particles.X) for name, X in (riders or {}).items()},
         contact=contact,
@@ -160,7 +160,7 @@ def floor_contact(
 
 def arrays(body: Body) -> dict[str, Floats]:
     """Every array of the kernels' pack but those of the grid, flat, at the start."""
-    X, per = body.particles.X - body.centre, body.per
+    X, per = body.particles.X - body.center, body.per
     n = len(X)
     whole = {
         name: np.zeros(n, int) for name in ("key", "rank", "order", "clamped", "stress_capped")

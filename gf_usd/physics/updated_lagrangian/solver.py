@@ -80,7 +80,7 @@ class UpdatedLagrangian(Solver):
             active = self._launch(substeps)
         state.done += substeps
         state.time += substeps * (self.frame_time / substeps)
-        state.recentre()
+        state.recenter()
         stats = FrameStats(
             clamped=int(state.get("clamped").sum()),
             stress_capped=int(state.get("stress_capped").sum()),

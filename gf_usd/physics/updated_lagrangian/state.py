@@ -25,7 +25,7 @@ class State(DeviceState):
 
         lift = np.asarray(body.settings.lift, float)
         saved = (*PARTICLES, "history") if body.law.set.flows else PARTICLES
-        super().__init__(arrays(body), body.real, saved, lift + body.centre)
+        super().__init__(arrays(body), body.real, saved, lift + body.center)
         self._body = body
         self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
         self.node_room = self.cell_room = 0
@@ -71,7 +71,7 @@ class State(DeviceState):
             f" {far.max():.4g} m from the others"
         )
 
-    def recentre(self) -> None:
+    def recenter(self) -> None:
         """Move whole cells of the mean position from x to the offset."""
         x, m, h = self.rows("x"), self._body.m, self._body.h
         if not np.isfinite(x).all():

@@ -23,7 +23,7 @@ from gf_usd.prepare.advice import AUTO, Auto, Question
 
 PICTURE = (512, 512)  # pixels of what an advisor sees: what vision models take in one tile
 Draw = Callable[[Scene, tuple[int, int]], Any]  # scene, size -> pixels (height, width, 3)
-GREY, ROUGHNESS = 0.5, 0.5  # where nothing says a color; of all surfaces in the picture
+GRAY, ROUGHNESS = 0.5, 0.5  # where nothing says a color; of all surfaces in the picture
 
 
 def parse_auto(material: str | None, preset: str | None) -> Auto | None:
@@ -137,20 +137,20 @@ def picture(asset: Asset, draw: Draw) -> bytes:
 def _mesh(surface: Surface) -> RenderMesh:
     """The triangles of a surface in their diffuse colors or textures."""
     count = len(surface.triangles)
-    colours = np.full((count, 3, 3), GREY)
-    if surface.triangle_colours is not None:
-        colours = np.array(surface.triangle_colours, float)
+    colors = np.full((count, 3, 3), GRAY)
+    if surface.triangle_colors is not None:
+        colors = np.array(surface.triangle_colors, float)
     skin, textures = np.full(count, -1), list[Texture]()
     bound = surface.triangle_materials
     for i, material in enumerate(surface.materials if bound is not None else ()):
         mine = np.asarray(bound) == i
         if material.texture is None:
-            colours[mine] = material.colour
+            colors[mine] = material.color
         elif surface.triangle_uvs is not None:
             skin[mine] = len(textures)
             textures.append(material.texture)
     return RenderMesh(
-        name=surface.path, points=surface.points, triangles=surface.triangles, colours=colours,
+        name=surface.path, points=surface.points, triangles=surface.triangles, colors=colors,
         uvs=surface.triangle_uvs, textures=tuple(textures), triangle_textures=skin,
         roughness=np.full(count, ROUGHNESS), metallic=np.zeros(count),
     )  # fmt: skip

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from gf_usd.system.sandbox import Limits
 
 # headings of docs/guide.md
-ASSET = "What and where"
+ASSET = "Asset and files"
 PARTICLES = "Particles"
 TIME = "Time"
 SCENE = "Scene"
 MATERIAL = "Material"
 METHOD = "Method"
-WRITE = "What to write and say"
+WRITE = "Output"
 
 # [h] `bake` refuses to take longer unasked.  Bakes of looks take minutes at 400k particles; what
 # takes hours is mostly a modulus in the wrong unit.
@@ -35,32 +35,33 @@ class AssetOptions:
     """What is baked, of what, and into which file."""
 
     material: Annotated[str | None, Option(
-        ASSET, "A preset (see gf-usd materials) or a USD file with a material; several with commas"
-        " become variants. auto: by names and labels; auto:NAME asks an advisor.",
+        ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several by"
+        " commas to get variants. auto: chosen by names and labels; auto:NAME: chosen by an"
+        " advisor.",
         shown="what the stage says, else rubber", short="-m", commands=INSPECT,
     )] = None
     output: Annotated[str | Path | None, Option(
-        ASSET, "Root layer, a package (.usdz), or a folder if it ends in / or is one.",
+        ASSET, "Root layer, a package (.usdz), or a folder if it ends in / or exists as one.",
         shown="NAME.MATERIAL.usda in this folder", short="-o", commands=BAKE,
     )] = None
     prims: Annotated[Sequence[str], Option(
-        ASSET, "Prim path to bake, repeatable.", shown="the default prim", commands=INSPECT,
+        ASSET, "Prim path to bake; repeatable.", shown="the default prim", commands=INSPECT,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
         ASSET, "Size of the file's unit [m], e.g. 0.01.",
         shown="what the file says; 1 for obj, ply, stl, off and splat files", commands=INSPECT,
     )] = None
     up_axis: Annotated[str | None, Option(
-        ASSET, "Y or Z; -Y or -Z for splat files that hang.",
+        ASSET, "Y or Z; -Y or -Z for splat files that appear upside down.",
         shown="what the file says; Y for obj, ply, off and splat files, Z for stl",
         commands=INSPECT,
     )] = None
     repair: Annotated[bool, Option(
-        ASSET, "For the fill, close small holes, unify winding, drop faces that bound nothing,"
-        " give sheets thickness; the mesh itself stays as it is.",
+        ASSET, "Before filling, close small holes, unify the winding, drop faces that bound nothing"
+        " and give sheets thickness; the mesh itself does not change.",
     )] = False
     law: Annotated[str | None, Option(
-        MATERIAL, "corotated or neoHookean.", shown="the material's",
+        MATERIAL, "Constitutive law: corotated or neoHookean.", shown="the material's",
     )] = None
 
 
@@ -69,26 +70,27 @@ class RequestOptions:
     """What a plan hangs on; None where nothing was said."""
 
     particles: Annotated[int | None, Option(
-        PARTICLES, "About how many particles.", shown="8000", above_zero=True, commands=INSPECT,
+        PARTICLES, "Approximate number of particles.", shown="8000", above_zero=True, commands=INSPECT,
     )] = None
     spacing: Annotated[float | None, Option(
-        PARTICLES, "Distance of particles [stage units].", above_zero=True, commands=INSPECT,
+        PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Of the random sampling.", shown="the stage's, else 0", low=0, commands=INSPECT,
+        PARTICLES, "Seed of the random sampling.", shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | None, Option(
-        TIME, "How many frames.", shown="13.6 T of the body", above_zero=True, commands=INSPECT,
+        TIME, "Number of frames.", shown="13.6 T of the body", above_zero=True, commands=INSPECT,
     )] = None
     fps: Annotated[float | None, Option(
         TIME, "Frames per second.", shown="the asset's, else 24", above_zero=True, commands=INSPECT,
     )] = None
     start: Annotated[float | None, Option(
-        TIME, "First time code.",
+        TIME, "Time code of the first frame.",
         shown="the asset's start, else 1", noun="time code", commands=INSPECT,
     )] = None
     time_scale: Annotated[str | None, Option(
-        TIME, "Simulated seconds per second of playback; auto plays any size like 1 m.",
+        TIME, "Simulated seconds per second of playback; auto plays a body of any size like one of"
+        " 1 m.",
         shown="1", parse=texts.parse_time_scale,
     )] = None
     drop: Annotated[str | None, Option(
@@ -97,113 +99,114 @@ class RequestOptions:
         parse=texts.parse_drop, commands=INSPECT,
     )] = None
     gravity: Annotated[str | None, Option(
-        SCENE, "[m/s^2] downward, or x,y,z.", shown="9.81", parse=texts.parse_gravity,
+        SCENE, "Gravity [m/s^2], downward, or a vector x,y,z.", shown="9.81", parse=texts.parse_gravity,
     )] = None
     floor: Annotated[str | None, Option(
-        SCENE, "none, its height [stage units], its normal x,y,z, or both: 0.5:0.2,1,0.",
+        SCENE, "none, a height [stage units], a normal x,y,z, or both: 0.5:0.2,1,0.",
         shown="0", parse=texts.parse_floor,
     )] = None
     drag: Annotated[float | None, Option(
-        SCENE, "On velocity [1/s].", shown="0", low=0.0, high=1e6,
+        SCENE, "Drag on velocity [1/s].", shown="0", low=0.0, high=1e6,
     )] = None
     device: Annotated[str, Option(METHOD, "cpu or cuda.", choices=("cpu", "cuda"))] = "cpu"
     threads: Annotated[int | None, Option(
         METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[Sequence[str], Option(
-        SCENE, "Hold a region, moving as the asset is animated; repeatable. A GeomSubset, a mesh"
-        " or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
+        SCENE, "Region with prescribed motion, that of the asset's animation; repeatable. A"
+        " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
         shown="nothing",
     )] = ()
     combine: Annotated[bool, Option(
-        SCENE, "All meshes are one body, also where they lie apart.", commands=INSPECT,
+        SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
     )] = False
-    self_contact: Annotated[bool, Option(SCENE, "A body meets itself, too.")] = False
+    self_contact: Annotated[bool, Option(SCENE, "Let bodies collide with themselves.")] = False
     damping_time: Annotated[float | None, Option(
-        MATERIAL, "Kelvin-Voigt damping [s].", shown="the material's", low=0.0, high=1e6,
+        MATERIAL, "Kelvin-Voigt damping time [s].", shown="the material's", low=0.0, high=1e6,
     )] = None
     friction: Annotated[float | None, Option(
-        MATERIAL, "Coulomb's.", shown="the material's", low=0.0, high=100.0,
+        MATERIAL, "Coulomb friction coefficient.", shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Of the contact springs, 0 to 1.", shown="the material's", low=0.0, high=1.0,
+        MATERIAL, "Restitution of the contact springs, 0 to 1.", shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Sequence[str], Option(
-        MATERIAL, "A preset for what rests in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
-        " repeatable, the later one goes first.",
+        MATERIAL, "Preset for the particles that rest in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
+        " repeatable, the later one applies.",
         shown="nothing", commands=INSPECT,
     )] = ()
     material_labels: Annotated[Sequence[str], Option(
-        MATERIAL, "A preset for captured Gaussians of a label, NAME=VALUE:PRESET; repeatable.",
+        MATERIAL, "Preset for captured Gaussians with a label, NAME=VALUE:PRESET; repeatable.",
         shown="nothing", commands=INSPECT,
     )] = ()
     blend_width: Annotated[float | None, Option(
-        MATERIAL, "Over which materials of one body turn into each other [stage units].",
+        MATERIAL, "Width of the transition between materials of one body [stage units].",
         shown="0", low=0.0, high=1e6,
     )] = None
     filter_rate: Annotated[float | None, Option(
-        METHOD, "Of the APIC filter [1/T]; inf or 0 are its limits.", shown="10", low=0.0,
+        METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
     )] = None
     skin: Annotated[str | None, Option(
-        METHOD, "How meshes follow: embed (the solver's grid), idw (nearest particles), paper (all"
-        " particles, GaussianFlesh eq. 6).",
+        METHOD, "How meshes follow the particles: embed (the solver's grid), idw (nearest particles),"
+        " paper (all particles, GaussianFlesh eq. 6).",
         shown="embed; paper with --preset paper", choices=("embed", "idw", "paper"),
     )] = None
     solver: Annotated[str | None, Option(
-        METHOD, "tl (Total Lagrangian), or ul (Updated Lagrangian MLS-MPM, to compare with).",
+        METHOD, "tl (Total Lagrangian) or ul (Updated Lagrangian MLS-MPM, for comparison).",
         shown="tl", choices=("tl", "ul"), commands=INSPECT,
     )] = None
-    no_shortcuts: Annotated[bool, Option(METHOD, "Simulate free flight and sleep, too.")] = False
+    no_shortcuts: Annotated[bool, Option(METHOD, "Simulate free flight and sleep as well.")] = False
     preset: Annotated[str | None, Option(
         METHOD, "paper: the set-up of the GaussianFlesh paper.", choices=("paper",),
     )] = None
     wls: Annotated[bool | None, Option(
-        METHOD, "Compute F anew from the particles' places once a frame (the paper's).",
+        METHOD, "Recompute F from the particle positions once a frame (paper).",
         shown="no; wls with --preset paper",
     )] = None
     procrustes: Annotated[float | None, Option(
-        METHOD, "Part of the way back to the rest shape a frame, 0 to 1 (the paper's).",
+        METHOD, "Shape correction per frame, 0 to 1 (paper).",
         shown="0; 0.02 for rubber with --preset paper", low=0.0, high=1.0,
     )] = None
     clamp: Annotated[str | None, Option(
-        METHOD, "LOW:HIGH, limits of the stretches that make stress, or none (the paper's).",
+        METHOD, "LOW:HIGH, limits of the stretches at which stress is evaluated, or none (paper).",
         shown="none; 0.2:5 with --preset paper", parse=texts.parse_clamp,
     )] = None
     stress_cap: Annotated[str | None, Option(
-        METHOD, "Largest stress |P| [Pa], or none (the paper's).",
+        METHOD, "Largest stress |P| [Pa], or none (paper).",
         shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap,
     )] = None
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
     only: Annotated[str | None, Option(
-        WRITE, "What is written: mesh, gaussians, points, or several with commas.",
+        WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
         shown="all three", parse=texts.parse_only,
     )] = None
     flatten: Annotated[bool, Option(
-        WRITE, "Write one file with the asset in it, instead of layers.",
+        WRITE, "Write one file that contains the asset, instead of layers.",
     )] = False
     half: Annotated[bool, Option(
-        WRITE, "Half precision for what of the Gaussians it is safe for.",
+        WRITE, "Store Gaussians in half precision where it is safe.",
     )] = False
     samples_per_frame: Annotated[int | None, Option(
-        WRITE, "Simulated states written a frame, for motion blur.", shown="1", low=1,
+        WRITE, "Simulated states written per frame, for motion blur.", shown="1", low=1,
     )] = None
     range: Annotated[str | None, Option(
-        WRITE, "FIRST:LAST, the time codes that are written; either may be left out.",
+        WRITE, "FIRST:LAST, time codes to write; either may be omitted.",
         shown="all", parse=texts.parse_range,
     )] = None
     handles: Annotated[int | None, Option(
-        WRITE, "Frames written before and after besides; before the start the rest pose is held.",
+        WRITE, "Additional frames written before and after; before the start they hold the rest"
+        " pose.",
         shown="0", low=0,
     )] = None
     clip_frames: Annotated[int | None, Option(
-        WRITE, "Split the cache into value clips of so many frames; 0: never.",
+        WRITE, "Split the cache into value clips of this many frames; 0: never.",
         shown="one file up to 2 GB", low=0,
     )] = None
     export_ply: Annotated[str | None, Option(
-        ASSET, "Folder for a sequence of 3DGS PLY files, one for each frame.", shown="none",
+        ASSET, "Folder for a sequence of 3DGS PLY files, one per frame.", shown="none",
     )] = None
-    export_spz: Annotated[str | None, Option(ASSET, "The same as SPZ files.", shown="none")] = None
+    export_spz: Annotated[str | None, Option(ASSET, "Folder for a sequence of SPZ files, one per frame.", shown="none")] = None
 
 
 @table
@@ -211,22 +214,22 @@ class BakeOptions(RequestOptions, AssetOptions):
     """All options of `gf_usd.bake`."""
 
     resume: Annotated[bool, Option(
-        WRITE, "Go on from the last full clip of this bake, if it ended early.", commands=BAKE,
+        WRITE, "Continue from the last full clip of this bake if it ended early.", commands=BAKE,
     )] = False
     slice: Annotated[int | None, Option(
-        WRITE, "End after so many full clips (status 5), to go on with --resume.",
+        WRITE, "End after this many full clips (status 5), to continue with --resume.",
         shown="never", low=1, commands=BAKE,
     )] = None
-    overwrite: Annotated[bool, Option(ASSET, "Replace results.", commands=BAKE)] = False
+    overwrite: Annotated[bool, Option(ASSET, "Replace existing results.", commands=BAKE)] = False
     strict: Annotated[bool, Option(
-        WRITE, "Warnings about the result are an error (status 4).", decides=False,
+        WRITE, "Treat warnings about the result as an error (status 4).", decides=False,
     )] = False
     max_hours: Annotated[float, Option(
         WRITE, "Refuse a bake that is estimated to take longer [h].", low=0.0, decides=False,
     )] = MAX_HOURS
     limits: Annotated["Limits | None", Option(
-        WRITE, "Of the process that tries an untrusted file first: time [s], memory [B], output"
-        " [B] as time=600,memory=32G; none reads it at once.",
+        WRITE, "Limits of the process that reads an untrusted file: time [s], memory [B], output"
+        " [B], as time=600,memory=32G; none: no such process.",
         shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False,
     )] = None
     progress: Callable[[int, int], None] | None = None  # told (frames done, frames in all)

@@ -1,6 +1,6 @@
 """What a mesh file holds, before it becomes USD: polygons, their nodes and their looks.
 
-Lengths are in the file's own unit, colours linear Rec. 709, texture coordinates with v = 0 at the
+Lengths are in the file's own unit, colors linear Rec. 709, texture coordinates with v = 0 at the
 bottom of the picture.  Matrices act on row vectors: x_parent = x M.
 
 trimesh as a parser: bytes in, named triangle meshes out, and its errors in our words.
@@ -41,7 +41,7 @@ class Slot:
     input: str  # diffuseColor, roughness, metallic, normal, emissiveColor, occlusion
     picture: Picture
     channel: str = "rgb"  # rgb, r, g, b or a
-    srgb: bool = True  # False: the texels are numbers, not colours
+    srgb: bool = True  # False: the texels are numbers, not colors
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wraps: tuple[str, str] = ("repeat", "repeat")  # repeat, clamp, mirror
@@ -56,7 +56,7 @@ class FileMaterial:
     name: str
     values: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
     slots: tuple[Slot, ...] = ()
-    mesh_colours: bool = False  # diffuseColor is the mesh's own displayColor
+    mesh_colors: bool = False  # diffuseColor is the mesh's own displayColor
     double_sided: bool = False
 
 
@@ -72,8 +72,8 @@ class FileMesh:
     uv_indices: Ints | None = None  # (C,) into uvs; None: uvs are one for each point
     normals: Floats | None = None  # (K, 3)
     normal_indices: Ints | None = None  # (C,) into normals; None: one for each point
-    colours: Floats | None = None  # (V, 3), or (P, 3) where per_face
-    colours_per_face: bool = False
+    colors: Floats | None = None  # (V, 3), or (P, 3) where per_face
+    colors_per_face: bool = False
     materials: Ints | None = None  # (P,) into MeshFile.materials; -1 none; None: none anywhere
     groups: tuple[tuple[str, Ints], ...] = ()  # named sets of faces
 

@@ -1,6 +1,6 @@
 """The materials of a glTF file as inputs of UsdPreviewSurface.
 
-Read are the metallic-roughness numbers and the textures of base colour, metal and roughness,
+Read are the metallic-roughness numbers and the textures of base color, metal and roughness,
 normal, emission and occlusion; of the older specular-glossiness only the diffuse part.  Alpha is
 not read.  A texture transform acts on the coordinates themselves: no reader need know of it.
 """
@@ -42,17 +42,15 @@ class GltfMaterials:
         """Picture files beside the asset."""
         return tuple(self._images.files)
 
-    def index(self, number: int | None, coloured: bool) -> int:
+    def index(self, number: int | None, colored: bool) -> int:
         """Into `used`: the look of a primitive; -1 for one that says nothing."""
-        if number is None and not coloured:
+        if number is None and not colored:
             return -1
         row = {} if number is None else self._gltf.row("materials", number)
         textured = "index" in _base(row)[1]
-        if coloured and textured:
-            self._notes.add(
-                "its vertex colours, which multiply a texture, are left out", _name(row)
-            )
-        key = (number, coloured and not textured)
+        if colored and textured:
+            self._notes.add("its vertex colors, which multiply a texture, are left out", _name(row))
+        key = (number, colored and not textured)
         if key not in self._made:
             self._made[key] = self._material(row, key[1])
         return list(self._made).index(key)
@@ -72,8 +70,8 @@ class GltfMaterials:
         u, v = _transformed(found[:, :2], transform).T
         return np.stack([u, 1.0 - v], axis=1)
 
-    def colours(self, primitive: Primitive) -> Floats | None:
-        """(V, 3) linear of COLOR_0 times the base colour; None without."""
+    def colors(self, primitive: Primitive) -> Floats | None:
+        """(V, 3) linear of COLOR_0 times the base color; None without."""
         found = primitive.attributes.get("COLOR_0")
         if found is None or not np.isfinite(found).all():
             return None
@@ -85,7 +83,7 @@ class GltfMaterials:
             return {}
         return self._gltf.row("materials", primitive.material)
 
-    def _material(self, row: dict[str, Any], mesh_colours: bool) -> FileMaterial:
+    def _material(self, row: dict[str, Any], mesh_colors: bool) -> FileMaterial:
         factor, base = _base(row)
         pbr = row.get("pbrMetallicRoughness", {})
         r, g, b = factor[:3]
@@ -117,7 +115,7 @@ class GltfMaterials:
             name=_name(row) or "material",
             values=values,
             slots=tuple(slot for slot in slots if slot is not None),
-            mesh_colours=mesh_colours,
+            mesh_colors=mesh_colors,
             double_sided=bool(row.get("doubleSided")),
         )
 
@@ -164,7 +162,7 @@ def _name(row: dict[str, Any]) -> str:
 
 
 def _base(row: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Base colour factor and texture."""
+    """Base color factor and texture."""
     glossy = row.get("extensions", {}).get(GLOSSY)
     if glossy is not None and "pbrMetallicRoughness" not in row:
         return glossy.get("diffuseFactor", WHITE), glossy.get("diffuseTexture", {})
@@ -173,7 +171,7 @@ def _base(row: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
 
 
 def _reference(row: dict[str, Any]) -> dict[str, Any]:
-    """The texture whose coordinates the mesh carries: base colour, else the first there is."""
+    """The texture whose coordinates the mesh carries: base color, else the first there is."""
     pbr = row.get("pbrMetallicRoughness", {})
     for info in (
         _base(row)[1],

@@ -28,7 +28,7 @@ from gf_usd.readers.notes import Notes
 
 
 def read_gltf(path: Path) -> MeshFile:
-    """The default scene of a glTF file: metres, Y up, as its standard says.
+    """The default scene of a glTF file: meters, Y up, as its standard says.
 
     Raises InputError for a file that is damaged, incomplete or needs what is not read.
     """
@@ -120,7 +120,7 @@ class _Scene:
             indices=indices.reshape(-1),
             uvs=_joined([self.materials.uvs(p) for p in primitives], primitives, 0.0),
             normals=self._normals(primitives, name),
-            colours=_joined([self.materials.colours(p) for p in primitives], primitives, 1.0),
+            colors=_joined([self.materials.colors(p) for p in primitives], primitives, 1.0),
             materials=np.concatenate(materials),
         )
 

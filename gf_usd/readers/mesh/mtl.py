@@ -35,16 +35,16 @@ def read_libraries(
     for text in dict.fromkeys(libraries):
         for path in _library_paths(obj, text):
             if not path.is_file():
-                notes.add(f"its material file {path.name} is missing: no colours from it")
+                notes.add(f"its material file {path.name} is missing: no colors from it")
                 continue
             read.append(path)
             for name, material in _Library(path, notes).materials().items():
                 found.setdefault(name, material)
     absent = [name for name in wanted if name not in found]
     if absent and read:
-        notes.add(f"material {', '.join(absent[:3])} is in none of its material files: no colour")
+        notes.add(f"material {', '.join(absent[:3])} is in none of its material files: no color")
     elif absent and not libraries:
-        notes.add(f"it names materials ({', '.join(absent[:3])}) but no material file: no colours")
+        notes.add(f"it names materials ({', '.join(absent[:3])}) but no material file: no colors")
     return {name: found[name] for name in wanted if name in found}, read
 
 
@@ -140,7 +140,7 @@ class _Library:
         picture = self._picture(name)
         if picture is None:
             self._notes.add(
-                f"its texture {name} does not exist: a constant colour instead",
+                f"its texture {name} does not exist: a constant color instead",
                 f"material {self._name}",
             )
             return

@@ -1,6 +1,6 @@
 """OBJ files (Wavefront): the statements of the text as tables.
 
-Read are v (with w, or with colours r g b), vt, vn, f with any number of corners and with indices
+Read are v (with w, or with colors r g b), vt, vn, f with any number of corners and with indices
 that count from the end, o, g, usemtl, mtllib, and lines that go on after a backslash.  Polygons
 stay polygons and seams stay seams: texture coordinates and normals keep their own indices.
 
@@ -186,7 +186,7 @@ class _Reader:
         points = self._table("v", 3)
         tables = Tables(
             points=points,
-            colours=self._colours(),
+            colors=self._colors(),
             uvs=self._table("vt", 2),
             normals=self._table("vn", 3),
             counts=np.array(self._counts),
@@ -215,7 +215,7 @@ class _Reader:
             raise self._error(line, f"{key} holds a number that is not finite{more}")
         return rows
 
-    def _colours(self) -> np.ndarray | None:
+    def _colors(self) -> np.ndarray | None:
         """(V, 3) sRGB as in the file: the last three of six or seven numbers of every v."""
         rows = self._rows["v"]
         if min(len(row) for row in rows) < 6:
@@ -245,7 +245,7 @@ class Tables:
     """An OBJ file as arrays; every index counts from 0 and is inside its table or NO_INDEX."""
 
     points: Floats  # (V, 3)
-    colours: Floats | None  # (V, 3) sRGB
+    colors: Floats | None  # (V, 3) sRGB
     uvs: Floats  # (U, 2)
     normals: Floats  # (K, 3)
     counts: Ints  # (P,)
@@ -314,9 +314,9 @@ def _mesh(
     points, indices, used = _points(tables, mine)
     uvs, uv_indices = _uvs(tables, mine, name, notes)
     normals, normal_indices = _normals(tables, mine, name, notes)
-    colours = None
-    if tables.colours is not None:
-        colours = srgb_to_linear(np.clip(tables.colours[used], 0.0, 1.0))
+    colors = None
+    if tables.colors is not None:
+        colors = srgb_to_linear(np.clip(tables.colors[used], 0.0, 1.0))
     own = materials[faces]
     return FileMesh(
         name=name,
@@ -327,7 +327,7 @@ def _mesh(
         uv_indices=uv_indices,
         normals=normals,
         normal_indices=normal_indices,
-        colours=colours,
+        colors=colors,
         materials=own if (own != NO_INDEX).any() else None,
         groups=groups,
     )

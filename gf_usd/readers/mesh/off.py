@@ -25,7 +25,7 @@ Rows = list[tuple[int, list[str]]]  # (line number, words)
 
 
 def read_off(path: Path) -> MeshFile:
-    """The polygons of an OFF or COFF file; colours are not read.
+    """The polygons of an OFF or COFF file; colors are not read.
 
     Raises InputError for counts that do not fit the lines, and for what is no number.
     """
@@ -49,7 +49,7 @@ def read_off(path: Path) -> MeshFile:
     if any(len(words) > 3 for _, words in vertices) or any(
         len(words) > 1 + count for (_, words), count in zip(faces, counts)
     ):
-        notes.add("its colours are not read")
+        notes.add("its colors are not read")
     mesh = FileMesh(
         name="mesh",
         points=np.array(points).reshape(-1, 3),

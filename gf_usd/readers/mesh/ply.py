@@ -52,7 +52,7 @@ UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
 def read_ply(path: Path) -> MeshFile:
-    """The polygons of a PLY file with their colours, normals and texture coordinates.
+    """The polygons of a PLY file with their colors, normals and texture coordinates.
 
     Raises InputError for a header or a body that is not what it says, and for a file that holds
     points without faces.
@@ -157,10 +157,10 @@ def _mesh(
     assert faces is not None
     corners = faces.values.astype(np.int64)
     uvs, uv_indices = _uvs(vertex, face, faces, notes)
-    colours, per_face = _colours(vertex), False
-    if colours is None:
-        colours = _colours(face)
-        per_face = colours is not None
+    colors, per_face = _colors(vertex), False
+    if colors is None:
+        colors = _colors(face)
+        per_face = colors is not None
     normals = _columns(vertex, ("nx", "ny", "nz"))
     if normals is not None and not np.isfinite(normals).all():
         notes.add("its normals are not all finite: left out")
@@ -177,8 +177,8 @@ def _mesh(
         uvs=uvs,
         uv_indices=uv_indices,
         normals=normals,
-        colours=colours,
-        colours_per_face=per_face,
+        colors=colors,
+        colors_per_face=per_face,
         materials=np.zeros(len(faces.counts), np.int64) if textured and uvs is not None else None,
     )
 
@@ -191,16 +191,16 @@ def _columns(table: dict[str, Floats | Ragged], names: tuple[str, ...]) -> Float
     return np.stack([np.asarray(column, np.float64) for column in found], axis=1)
 
 
-def _colours(table: dict[str, Floats | Ragged]) -> Floats | None:
+def _colors(table: dict[str, Floats | Ragged]) -> Floats | None:
     """(n, 3) linear: whole numbers are sRGB up to the type's largest, fractions linear."""
     first = table.get("red")
-    colours = _columns(table, ("red", "green", "blue"))
-    if colours is None or not np.isfinite(colours).all():
+    colors = _columns(table, ("red", "green", "blue"))
+    if colors is None or not np.isfinite(colors).all():
         return None
     kind = np.asarray(first).dtype
     if kind.kind in "iu":
-        return srgb_to_linear(np.clip(colours / np.iinfo(kind).max, 0.0, 1.0))
-    return np.clip(colours, 0.0, 1.0)
+        return srgb_to_linear(np.clip(colors / np.iinfo(kind).max, 0.0, 1.0))
+    return np.clip(colors, 0.0, 1.0)
 
 
 def _uvs(

@@ -309,10 +309,10 @@ def _write_mesh(prim: UsdGeom.Mesh, mesh: FileMesh, file: MeshFile, materials: l
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     _write_normals(prim, mesh)
     _write_uvs(prim, mesh)
-    if mesh.colours is not None:
-        kind = UsdGeom.Tokens.uniform if mesh.colours_per_face else UsdGeom.Tokens.vertex
-        colours = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.colours, np.float32))
-        prim.CreateDisplayColorPrimvar(kind).Set(colours)
+    if mesh.colors is not None:
+        kind = UsdGeom.Tokens.uniform if mesh.colors_per_face else UsdGeom.Tokens.vertex
+        colors = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.colors, np.float32))
+        prim.CreateDisplayColorPrimvar(kind).Set(colors)
     if mesh.materials is not None:
         numbers = [int(n) for n in np.unique(mesh.materials) if n >= 0]
         faces = [(n, np.flatnonzero(mesh.materials == n).tolist()) for n in numbers]
@@ -405,8 +405,8 @@ def write_material(
         surface.CreateInput(name, INPUTS[name]).Set(
             Gf.Vec3f(*value) if isinstance(value, tuple) else value
         )
-    if material.mesh_colours:
-        reader = _shader(stage, path.AppendChild("colours"), "UsdPrimvarReader_float3")
+    if material.mesh_colors:
+        reader = _shader(stage, path.AppendChild("colors"), "UsdPrimvarReader_float3")
         reader.CreateInput("varname", Types.String).Set("displayColor")
         _connect(surface, "diffuseColor", reader, "result", Types.Float3)
     if material.slots:

@@ -1,6 +1,6 @@
 """Gaussians and points of a stage at one time, as pictures show them.
 
-A Surface as a picture shows it: colours, textures, roughness and metal at each triangle.
+A Surface as a picture shows it: colors, textures, roughness and metal at each triangle.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ SPLAT_TYPE = "ParticleField3DGaussianSplat"
 Y_0 = 0.28209479177387814  # the value of the spherical harmonic of degree 0
 
 
-GREY = 0.5  # linear, where nothing says a colour
+GRAY = 0.5  # linear, where nothing says a color
 
 
 def is_ours(prim: Usd.Prim) -> bool:
-    """True for particles that a bake wrote: their colours are albedo, to be lit."""
+    """True for particles that a bake wrote: their colors are albedo, to be lit."""
     return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
@@ -37,7 +37,7 @@ def read_splats(
     notes: Notes,
     measured: Floats | None = None,
 ) -> RenderSplats:
-    """The Gaussians of a ParticleField3DGaussianSplat, world, in metres; `measured` (N,) as well.
+    """The Gaussians of a ParticleField3DGaussianSplat, world, in meters; `measured` (N,) as well.
 
     Raises LeftAlone where there are none, or where an array has another length than positions.
     """
@@ -61,8 +61,8 @@ def read_splats(
     local = gaussian_axes(orientations[:, [3, 0, 1, 2]], scales)
     linear = place.matrix[:3, :3].T * unit
     harmonics = _harmonics(prim, time, count, place, notes)
-    base = GREY + Y_0 * harmonics.coefficients[:, 0]
-    colours = srgb_to_linear(base) if harmonics.srgb else base
+    base = GRAY + Y_0 * harmonics.coefficients[:, 0]
+    colors = srgb_to_linear(base) if harmonics.srgb else base
     finite = np.isfinite(positions).all(axis=1) & np.isfinite(local).all(axis=(1, 2))
     finite &= np.isfinite(harmonics.coefficients).all(axis=(1, 2)) & np.isfinite(opacities[:, 0])
     if not finite.all():
@@ -72,7 +72,7 @@ def read_splats(
         name=where,
         positions=place.points(positions[finite]) * unit,
         axes=linear @ local[finite],
-        colours=np.maximum(colours[finite], 0.0),
+        colors=np.maximum(colors[finite], 0.0),
         opacities=np.clip(opacities[finite, 0], 0.0, 1.0),
         lit=is_ours(prim),
         harmonics=None
@@ -93,7 +93,7 @@ def as_ellipsoids(splats: RenderSplats) -> RenderEllipsoids:
         name=splats.name,
         positions=splats.positions[keep],
         axes=(splats.axes * grown[:, None, :])[keep],
-        colours=splats.colours[keep],
+        colors=splats.colors[keep],
         values=None if splats.values is None else splats.values[keep],
     )
 
@@ -106,7 +106,7 @@ def read_points(
     notes: Notes,
     measured: Floats | None = None,
 ) -> RenderEllipsoids:
-    """The Points of a prim as balls of their widths, world, in metres; `measured` (N,) as well.
+    """The Points of a prim as balls of their widths, world, in meters; `measured` (N,) as well.
 
     Raises LeftAlone where there are none.
     """
@@ -122,7 +122,7 @@ def read_points(
         size = float(np.ptp(positions, axis=0).max())
         notes.add("has no usable widths: 1/100 of its size is shown", where)
         width = np.array([0.01 * size])
-    colours = _display_colours(prim, time, count)
+    colors = _display_colors(prim, time, count)
     radius = 0.5 * np.broadcast_to(width, (count,))
     keep = np.isfinite(positions).all(axis=1) & (radius > 0.0)
     if not keep.all():
@@ -132,7 +132,7 @@ def read_points(
         name=where,
         positions=place.points(positions[keep]) * unit,
         axes=linear * radius[keep, None, None],
-        colours=colours[keep],
+        colors=colors[keep],
         values=None if measured is None else measured[keep],
     )
 
@@ -159,7 +159,7 @@ def _harmonics(
         if values is not None:
             notes.add(
                 f"{len(values)} spherical harmonics coefficients are fewer than {each} for each "
-                f"of {count} Gaussians: grey instead",
+                f"of {count} Gaussians: gray instead",
                 str(prim.GetPath()),
             )
         coefficients = np.zeros((count, 1, 3))
@@ -172,25 +172,25 @@ def _harmonics(
 
 
 def _is_srgb(prim: Usd.Prim, notes: Notes) -> bool:
-    """How radiance is encoded: as the colour space says; bakes of ours are linear."""
+    """How radiance is encoded: as the color space says; bakes of ours are linear."""
     attribute = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
     space = str(Usd.ColorSpaceAPI.ComputeColorSpaceName(attribute, None) or "")
     if not space and not is_ours(prim):
         notes.add(
-            "no colour space is authored: sRGB is assumed, as in captured Gaussians",
+            "no color space is authored: sRGB is assumed, as in captured Gaussians",
             str(prim.GetPath()),
         )
         return True
     return space.startswith("srgb")
 
 
-def _display_colours(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> Floats:
-    """(N, 3) of displayColor, constant or one a point; grey where it is missing."""
+def _display_colors(prim: Usd.Prim, time: Usd.TimeCode, count: int) -> Floats:
+    """(N, 3) of displayColor, constant or one a point; gray where it is missing."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     flat = primvar.ComputeFlattened(time) if primvar and primvar.HasValue() else None
     values = np.asarray([] if flat is None else flat, dtype=np.float64).reshape(-1, 3)
     if len(values) not in (1, count) or not np.isfinite(values).all():
-        values = np.full((1, 3), GREY)
+        values = np.full((1, 3), GRAY)
     return np.broadcast_to(values, (count, 3))
 
 
@@ -202,9 +202,9 @@ CREASE_SUBDIVIDED = 80.0  # [deg] for the cage of a subdivision surface, which i
 def to_render_mesh(surface: Surface, stage: Usd.Stage, time: Usd.TimeCode) -> RenderMesh:
     """The triangles of a surface with what is bound to them."""
     count = len(surface.triangles)
-    colours = np.full((count, 3, 3), GREY)
-    if surface.triangle_colours is not None:
-        colours = np.array(surface.triangle_colours, dtype=np.float64)
+    colors = np.full((count, 3, 3), GRAY)
+    if surface.triangle_colors is not None:
+        colors = np.array(surface.triangle_colors, dtype=np.float64)
     skin = np.full(count, -1)
     finish = np.tile(FINISH, (count, 1))
     textures: list[Texture] = []
@@ -216,14 +216,14 @@ def to_render_mesh(surface: Surface, stage: Usd.Stage, time: Usd.TimeCode) -> Re
                 skin[mine] = len(textures)
                 textures.append(material.texture)
             else:
-                colours[mine] = material.colour
+                colors[mine] = material.color
     return RenderMesh(
         name=surface.path,
         points=surface.points,
         triangles=surface.triangles,
         normals=_corner_normals(surface),
         crease_angle=_crease(stage.GetPrimAtPath(surface.path)),
-        colours=colours,
+        colors=colors,
         uvs=surface.triangle_uvs,
         textures=tuple(textures),
         triangle_textures=skin,

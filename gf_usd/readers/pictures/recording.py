@@ -220,7 +220,7 @@ class BakedMotion:
         kept = masses is not None and len(masses) == count
         return GaussianSet(
             name=first.name,
-            colours=first.colours,
+            colors=first.colors,
             opacities=first.opacities,
             rest_scales=scales,
             masses=np.asarray(masses, dtype=np.float64) * units.mass if kept else None,

@@ -71,13 +71,13 @@ class PictureStage:
     show : "mesh", "splats", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
         splats, gaussians and points that is there.
     camera : prim path of a camera of the stage; None: pictures bring their own.
-    colour : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
+    color : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
 
     Raises
     ------
     InputError : no such file, not USD, nothing of that kind is visible in it, no such camera, or
         the bake does not hold the quantity.
-    UsageError : an unknown `show` or `colour`.
+    UsageError : an unknown `show` or `color`.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class PictureStage:
         show: str | None = None,
         *,
         camera: str | None = None,
-        colour: str | None = None,
+        color: str | None = None,
     ) -> None:
         if show is not None and show not in SHOWS:
             raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
@@ -105,7 +105,7 @@ class PictureStage:
             self._prims = self._visible(SHOWS[self.show][0])
             self._camera = find_camera(self._stage, path, camera) if camera else None
             pressure = self._facts.units.pressure
-            self.values = Values(self._stage, colour, path, pressure) if colour else None
+            self.values = Values(self._stage, color, path, pressure) if color else None
         if not self._prims:
             there = ", ".join(sorted({kind for kind, _ in self._all()})) or "nothing to draw"
             raise InputError(

@@ -1,4 +1,4 @@
-"""What colours a picture of a bake: strain or stress of its particles, and of meshes by them.
+"""What colors a picture of a bake: strain or stress of its particles, and of meshes by them.
 
 How much particles are stretched: from deformation gradients, or from their motion alone.
 """
@@ -25,7 +25,7 @@ MEASURES = {"strain": "largest |stretch - 1|", "stress": "von Mises"}
 UNITS = {"strain": "", "stress": "Pa"}
 MOST = 99.0  # [%] of the particles that the range holds in every frame
 LOOKS = 48  # times at which a longer motion is looked at
-NEIGHBOURS = 8  # particles that a mesh vertex takes its value from
+NEIGHBORS = 8  # particles that a mesh vertex takes its value from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,33 +56,33 @@ class Values:
     def __init__(self, stage: Usd.Stage, what: str, path: Path, pressure: float) -> None:
         if what not in MEASURES:
             raise UsageError(
-                f"Unknown --colour {what}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
+                f"Unknown --color {what}.", f"choose one of: {', '.join((*MEASURES, 'none'))}"
             )
         walk = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
         clouds = [p for p in walk if str(p.GetTypeName()) == SPLAT_TYPE and is_ours(p)]
         self._carriers = [_carrier(prim) for prim in clouds]
         if not self._carriers:
             raise InputError(
-                f"{path}: there are no particles of a bake in it, which --colour {what} needs.",
+                f"{path}: there are no particles of a bake in it, which --color {what} needs.",
                 "give a file that gf-usd bake wrote, with its variant gaussianFlesh not none",
             )
         bare = [c for c in self._carriers if not c.prim.GetAttribute(STRESS).HasValue()]
         if what == "stress" and bare:
             raise InputError(
                 f"{path}: <{bare[0].prim.GetPath()}> holds no stress ({STRESS}).",
-                "bake with --stress, or use --colour strain",
+                "bake with --stress, or use --color strain",
             )
         self.what = what
         self.notes: list[str] = []
         self._scale = pressure if what == "stress" else 1.0
-        self._fits: dict[str, NeighbourFit] = {}
+        self._fits: dict[str, NeighborFit] = {}
         self._skins: dict[str, tuple[NDArray[np.int64], Floats]] = {}
         for carrier in self._carriers:
             if what == "strain" and not carrier.prim.GetAttribute(GRADIENTS).HasValue():
                 where = str(carrier.prim.GetPath())
-                self._fits[where] = NeighbourFit(carrier.rest)
+                self._fits[where] = NeighborFit(carrier.rest)
                 self.notes.append(
-                    f"{where}: strain is fitted to the motion of neighbouring particles, for the "
+                    f"{where}: strain is fitted to the motion of neighboring particles, for the "
                     "bake holds no deformation gradients (bake with --deformation-gradients)"
                 )
 
@@ -164,10 +164,10 @@ def _carrier(prim: Usd.Prim) -> Carrier:
 def _nearest(vertices: Floats, particles: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Index and weight (V, k) of the particles that each vertex takes its value from.
 
-    Weights are 1 / (d^2 + d_k^2 / 4) with d_k the distance of the farthest, normalised: smooth,
+    Weights are 1 / (d^2 + d_k^2 / 4) with d_k the distance of the farthest, normalized: smooth,
     without a peak at each particle.
     """
-    k = min(NEIGHBOURS, len(particles))
+    k = min(NEIGHBORS, len(particles))
     distance, index = cKDTree(particles).query(vertices, k=k)
     distance, index = distance.reshape(-1, k), index.reshape(-1, k)
     far = np.maximum(distance[:, -1:], 1e-30)
@@ -176,7 +176,7 @@ def _nearest(vertices: Floats, particles: Floats) -> tuple[NDArray[np.int64], Fl
 
 
 STRAIN_NEIGHBORS = 20  # of a particle in a fit: about two shells of a lattice
-FLATTEST = 1e-2  # of the largest spread: along a thinner direction neighbours tell nothing
+FLATTEST = 1e-2  # of the largest spread: along a thinner direction neighbors tell nothing
 
 
 def largest_stretch(gradients: Floats) -> NDArray[np.float64]:
@@ -192,13 +192,13 @@ def largest_stretch(gradients: Floats) -> NDArray[np.float64]:
     return out
 
 
-class NeighbourFit:
-    """F of each particle as the best linear map of its neighbours' offsets.
+class NeighborFit:
+    """F of each particle as the best linear map of its neighbors' offsets.
 
     With offsets dX at rest and dx now, and weights w = 1 - (|dX| / 1.1 |dX_far|)^2, the map
         F = (sum w dx dX') (sum w dX dX')^-1
-    minimises sum w |dx - F dX|^2 [moving least squares].  It is exact for affine motion, and a
-    mean over the neighbourhood otherwise.  A direction in which the neighbours hardly spread (a
+    minimizes sum w |dx - F dX|^2 [moving least squares].  It is exact for affine motion, and a
+    mean over the neighborhood otherwise.  A direction in which the neighbors hardly spread (a
     sheet one particle thick) is taken as not stretched.
 
     Parameters

@@ -1,7 +1,7 @@
 """3D Gaussian splats in PLY files, as 3DGS and its heirs write them.
 
 Per vertex: x y z; scale_0..2 (natural logarithm of the standard deviation); rot_0..3 (w, x, y, z,
-not normalised); opacity (a logit); f_dc_0..2 (coefficients of degree 0, one a colour); f_rest_*
+not normalized); opacity (a logit); f_dc_0..2 (coefficients of degree 0, one a color); f_rest_*
 (the higher degrees, all of red first, then green, then blue).  Any other column of whole numbers is
 a label.  The packed layout of PlayCanvas is
 read by `splat_packed`.
@@ -9,7 +9,7 @@ read by `splat_packed`.
 The packed PLY layout of PlayCanvas and SuperSplat (``.compressed.ply``).
 
 Every 256 Gaussians share a row of the element chunk with the limits of their positions, logarithmic
-scales and colours (0..1 in older files); each has four 32-bit words of the vertex element:
+scales and colors (0..1 in older files); each has four 32-bit words of the vertex element:
 
     packed_position, packed_scale   x, y, z in 11, 10, 11 bits between the limits, x on top
     packed_rotation                 index of the largest of (w, x, y, z) in 2 bits, the others in
@@ -166,8 +166,8 @@ def unpack(path: Path, tables: dict[str, Table]) -> Splats:
     logs = _between(
         path, chunk, rows, ("scale_x", "scale_y", "scale_z"), _bits(words["scale"], XYZ)
     )
-    colour = _bits(words["color"], BYTES)
-    base = colour[:, :3]
+    color = _bits(words["color"], BYTES)
+    base = color[:, :3]
     if "min_r" in chunk:
         base = _between(path, chunk, rows, ("r", "g", "b"), base)
     degree, rest = _packed_rest(path, tables.get("sh", {}), count)
@@ -178,7 +178,7 @@ def unpack(path: Path, tables: dict[str, Table]) -> Splats:
         positions=positions.astype(np.float32),
         orientations=_rotations(words["rotation"]),
         scales=np.exp(logs),
-        opacities=colour[:, 3],
+        opacities=color[:, 3],
         harmonics=harmonics,
     )
 

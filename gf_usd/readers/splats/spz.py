@@ -7,7 +7,7 @@
     rotations   x, y, z as bytes b / 127.5 - 1, w >= 0 (versions 1 and 2); from version 3 on a word
                 with the index of the largest of (x, y, z, w) and the others as sign and 9 bits of
                 |q| sqrt(2)
-    sh          a byte for each coefficient and colour: (b - 128) / 128, colours together
+    sh          a byte for each coefficient and color: (b - 128) / 128, colors together
 
 The axes are right, up, back: Y is up.
 
@@ -35,7 +35,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, refuse_pointer
 
-COLOUR = 0.15
+COLOR = 0.15
 
 
 def read_spz(path: Path) -> Splats:
@@ -46,10 +46,10 @@ def read_spz(path: Path) -> Splats:
     data = path.read_bytes()
     refuse_pointer(path, data)
     header, blocks = read_blocks(path, data)
-    places, alphas, colours, scales, rotations, rest = blocks
+    places, alphas, colors, scales, rotations, rest = blocks
     turns = smallest_three if header.version >= 3 else _first_three
     harmonics = np.empty((header.count, (header.degree + 1) ** 2, 3), np.float32)
-    harmonics[:, 0] = (colours / 255.0 - 0.5) / COLOUR
+    harmonics[:, 0] = (colors / 255.0 - 0.5) / COLOR
     harmonics[:, 1:] = ((rest - 128.0) / 128.0).reshape(header.count, -1, 3)
     return Splats(
         positions=_positions(places, header.version, header.bits),
@@ -111,7 +111,7 @@ class Header:
 
     @property
     def widths(self) -> tuple[int, ...]:
-        """Bytes a Gaussian of positions, alphas, colours, scales, rotations and harmonics."""
+        """Bytes a Gaussian of positions, alphas, colors, scales, rotations and harmonics."""
         place, turn = (6 if self.version == 1 else 9), (4 if self.version >= 3 else 3)
         return place, 1, 3, 3, turn, 3 * self.degree * (self.degree + 2)
 

@@ -124,12 +124,12 @@ def _around(k: int) -> int:
 
 
 def _disc(radius: float, height: float) -> Rings:
-    """From the centre to the rim."""
+    """From the center to the rim."""
     return [(_around(k), radius * k / RINGS, height) for k in range(RINGS + 1)]
 
 
 def _bowl(radius: float, height: float) -> Rings:
-    """From the lowest point of a half sphere, centred at `height`, to its rim."""
+    """From the lowest point of a half sphere, centered at `height`, to its rim."""
     angle = 0.5 * np.pi * np.arange(RINGS + 1) / RINGS
     return [
         (_around(k), radius * float(np.sin(a)), height - radius * float(np.cos(a)))

@@ -18,7 +18,7 @@ from gf_usd.core.mesh import triangulate
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.primvars import Corners
-from gf_usd.readers.usd.shading import Looks, colours
+from gf_usd.readers.usd.shading import Looks, colors
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
 
@@ -48,7 +48,7 @@ class Polygons:
 
 
 def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
-    """The Surface of a Mesh or implicit prim, in metres, world.
+    """The Surface of a Mesh or implicit prim, in meters, world.
 
     Raises InputError for broken data (prim path and numbers in it) and LeftAlone for a prim
     without a surface.
@@ -76,7 +76,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     normals = read_normals(
         prim, place, points, where, polygons.counts, polygons.indices, reading.time, reading.notes
     )
-    look = colours(prim, where, reading.looks, reading.time, reading.notes)
+    look = colors(prim, where, reading.looks, reading.time, reading.notes)
     return Surface(
         path=str(prim.GetPath()),
         type_name=str(prim.GetTypeName()),
@@ -88,7 +88,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         normals=normals.values,
         normals_interpolation=normals.interpolation,
         normal_points=normals.carriers,
-        triangle_colours=look.colours,
+        triangle_colors=look.colors,
         triangle_uvs=look.uvs,
         triangle_materials=look.indices,
         materials=look.materials,

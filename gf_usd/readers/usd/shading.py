@@ -1,6 +1,6 @@
 """The diffuse look of bound materials: a constant, a texture or a primvar of the mesh.
 
-The colours of a mesh: displayColor, bound materials, texture coordinates.
+The colors of a mesh: displayColor, bound materials, texture coordinates.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gf_usd.core.asset import SurfaceMaterial, Texture
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.primvars import Corners, primvar_at_corners
 
-GREY = (0.18, 0.18, 0.18)  # the fallback of UsdPreviewSurface's diffuseColor
+GRAY = (0.18, 0.18, 0.18)  # the fallback of UsdPreviewSurface's diffuseColor
 MAX_TRANSFORMS = 16  # UsdTransform2d nodes in a row; a longer chain is a loop
 
 
@@ -40,8 +40,8 @@ class Look:
 
     material: SurfaceMaterial
     place: TexturePlace | None = None  # of material.texture
-    colour_primvar: str = ""  # the diffuse colour is this primvar of the mesh
-    understood: bool = True  # False: another shading language; the colour is only a stand-in
+    color_primvar: str = ""  # the diffuse color is this primvar of the mesh
+    understood: bool = True  # False: another shading language; the color is only a stand-in
 
 
 class Looks:
@@ -79,26 +79,26 @@ class Looks:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetShaderId() != "UsdPreviewSurface":
             kind = self._kind(material, shader)
-            self._notes.add(f"{kind} is not read: displayColor or grey instead", path)
-            return Look(material=SurfaceMaterial(path=path, colour=GREY), understood=False)
+            self._notes.add(f"{kind} is not read: displayColor or gray instead", path)
+            return Look(material=SurfaceMaterial(path=path, color=GRAY), understood=False)
         diffuse = shader.GetInput("diffuseColor")
-        colour = _color(self._value(diffuse), GREY)
+        color = _color(self._value(diffuse), GRAY)
         source = self._source(diffuse)
         if source is None:
-            return Look(material=SurfaceMaterial(path=path, colour=colour))
+            return Look(material=SurfaceMaterial(path=path, color=color))
         node, output = source
         if node.GetShaderId() == "UsdUVTexture":
-            return self._textured(path, node, output, colour)
+            return self._textured(path, node, output, color)
         if node.GetShaderId() == "UsdPrimvarReader_float3":
             name = str(self._input(node, "varname") or "")
-            colour = _color(self._input(node, "fallback"), colour)
-            return Look(material=SurfaceMaterial(path=path, colour=colour), colour_primvar=name)
+            color = _color(self._input(node, "fallback"), color)
+            return Look(material=SurfaceMaterial(path=path, color=color), color_primvar=name)
         self._notes.add(
             f"diffuseColor comes from {node.GetShaderId() or 'an unknown shader'}, which is not "
-            "read: a constant colour instead",
+            "read: a constant color instead",
             path,
         )
-        return Look(material=SurfaceMaterial(path=path, colour=colour))
+        return Look(material=SurfaceMaterial(path=path, color=color))
 
     def _kind(self, material: UsdShade.Material, shader: UsdShade.Shader) -> str:
         """Words for a surface shader that is not UsdPreviewSurface."""
@@ -109,7 +109,7 @@ class Looks:
         return f"a {' and '.join(named)} shader" if named else "a material without a surface shader"
 
     def _textured(
-        self, path: str, node: UsdShade.Shader, output: str, colour: tuple[float, float, float]
+        self, path: str, node: UsdShade.Shader, output: str, color: tuple[float, float, float]
     ) -> Look:
         from gf_usd.readers.usd.texture import (
             Unreadable,
@@ -117,10 +117,10 @@ class Looks:
         )
 
         authored = self._input(node, "fallback")
-        constant = SurfaceMaterial(path=path, colour=_color(authored, colour))
+        constant = SurfaceMaterial(path=path, color=_color(authored, color))
         asset = self._input(node, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
-            self._notes.add("its texture names no file: a constant colour instead", path)
+            self._notes.add("its texture names no file: a constant color instead", path)
             return Look(material=constant)
         options = {
             "space": str(self._input(node, "sourceColorSpace") or "auto"),
@@ -134,9 +134,9 @@ class Looks:
             if key not in self._textures:
                 self._textures[key] = load_texture(asset, **options)
         except Unreadable as error:
-            self._notes.add(f"{error}: a constant colour instead", path)
+            self._notes.add(f"{error}: a constant color instead", path)
             return Look(material=constant)
-        material = SurfaceMaterial(path=path, colour=colour, texture=self._textures[key])
+        material = SurfaceMaterial(path=path, color=color, texture=self._textures[key])
         return Look(material=material, place=self._place(path, node.GetInput("st")))
 
     def _place(self, path: str, st: UsdShade.Input) -> TexturePlace:
@@ -201,7 +201,7 @@ class Looks:
 
 
 def _color(value: object, otherwise: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The first three numbers of a colour of three or four."""
+    """The first three numbers of a color of three or four."""
     if value is None:
         return otherwise
     numbers = np.asarray(value, dtype=np.float64).reshape(-1)
@@ -218,19 +218,19 @@ def _pair(value: object, otherwise: float) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Colours:
-    """Fields of a Surface that say its colour."""
+class Colors:
+    """Fields of a Surface that say its color."""
 
-    colours: Floats | None  # (T, 3, 3) linear
+    colors: Floats | None  # (T, 3, 3) linear
     uvs: Floats | None  # (T, 3, 2)
     indices: Ints | None  # (T,) into materials, -1 none
     materials: tuple[SurfaceMaterial, ...]
 
 
-def colours(
+def colors(
     prim: Usd.Prim, corners: Corners, looks: Looks, time: Usd.TimeCode, notes: Notes
-) -> Colours:
-    """What colours each triangle of `prim`; None in each field where nothing is authored."""
+) -> Colors:
+    """What colors each triangle of `prim`; None in each field where nothing is authored."""
     display = primvar_at_corners(prim, "displayColor", 3, corners, time, notes)
     bound, of_face = _bindings(prim, corners.n_faces, looks, time, notes)
     indices = of_face[corners.faces]
@@ -239,8 +239,8 @@ def colours(
     slots = np.full(len(bound) + 1, -1)  # the last is for faces without a material
     for i, look in enumerate(bound):
         mine = indices == i
-        if look.colour_primvar and mine.any():
-            named = primvar_at_corners(prim, look.colour_primvar, 3, corners, time, notes)
+        if look.color_primvar and mine.any():
+            named = primvar_at_corners(prim, look.color_primvar, 3, corners, time, notes)
             if named is not None:
                 display = np.full(named.shape, 0.5) if display is None else display.copy()
                 display[mine] = named[mine]
@@ -252,8 +252,8 @@ def colours(
             uvs[mine] = _texture_coordinates(prim, look, corners, time, notes)[mine]
         slots[i] = len(materials)
         materials.append(look.material)
-    return Colours(
-        colours=display,
+    return Colors(
+        colors=display,
         uvs=uvs,
         indices=slots[indices] if materials else None,
         materials=tuple(materials),

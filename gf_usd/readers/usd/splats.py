@@ -1,7 +1,7 @@
 """Captured Gaussians of a stage: ParticleField3DGaussianSplat prims, and layers made of them.
 
 Every attribute may be there in float or in half precision; float is preferred, as UsdVol says.
-What is missing has UsdVol's fallback: no rotation, unit scale, opaque, grey.
+What is missing has UsdVol's fallback: no rotation, unit scale, opaque, gray.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _harmonics(
     if values is not None:
         notes.add(
             f"{len(values)} spherical harmonics coefficients are fewer than {each} for each of "
-            f"{count} Gaussians: grey instead",
+            f"{count} Gaussians: gray instead",
             str(prim.GetPath()),
         )
     return np.zeros((count, 1, 3), np.float32), half

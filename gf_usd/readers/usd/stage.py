@@ -192,13 +192,13 @@ def _meters_per_unit(
         if not (math.isfinite(override) and override > 0.0):
             raise InputError(
                 f"--meters-per-unit {override:g} is not a size",
-                "give the size of the file's unit in metres, e.g. 0.01 for centimetres",
+                "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
             )
         notes.add(f"metersPerUnit = {override:g}, as asked for")
         return override, OPTION
     authored = _positive(stage, path, "metersPerUnit")
     if authored is None:
-        notes.add("metersPerUnit is not authored: 0.01 (centimetres) is assumed, as USD says")
+        notes.add("metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says")
         return float(UsdGeom.LinearUnits.centimeters), ASSUMED
     return authored, FILE
 
@@ -265,7 +265,7 @@ class Placement:
         return points @ self.matrix[:3, :3] + self.matrix[3, :3]
 
     def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
-        """(K, 3) local to world by the inverse transpose, not normalised.
+        """(K, 3) local to world by the inverse transpose, not normalized.
 
         `carriers` (K,): the point whose place each normal has; a rigid placement needs it not.
         """

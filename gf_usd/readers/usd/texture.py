@@ -23,7 +23,7 @@ UNREADABLE = (
     struct.error,
     Image.DecompressionBombError,
 )
-COLOUR_MODES = ("RGB", "RGBA", "RGBX", "P", "CMYK", "YCbCr")
+COLOR_MODES = ("RGB", "RGBA", "RGBX", "P", "CMYK", "YCbCr")
 WRAPS = ("repeat", "clamp", "mirror", "black")
 
 
@@ -40,14 +40,14 @@ def load_texture(
     bias: NDArray[np.float64],
     channel: str,
 ) -> Texture:
-    """The picture as colours.
+    """The picture as colors.
 
     Parameters
     ----------
     asset : the authored path with what it resolved to.
-    space : "sRGB", "raw" or "auto" (sRGB for 8-bit colour pictures, as UsdPreviewSurface says).
+    space : "sRGB", "raw" or "auto" (sRGB for 8-bit color pictures, as UsdPreviewSurface says).
     wraps : along s and t; anything unknown repeats.
-    scale, bias : (3,) of linear colours; applied to the pixels where they are not 1 and 0.
+    scale, bias : (3,) of linear colors; applied to the pixels where they are not 1 and 0.
     channel : output that is read: "rgb", or one of "r", "g", "b", "a" spread over all three.
 
     Raises Unreadable for a file that is missing, or that Pillow does not understand.
@@ -57,7 +57,7 @@ def load_texture(
     if not asset.resolvedPath:
         raise Unreadable(f"texture {asset.path} does not exist")
     picture = _picture(asset)
-    srgb = space == "sRGB" or (space != "raw" and picture.mode in COLOUR_MODES)
+    srgb = space == "sRGB" or (space != "raw" and picture.mode in COLOR_MODES)
     pixels = _pixels(picture, channel)
     if not (np.allclose(scale, 1.0) and np.allclose(bias, 0.0)):
         pixels = _adjusted(pixels, srgb, scale, bias)
@@ -88,11 +88,11 @@ def _short(error: Exception) -> str:
 def _pixels(picture: Image.Image, channel: str) -> NDArray[np.uint8]:
     """(H, W, 3), 16-bit and float pictures brought to 8 bits."""
     if picture.mode.startswith("I"):
-        grey = np.clip(np.asarray(picture, dtype=np.float64) / 257.0, 0.0, 255.0)
-        return np.repeat(np.round(grey).astype(np.uint8)[:, :, None], 3, axis=2)
+        gray = np.clip(np.asarray(picture, dtype=np.float64) / 257.0, 0.0, 255.0)
+        return np.repeat(np.round(gray).astype(np.uint8)[:, :, None], 3, axis=2)
     if picture.mode == "F":
-        grey = np.clip(np.nan_to_num(np.asarray(picture, dtype=np.float64)), 0.0, 1.0)
-        return np.repeat(np.round(255.0 * grey).astype(np.uint8)[:, :, None], 3, axis=2)
+        gray = np.clip(np.nan_to_num(np.asarray(picture, dtype=np.float64)), 0.0, 1.0)
+        return np.repeat(np.round(255.0 * gray).astype(np.uint8)[:, :, None], 3, axis=2)
     if channel == "rgb":
         return np.asarray(picture.convert("RGB"))
     plane = np.asarray(picture.convert("RGBA"))[:, :, "rgba".index(channel)]

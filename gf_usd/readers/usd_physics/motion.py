@@ -25,7 +25,7 @@ SHAPE = (
 
 
 class NoLooks(Looks):
-    """Nothing is bound to anything: a shape is read without its colours."""
+    """Nothing is bound to anything: a shape is read without its colors."""
 
     def bound(self, prim: Usd.Prim) -> Look | None:
         """None."""

@@ -23,7 +23,7 @@ class Drop:
 
     height: float  # least, of the mesh, over the height at rest
     sigma: float  # least mean of the smallest stretch
-    centre: float  # [r] lowest place of the centre of mass
+    center: float  # [r] lowest place of the center of mass
     rebound: float  # [r] highest place of it after that
     gain: float  # largest energy over that at the start
 
@@ -41,18 +41,18 @@ def drop(solver: str, particles: int, device: str) -> Drop:
     made = [look("rubber", body)]
     skin = sphere()
     run = make_solver(s, body, made, samples=samples, riders={"skin": skin.points})
-    heights, sigmas, centres, energies = [], [], [], []
+    heights, sigmas, centers, energies = [], [], [], []
     for frame in run.frames():
         heights.append(np.ptp(frame.riders["skin"].x[:, 1]))
         sigmas.append(strains(frame.particles.F)[0][:, 0].mean())
-        centres.append(frame.health.centre[1])
+        centers.append(frame.health.center[1])
         energies.append(energy(frame.health))
-    low = int(np.argmin(centres))
+    low = int(np.argmin(centers))
     return Drop(
         height=float(min(heights) / heights[0]),
         sigma=float(min(sigmas)),
-        centre=float(centres[low]),
-        rebound=float(max(centres[low:])),
+        center=float(centers[low]),
+        rebound=float(max(centers[low:])),
         gain=float(max(energies) / energies[0]),
     )
 
@@ -66,12 +66,12 @@ def sides(particles: int) -> Callable[[str], Iterator[Measure]]:
         for name, bound, why in (
             ("height", 0.015, f"{grid}: at this count a mesh height changes by 1 % with them"),
             ("sigma", 0.005, f"a mean over all particles; {grid}"),
-            ("centre", 0.005, f"the same contact on both; {grid}"),
+            ("center", 0.005, f"the same contact on both; {grid}"),
         ):
             a, b = getattr(tl, name), getattr(ul, name)
             yield Measure(
                 name=f"{name}.ul-beside-tl", value=b, target=a, bound=bound, why=why,
-                unit="r" if name == "centre" else "",
+                unit="r" if name == "center" else "",
             )  # fmt: skip
         yield Measure(
             name="rebound.tl-over-ul",

@@ -27,22 +27,22 @@ class Lens:
     width: int
     height: int
     near: float  # [m]
-    centre: tuple[float, float]  # [samples] where the view axis meets the picture
+    center: tuple[float, float]  # [samples] where the view axis meets the picture
     skew: float = 0.0  # [samples] see gf_usd.view.raster.sample_at
 
     def clip(self, points: Floats) -> NDArray[np.float64]:
         """(V, 3) homogeneous samples (X, Y, w) of points (V, 3) relative to the origin.
 
-        w is the depth [m]; X / w runs to the right and Y / w down, sample centres at halves.
+        w is the depth [m]; X / w runs to the right and Y / w down, sample centers at halves.
         """
         x, y, w = self.axes @ (np.asarray(points, dtype=np.float64) - self.eye).T
-        across = self.focal * x + self.centre[0] * w
-        down = self.centre[1] * w - self.focal * y
+        across = self.focal * x + self.center[0] * w
+        down = self.center[1] * w - self.focal * y
         return np.ascontiguousarray(np.stack([across, down, w], axis=1))
 
     def packed(self) -> NDArray[np.float64]:
-        """(17,) eye, right, up, forward, focal, centre x and y, near, skew: as the kernels read."""
-        rest = (self.focal, *self.centre, self.near, self.skew)
+        """(17,) eye, right, up, forward, focal, center x and y, near, skew: as the kernels read."""
+        rest = (self.focal, *self.center, self.near, self.skew)
         return np.concatenate([self.eye, self.axes.ravel(), rest])
 
 
@@ -72,7 +72,7 @@ def lens(camera: Camera, width: int, height: int, origin: Floats, oversampling: 
         focal=focal,
         width=width,
         height=height,
-        centre=(0.5 * width - focal * camera.shift[0], 0.5 * height + focal * camera.shift[1]),
+        center=(0.5 * width - focal * camera.shift[0], 0.5 * height + focal * camera.shift[1]),
         near=NEAR * distance,
         skew=0.25 if oversampling == 2 else 0.0,
     )

@@ -13,7 +13,7 @@ from gf_usd.view.render.raster import F32_1, F32_2, F32_3, part, row, to_map, ve
 ti = import_taichi()
 
 # slots of the look array, three numbers each, then single ones (filled in gf_usd.view.mesh)
-UP, KEY_DIR, KEY, FILL_DIR, FILL, SKY, BOUNCE, CENTRE, EDGE = (3 * i for i in range(9))
+UP, KEY_DIR, KEY, FILL_DIR, FILL, SKY, BOUNCE, CENTER, EDGE = (3 * i for i in range(9))
 MAP_X, MAP_Y, MAP_O, RADIUS, FLOOR, MAP_HALF, KEY_SPREAD, LOOK_SIZE = 27, 30, 33, 36, 37, 38, 39, 40
 
 

@@ -8,7 +8,7 @@ Triangles are drawn by homogeneous edge functions [Olano and Greer 1997]: with c
 p = (X, Y, w) in clip space and the sample r = (x, y, 1), e_0 = r . (p_1 x p_2) and cyclic;
 then w = det(p_0, p_1, p_2) / sum e_i is the depth and b_i = w e_i / det are the barycentric
 coordinates in space, so interpolation is perspective-correct and nothing needs clipping.  Two
-neighbours evaluate their shared edge to exactly opposite numbers: no cracks, no double cover.
+neighbors evaluate their shared edge to exactly opposite numbers: no cracks, no double cover.
 """
 
 from gf_usd.system.taichi_runtime import import_taichi
@@ -126,9 +126,9 @@ def view_ray(camera: ti.template(), x, y):
 
 
 @ti.func
-def hit_ellipsoid(camera: ti.template(), centre: ti.template(), inverse: ti.template(), i, d):
+def hit_ellipsoid(camera: ti.template(), center: ti.template(), inverse: ti.template(), i, d):
     """First s > 0 with |M (eye + s d - c)| = 1, else -1, and the point of the unit sphere."""
-    o = part(camera, 0) - double(row(centre, i))
+    o = part(camera, 0) - double(row(center, i))
     q = dvec3(0.0, 0.0, 0.0)
     m = dvec3(0.0, 0.0, 0.0)
     for k in ti.static(range(3)):
@@ -146,11 +146,11 @@ def hit_ellipsoid(camera: ti.template(), centre: ti.template(), inverse: ti.temp
 
 @ti.kernel
 def draw_ellipsoids(
-    centre: F32_2, inverse: F32_2, reach: F32_1, camera: F64_1, first: ti.i32, key: I64_2
+    center: F32_2, inverse: F32_2, reach: F32_1, camera: F64_1, first: ti.i32, key: I64_2
 ):
     """Depth-test ellipsoids |M (x - c)| = 1, M (N, 9), within reach (N,) of c; ids from first."""
-    for i in range(centre.shape[0]):
-        o = double(row(centre, i)) - part(camera, 0)
+    for i in range(center.shape[0]):
+        o = double(row(center, i)) - part(camera, 0)
         z = o.dot(part(camera, 9))
         near = camera[15]
         if z + reach[i] > near:
@@ -169,7 +169,7 @@ def draw_ellipsoids(
                 for x in range(x0, x1 + 1):
                     sx, sy = sample_at(x, y, camera[16])
                     d = view_ray(camera, sx, sy)
-                    s, _ = hit_ellipsoid(camera, centre, inverse, i, d)
+                    s, _ = hit_ellipsoid(camera, center, inverse, i, d)
                     if s > near:
                         ti.atomic_min(key[y, x], depth_key(s, first + i))
 
@@ -210,15 +210,15 @@ def shadow_triangles(points: F32_2, tri: I32_2, frames: F32_2, radius: ti.f32, d
 
 
 @ti.kernel
-def shadow_blobs(centre: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32, depth: F32_3):
+def shadow_blobs(center: F32_2, covariance: F32_2, frames: F32_2, radius: ti.f32, depth: F32_3):
     """Depth of ellipsoids x' C^-1 x = 1, C (N, 6) = xx xy xz yy yz zz, as tilted discs.
 
     A disc lies where the ellipsoid is widest along the light: at the mean of z given x and y.
     """
-    count, size = centre.shape[0], depth.shape[1]
+    count, size = center.shape[0], depth.shape[1]
     for job in range(frames.shape[0] * count):
         light, i = job // count, job % count
-        p = to_map(frames, light, row(centre, i), radius, size)
+        p = to_map(frames, light, row(center, i), radius, size)
         k = 0.5 * size / radius
         u, v, w = vec3(0.0), vec3(0.0), vec3(0.0)
         towards = ti.Vector([frames[light, 6], frames[light, 7], frames[light, 8]])

@@ -90,7 +90,7 @@ def _join_splats(
         name=" ".join(cloud.name for cloud in clouds),
         positions=np.concatenate([cloud.positions for cloud in clouds]),
         axes=np.concatenate([cloud.axes for cloud in clouds]),
-        colours=np.concatenate([cloud.colours for cloud in clouds]),
+        colors=np.concatenate([cloud.colors for cloud in clouds]),
         opacities=np.concatenate([cloud.opacities for cloud in clouds]),
     )
     return joined, radiance
@@ -101,24 +101,24 @@ def _radiance(cloud: RenderSplats, lit: Lit, view: Lens) -> NDArray[np.float32]:
 
     The normal of a splat is its shortest axis, on the side that sees more light: which side is
     outside is not known, and at the rim of a body it is the one that faces away.  Light is
-    gathered half a splat above it, for its neighbours overlap it.
+    gathered half a splat above it, for its neighbors overlap it.
     """
     local = cloud.positions - view.origin
     if not cloud.lit:
-        colours = cloud.colours
+        colors = cloud.colors
         if cloud.harmonics is not None:
-            colours = seen_from(cloud.harmonics, local - view.eye)
-        return untone(colours).astype(np.float32)
+            colors = seen_from(cloud.harmonics, local - view.eye)
+        return untone(colors).astype(np.float32)
     length = np.linalg.norm(cloud.axes, axis=1)
     shortest = np.argmin(length, axis=1)[:, None, None]
     normals = np.take_along_axis(np.asarray(cloud.axes), shortest, axis=2)[..., 0]
     normals = normals / np.maximum(length.min(axis=1, keepdims=True), 1e-30)
     half = 0.5 * length.max(axis=1, keepdims=True)
     light = [irradiance(lit, local + half * side, side) for side in (normals, -normals)]
-    return cloud.colours.astype(np.float32) * np.maximum(*light)
+    return cloud.colors.astype(np.float32) * np.maximum(*light)
 
 
-KNEE = 0.65  # below it colours stay as they are
+KNEE = 0.65  # below it colors stay as they are
 
 
 def tone(linear: Floats) -> NDArray[np.floating]:

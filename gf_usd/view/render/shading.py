@@ -1,5 +1,5 @@
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
-"""The colour of each pixel: the mean over its samples of what they see.
+"""The color of each pixel: the mean over its samples of what they see.
 
 The floor is the background itself, darkened by the light it lacks: there is no horizon.
 
@@ -8,7 +8,7 @@ Texture look-ups inside kernels: wrapping, bilinear, and the mean over a sample'
 
 from gf_usd.system.taichi_runtime import import_taichi
 from gf_usd.view.render.lighting import (
-    CENTRE,
+    CENTER,
     EDGE,
     FLOOR,
     RADIUS,
@@ -82,7 +82,7 @@ def pair(uvs: ti.template(), t, b):
 def backdrop(look: ti.template(), x, y):
     """The studio wall: light in the middle, darker at the corners; x, y in -1..1."""
     t = smooth(0.15, 1.55, ti.sqrt(x * x + (y - 0.12) * (y - 0.12)))
-    return part(look, CENTRE) * (1.0 - t) + part(look, EDGE) * t
+    return part(look, CENTER) * (1.0 - t) + part(look, EDGE) * t
 
 
 @ti.func
@@ -106,14 +106,14 @@ def shade(
     tri: I32_2,
     points: F32_2,
     normals: F32_2,
-    colours: F32_2,
+    colors: F32_2,
     uvs: F32_2,
     finish: F32_2,
     skin: I32_1,
     texels: F32_2,
     levels: I32_2,
     kinds: I32_2,
-    centre: F32_2,
+    center: F32_2,
     inverse: F32_2,
     tint: F32_2,
     look: F32_1,
@@ -125,11 +125,11 @@ def shade(
     out: F32_3,
     seen: F32_2,
 ):
-    """Resolve keys (H s, W s) into linear colour out (H, W, 3) and depth seen (H, W).
+    """Resolve keys (H s, W s) into linear color out (H, W, 3) and depth seen (H, W).
 
     The depth is that of the farthest sample: a pixel on an outline hides nothing behind it.
 
-    Triangles have normals and colours (T, 9), uvs (T, 6), finish (T, 2) roughness and metallic,
+    Triangles have normals and colors (T, 9), uvs (T, 6), finish (T, 2) roughness and metallic,
     skin (T,) texture or -1; ids from T on are ellipsoids with tint (N, 3).
     """
     for py, px in ti.ndrange(out.shape[0], out.shape[1]):
@@ -142,19 +142,19 @@ def shade(
             sx, sy = sample_at(x, y, camera[16])
             d = view_ray(camera, sx, sy)
             v = -1.0 * single(d).normalized()
-            colour = vec3(0.0)
+            color = vec3(0.0)
             nearness = ti.cast(key[y, x] >> 32, ti.i32)
             if nearness == EMPTY_BITS:
                 farthest = 3e38
                 a = ti.cast(2.0 * sx / key.shape[1] - 1.0, ti.f32)
                 b = ti.cast(1.0 - 2.0 * sy / key.shape[0], ti.f32)
-                colour = backdrop(look, a, b)
+                color = backdrop(look, a, b)
                 up = double(part(look, UP))
                 height = part(camera, 0).dot(up) - look[FLOOR]
                 fall = -d.dot(up)
                 if height > 0.0 and fall > 1e-6 * d.norm():
                     p = single(part(camera, 0) + height / fall * d)
-                    colour *= floor_factor(look, floor, p)
+                    color *= floor_factor(look, floor, p)
             else:
                 item = ti.cast(key[y, x], ti.i32)
                 farthest = ti.max(farthest, ti.bit_cast(nearness, ti.f32))
@@ -166,7 +166,7 @@ def shade(
                     p2 = row(points, tri[item, 2])
                     p = w[0] * p0 + w[1] * p1 + w[2] * p2
                     n = facing(triple(normals, item, w), (p1 - p0).cross(p2 - p0), v)
-                    albedo = triple(colours, item, w)
+                    albedo = triple(colors, item, w)
                     rough, metal = finish[item, 0], finish[item, 1]
                     if skin[item] >= 0:
                         uv = pair(uvs, item, w)
@@ -175,7 +175,7 @@ def shade(
                         albedo = textured(texels, levels, kinds, skin[item], uv, du, dv)
                 else:
                     i = item - tri.shape[0]
-                    t, q = hit_ellipsoid(camera, centre, inverse, i, d)
+                    t, q = hit_ellipsoid(camera, center, inverse, i, d)
                     p = single(part(camera, 0) + t * d)
                     # the gradient of |M (x - c)|^2 is M' q
                     for k in ti.static(range(3)):
@@ -183,13 +183,13 @@ def shade(
                             n[k] += inverse[i, 3 * j + k] * ti.cast(q[j], ti.f32)
                     n = n.normalized()
                     albedo = row(tint, i)
-                # neighbouring samples of one smooth patch see the same light
+                # neighboring samples of one smooth patch see the same light
                 if lit_id != item or n.dot(lit_n) < SAME_PATCH:
                     sun = key_seen(p, n, frames, keys, key_depth, look[RADIUS])
                     sky = dome_seen(p, n, frames, keys, dome_depth, look[RADIUS])
                     lit_id, lit_n = item, n
-                colour = lit(look, floor, p, n, v, albedo, rough, metal, sun, sky)
-            total += ti.min(colour, BRIGHTEST)
+                color = lit(look, floor, p, n, v, albedo, rough, metal, sun, sky)
+            total += ti.min(color, BRIGHTEST)
         for k in ti.static(range(3)):
             out[py, px, k] = total[k] / (oversampling * oversampling)
         seen[py, px] = farthest
@@ -215,7 +215,7 @@ def wrapped(i, size, kind):
 
 @ti.func
 def bilinear(texels: ti.template(), levels: ti.template(), kinds: ti.template(), k, level, uv):
-    """Texture k at one mip level, texel centres at halves."""
+    """Texture k at one mip level, texel centers at halves."""
     start, w, h = (
         levels[k * LEVELS + level, 0],
         levels[k * LEVELS + level, 1],

@@ -46,9 +46,9 @@ def project(splats: RenderSplats, lens: Lens) -> Projected:
     kept = np.flatnonzero((z > lens.near) & (np.asarray(splats.opacities) > FAINTEST))
     kept = kept[np.argsort(z[kept], kind="stable")]
     x, y, z = x[kept], y[kept], z[kept]
-    # beyond the picture's edge the linearised projection grows without bound: hold it there
+    # beyond the picture's edge the linearized projection grows without bound: hold it there
     middle = 0.5 * np.array([lens.width, lens.height])
-    limit = (1.3 * middle + np.abs(middle - lens.centre)) / lens.focal
+    limit = (1.3 * middle + np.abs(middle - lens.center)) / lens.focal
     slope_x, slope_y = np.clip(x / z, -limit[0], limit[0]), np.clip(y / z, -limit[1], limit[1])
     zero = np.zeros_like(z)
     jacobian = np.stack(
@@ -62,8 +62,8 @@ def project(splats: RenderSplats, lens: Lens) -> Projected:
     sharp = np.maximum(plane[:, 0, 0] * plane[:, 1, 1] - xy**2, 0.0)
     opacity = np.asarray(splats.opacities)[kept] * np.sqrt(sharp / det)
     reach = np.sqrt(np.maximum(2.0 * np.log(np.maximum(opacity, 1e-30) / FAINTEST), 0.0))
-    px = lens.centre[0] + lens.focal * x / z
-    py = lens.centre[1] - lens.focal * y / z
+    px = lens.center[0] + lens.focal * x / z
+    py = lens.center[1] - lens.focal * y / z
     shape = np.stack([px, py, yy / det, -xy / det, xx / det, opacity, z], axis=1)
     half = reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1))
     return Projected(shape=shape.astype(np.float32), half=half, order=kept)
@@ -74,9 +74,9 @@ def tile_lists(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Splats of each tile, nearest first: `entries`, and `start` (tiles + 1,) of each tile."""
     across, down = -(-width // TILE), -(-height // TILE)
-    centre = projected.shape[:, :2].astype(np.float64)
-    low = np.clip(np.floor((centre - projected.half) / TILE), 0, (across, down)).astype(np.int64)
-    high = np.clip(np.floor((centre + projected.half) / TILE) + 1, 0, (across, down))
+    center = projected.shape[:, :2].astype(np.float64)
+    low = np.clip(np.floor((center - projected.half) / TILE), 0, (across, down)).astype(np.int64)
+    high = np.clip(np.floor((center + projected.half) / TILE) + 1, 0, (across, down))
     span = np.maximum(high.astype(np.int64) - low, 0) * (projected.half[:, :1] > 0)
     count = span[:, 0] * span[:, 1]
     splat = np.repeat(np.arange(len(count)), count)
@@ -109,13 +109,13 @@ def draw_splats(
     entries, start = tile_lists(projected, lens.width, lens.height)
     if not len(entries):
         return
-    colours = np.ascontiguousarray(np.asarray(radiance)[projected.order], dtype=np.float32)
-    composite(projected.shape, colours, entries, start, seen, picture)
+    colors = np.ascontiguousarray(np.asarray(radiance)[projected.order], dtype=np.float32)
+    composite(projected.shape, colors, entries, start, seen, picture)
 
 
 @ti.kernel
 def composite(
-    shape: F32_2, colours: F32_2, entries: I32_1, start: I32_1, seen: F32_2, picture: F32_3
+    shape: F32_2, colors: F32_2, entries: I32_1, start: I32_1, seen: F32_2, picture: F32_3
 ):
     """c = sum_i c_i a_i prod_{j<i} (1 - a_j) + (1 - all) background, a = o exp(-d' C^-1 d / 2)."""
     height, width = picture.shape[0], picture.shape[1]
@@ -126,7 +126,7 @@ def composite(
         y = (tile // across) * TILE + inner // TILE
         if x < width and y < height:
             through = 1.0
-            colour = vec3(0.0)
+            color = vec3(0.0)
             k, end = start[tile], start[tile + 1]
             while k < end:
                 i = entries[k]
@@ -139,14 +139,14 @@ def composite(
                     alpha = shape[i, 5] * ti.exp(-0.5 * (power + dy * dy * shape[i, 4]))
                     if alpha >= FAINTEST:
                         for c in ti.static(range(3)):
-                            colour[c] += through * alpha * colours[i, c]
+                            color[c] += through * alpha * colors[i, c]
                         through *= 1.0 - alpha
             for c in ti.static(range(3)):
-                picture[y, x, c] = colour[c] + through * picture[y, x, c]
+                picture[y, x, c] = color[c] + through * picture[y, x, c]
 
 
 def seen_from(harmonics: Harmonics, towards: Floats) -> NDArray[np.floating]:
-    """Linear colour (N, 3) = 0.5 + sum_k c_k Y_k(d) of splats seen along `towards` (N, 3)."""
+    """Linear color (N, 3) = 0.5 + sum_k c_k Y_k(d) of splats seen along `towards` (N, 3)."""
     local = towards @ np.asarray(harmonics.frame).T
     local = local / np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
     used = min(harmonics.coefficients.shape[1], (DEGREE + 1) ** 2)

@@ -61,9 +61,9 @@ def _depths(packed: Packed, frames: NDArray[np.float32], size: int) -> NDArray[n
     depth = np.full((len(frames), size, size), FAR, dtype=np.float32)
     if packed.n_triangles:
         raster.shadow_triangles(packed.points, packed.triangles, frames, packed.radius, depth)
-    if len(packed.blob_centres):
+    if len(packed.blob_centers):
         raster.shadow_blobs(
-            packed.blob_centres, packed.blob_covariances, frames, packed.radius, depth
+            packed.blob_centers, packed.blob_covariances, frames, packed.radius, depth
         )
     return depth
 
@@ -79,7 +79,7 @@ def draw_surfaces(
 
     Returns
     -------
-    colour (H, W, 3) linear, and depth (H, W) [m] behind which each pixel hides everything.
+    color (H, W, 3) linear, and depth (H, W) [m] behind which each pixel hides everything.
     """
     height, width = lens.height // oversampling, lens.width // oversampling
     key = np.full((lens.height, lens.width), raster.EMPTY, dtype=np.int64)
@@ -88,16 +88,16 @@ def draw_surfaces(
         raster.draw_triangles(clip, packed.triangles, lens.near, lens.skew, key)
     if packed.n_ellipsoids:
         raster.draw_ellipsoids(
-            packed.centres, packed.inverses, packed.reach, camera, len(packed.triangles), key
+            packed.centers, packed.inverses, packed.reach, camera, len(packed.triangles), key
         )
     out = np.empty((height, width, 3), dtype=np.float32)
     seen = np.empty((height, width), dtype=np.float32)
     shading.shade(
         key, oversampling, camera,
-        clip, packed.triangles, packed.points, packed.normals, packed.colours, packed.uvs,
+        clip, packed.triangles, packed.points, packed.normals, packed.colors, packed.uvs,
         packed.finish, packed.skin,
         packed.atlas.texels, packed.atlas.levels, packed.atlas.kinds,
-        packed.centres, packed.inverses, packed.tint,
+        packed.centers, packed.inverses, packed.tint,
         lit.look, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
         out, seen,
     )  # fmt: skip
@@ -131,14 +131,14 @@ def _look(scene: Scene, packed: Packed, rig: Rig) -> NDArray[np.float32]:
     put(lighting.FILL, rig.fill.radiance if rig.fill else (0.0, 0.0, 0.0))
     put(lighting.SKY, SKY)
     put(lighting.BOUNCE, BOUNCE)
-    put(lighting.CENTRE, BACKDROP)
+    put(lighting.CENTER, BACKDROP)
     put(lighting.EDGE, BACKDROP_EDGE)
     look[lighting.RADIUS] = packed.radius
     look[lighting.KEY_SPREAD] = np.tan(np.radians(rig.key.angle))
 
     # the floor's map holds the footprint and the key's shadow, which falls away from the light
-    centre_height = float(packed.origin @ up)
-    ground = FAR if scene.ground is None else scene.ground - centre_height
+    center_height = float(packed.origin @ up)
+    ground = FAR if scene.ground is None else scene.ground - center_height
     look[lighting.FLOOR] = ground
     slope = max(float(key @ up), 0.1)
     drop = 0.0 if scene.ground is None else max(-float(ground), 0.0)
@@ -170,16 +170,16 @@ class Packed:
     points: Single  # (V, 3) [m]
     triangles: Index  # (T, 3)
     normals: Single  # (T, 9)
-    colours: Single  # (T, 9) linear
+    colors: Single  # (T, 9) linear
     uvs: Single  # (T, 6)
     finish: Single  # (T, 2) roughness, metallic
     skin: Index  # (T,) into the atlas, or -1
     atlas: Atlas
-    centres: Single  # (N, 3) [m] of ellipsoids
+    centers: Single  # (N, 3) [m] of ellipsoids
     inverses: Single  # (N, 9) [1/m]
     reach: Single  # (N,) [m] longest semi-axis
     tint: Single  # (N, 3) linear
-    blob_centres: Single  # (B, 3) [m] of what shades as a flat ellipse
+    blob_centers: Single  # (B, 3) [m] of what shades as a flat ellipse
     blob_covariances: Single  # (B, 6) [m^2] xx xy xz yy yz zz
 
 
@@ -217,7 +217,7 @@ def pack(scene: Scene) -> Packed:
     axes = _join([np.asarray(c.axes, dtype=np.float64) for c in clouds], (3, 3), np.float64)
     blobs = [_ellipsoid_blobs(c) for c in clouds] + [_splat_blobs(s) for s in scene.splats]
     triangles = _join([m.triangles + b for m, b in zip(meshes, vertex_base)], (3,), np.int32)
-    centres = _join([c.positions - origin for c in clouds], (3,))
+    centers = _join([c.positions - origin for c in clouds], (3,))
     return Packed(
         origin=origin,
         radius=1.02 * float(offsets.max(initial=0.0)) or 1.0,
@@ -226,16 +226,16 @@ def pack(scene: Scene) -> Packed:
         points=_join([mesh.points - origin for mesh in meshes], (3,)),
         triangles=triangles,
         normals=_join([_normals(mesh) for mesh in meshes], (9,)),
-        colours=_join([_per_triangle(mesh, mesh.colours, (3, 3)) for mesh in meshes], (9,)),
+        colors=_join([_per_triangle(mesh, mesh.colors, (3, 3)) for mesh in meshes], (9,)),
         uvs=_join([_uvs(mesh) for mesh in meshes], (6,)),
         finish=_join([_finish(mesh) for mesh in meshes], (2,)),
         skin=_join([_skin(m, b) for m, b in zip(meshes, texture_base)], (), np.int32),
         atlas=make_atlas(_textures(meshes)),
-        centres=centres,
+        centers=centers,
         inverses=_join([np.linalg.inv(axes).reshape(-1, 9)] if clouds else [], (9,)),
         reach=_join([np.linalg.norm(axes, ord=2, axis=(1, 2))] if clouds else [], ()),
-        tint=_join([cloud.colours for cloud in clouds], (3,)),
-        blob_centres=_join([p - origin for p, _ in blobs], (3,), at_least=0),
+        tint=_join([cloud.colors for cloud in clouds], (3,)),
+        blob_centers=_join([p - origin for p, _ in blobs], (3,), at_least=0),
         blob_covariances=_join([c for _, c in blobs], (6,), at_least=0),
     )
 

@@ -37,15 +37,15 @@ def unit_for(values: Sequence[float | None], units: Sequence[tuple[float, str]])
 def _height(motion: Motion, record: Record) -> Plot:
     up = motion.recording.up
     known = motion.curves
-    centre = [
-        None if (c := frame.get("centre")) is None else sum(a * b for a, b in zip(c, up))
+    center = [
+        None if (c := frame.get("center")) is None else sum(a * b for a, b in zip(c, up))
         for frame in record.frames
     ]
     curves = [
         _geometry(motion, "highest", known.get("highest")),
-        _health(motion, record, "centre of mass", centre)
-        if any(c is not None for c in centre)
-        else _geometry(motion, "centre", known.get("centre")),
+        _health(motion, record, "center of mass", center)
+        if any(c is not None for c in center)
+        else _geometry(motion, "center", known.get("center")),
         _geometry(motion, "lowest", known.get("lowest")),
     ]
     plot = _plot("Height", "of the body, along the up axis", curves, LENGTHS)

@@ -87,7 +87,7 @@ ICONS = {
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2")
 SHORT = 2.0  # [s] a motion as short as that starts at half speed
 MODES = {
-    "colour": "own colour",
+    "color": "own color",
     "strain": "strain",
     "speed": "speed",
     "stress": "stress",
@@ -177,7 +177,7 @@ def _controls(speed: str) -> Html:
             class_="group",
             id="kinds",
         ),
-        tag("label", "colour ", _choice("mode", list(MODES.items()), "colour")),
+        tag("label", "color ", _choice("mode", list(MODES.items()), "color")),
         tag("label", "speed ", _choice("speed", [(s, f"{s}×") for s in SPEEDS], speed)),
         tag(
             "label",

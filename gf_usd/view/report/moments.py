@@ -101,7 +101,7 @@ def _scene(recording: Recording, frame: MotionFrame) -> Scene:
                 name=cloud.name,
                 positions=frame.positions,
                 axes=frame.axes,
-                colours=cloud.colours,
+                colors=cloud.colors,
             ),
         )
     return Scene(up=recording.up, meshes=meshes, ellipsoids=solid, ground=recording.ground)

@@ -144,10 +144,10 @@ class _Curves:
         if len(points):
             height = points @ up
             row |= {"lowest": height.min(), "highest": height.max()}
-            row["centre"] = height.mean()
+            row["center"] = height.mean()
         masses = self._recording.gaussians.masses if self._recording.gaussians else None
         if masses is not None and frame.positions is not None and masses.sum() > 0.0:
-            row["centre"] = masses @ (frame.positions @ up) / masses.sum()
+            row["center"] = masses @ (frame.positions @ up) / masses.sum()
         stretches = np.concatenate([np.zeros((0, 2)), *faces])
         if len(stretches):
             row |= {"surface_min": stretches[:, 0].min(), "surface_max": stretches[:, 1].max()}

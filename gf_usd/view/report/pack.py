@@ -1,4 +1,4 @@
-"""Arrays in a page: quantised, as differences over time, deflated, base64.
+"""Arrays in a page: quantized, as differences over time, deflated, base64.
 
 A number of 16 bits is ``low + step * code``.  The codes of a frame are stored as differences to
 those of the frame before (they wrap), all low bytes before all high bytes, which deflates to
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats
 from gf_usd.view.report.motion import Motion
 
-OCTAVES = 2.0  # stretches from 1/4 to 4 have colours of their own
+OCTAVES = 2.0  # stretches from 1/4 to 4 have colors of their own
 
 
 @dataclass
@@ -63,13 +63,13 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
     packer.add("corners", skin.corners.astype(np.uint32))
     packer.add("source", skin.source.astype(np.uint32))
     packer.add("shade", skin.shade.astype(np.uint32))
-    packer.add("meshColours", skin.colours)
+    packer.add("meshColors", skin.colors)
     _add_places(packer, "points", motion.points)
     packer.add("stretch", octaves(motion.stretch), moving=True)
     if motion.gaussians is not None:
-        colours = np.clip(motion.gaussians.colours[motion.chosen], 0.0, 1.0)
+        colors = np.clip(motion.gaussians.colors[motion.chosen], 0.0, 1.0)
         # linear light in 8 bits would show steps in the dark
-        packer.add("gaussianColours", np.round(np.sqrt(colours) * 255.0).astype(np.uint8))
+        packer.add("gaussianColors", np.round(np.sqrt(colors) * 255.0).astype(np.uint8))
         _add_places(packer, "positions", motion.positions)
         packer.add("turns", np.round(motion.turns * 127.0).astype(np.int8), moving=True)
         _add_scales(packer, motion.scales)

@@ -195,7 +195,7 @@ def _shown(motion: Motion) -> list[str]:
     )
     lines.append(
         "Positions are rounded to 1/65536 of the size of the motion. Textures are shown as one"
-        " colour a corner."
+        " color a corner."
     )
     if recording.gaussians is not None:
         drawn = "A Gaussian is drawn as its ellipsoid of one standard deviation"

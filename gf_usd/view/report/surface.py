@@ -1,4 +1,4 @@
-"""A mesh as a graphics card draws it: vertices split at creases and where the colour changes.
+"""A mesh as a graphics card draws it: vertices split at creases and where the color changes.
 
 What is left out so that a page stays small: frames, vertices, Gaussians.
 """
@@ -27,7 +27,7 @@ class Skin:
     corners: NDArray[np.int64]  # (S, 3) triangles into the display vertices
     source: NDArray[np.int64]  # (D,) into kept: where a display vertex is
     shade: NDArray[np.int64]  # (D,) display vertices of one number share a normal
-    colours: NDArray[np.uint8]  # (D, 3) sRGB
+    colors: NDArray[np.uint8]  # (D, 3) sRGB
     vertices: int  # before thinning
     triangles: int
 
@@ -41,7 +41,7 @@ def make_skin(meshes: Sequence[RenderMesh], most: int) -> Skin:
         [np.zeros((0, 3), np.int64)]
         + [np.asarray(m.triangles, np.int64) + s for m, s in zip(meshes, starts)]
     )
-    colours = np.concatenate([np.zeros((0, 3, 3)), *(corner_colours(mesh) for mesh in meshes)])
+    colors = np.concatenate([np.zeros((0, 3, 3)), *(corner_colors(mesh) for mesh in meshes)])
     crease = np.concatenate(
         [[], *(np.full(len(mesh.triangles), mesh.crease_angle) for mesh in meshes)]
     )
@@ -49,8 +49,8 @@ def make_skin(meshes: Sequence[RenderMesh], most: int) -> Skin:
     kept, corners, faces = cluster(points, triangles, part, most)
     group = smooth_groups(points[kept], corners, crease[faces])
     flat = corners.reshape(-1)
-    code = linear_to_srgb(np.clip(colours[faces].reshape(-1, 3), 0.0, 1.0))
-    # 5 bits a channel tell colours apart that an eye would see as an edge
+    code = linear_to_srgb(np.clip(colors[faces].reshape(-1, 3), 0.0, 1.0))
+    # 5 bits a channel tell colors apart that an eye would see as an edge
     tint = np.floor(code * 31.0 + 0.5).astype(np.int64) @ np.array([1, 32, 1024])
     rows = np.column_stack([flat, group, tint])
     _, first, where = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -60,7 +60,7 @@ def make_skin(meshes: Sequence[RenderMesh], most: int) -> Skin:
         corners=where.reshape(-1, 3),
         source=flat[first],
         shade=shade.reshape(-1),
-        colours=np.round(code[first] * 255.0).astype(np.uint8),
+        colors=np.round(code[first] * 255.0).astype(np.uint8),
         vertices=len(points),
         triangles=len(triangles),
     )
@@ -97,22 +97,22 @@ def smooth_groups(points: Floats, triangles: Ints, crease: Floats) -> Ints:
     return components(graph)[1]
 
 
-def corner_colours(mesh: RenderMesh) -> NDArray[np.float64]:
-    """(T, 3, 3) linear colours at triangle corners; textures are looked up there."""
-    colours = np.array(
-        np.broadcast_to(np.asarray(mesh.colours, dtype=np.float64), (len(mesh.triangles), 3, 3))
+def corner_colors(mesh: RenderMesh) -> NDArray[np.float64]:
+    """(T, 3, 3) linear colors at triangle corners; textures are looked up there."""
+    colors = np.array(
+        np.broadcast_to(np.asarray(mesh.colors, dtype=np.float64), (len(mesh.triangles), 3, 3))
     )
     if mesh.uvs is None or mesh.triangle_textures is None:
-        return colours
+        return colors
     uvs = np.asarray(mesh.uvs)
     for number, texture in enumerate(mesh.textures):
         mine = np.asarray(mesh.triangle_textures) == number
-        colours[mine] = _texel(texture, uvs[mine])
-    return colours
+        colors[mine] = _texel(texture, uvs[mine])
+    return colors
 
 
 def _texel(texture: Texture, uv: Floats) -> NDArray[np.float64]:
-    """(..., 3) linear colour of the nearest texel; v = 0 is the bottom row."""
+    """(..., 3) linear color of the nearest texel; v = 0 is the bottom row."""
     height, width = texture.pixels.shape[:2]
     column = _wrap(uv[..., 0], width, texture.wrap_s)
     row = _wrap(1.0 - uv[..., 1], height, texture.wrap_t)

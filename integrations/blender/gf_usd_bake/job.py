@@ -31,7 +31,7 @@ class Job:
         self.notes: list[str] = []
         self.result: dict[str, Any] | None = None
         self.error: ProgramError | None = None
-        self.cancelled = False
+        self.canceled = False
         self.failed = False  # while it ran: what it wrote until then is there
         self._deadline = 0.0
         self._words: list[str] = []
@@ -64,15 +64,15 @@ class Job:
         self._hear()
         status = self._process.poll()
         if status is None:
-            if self.cancelled and time.monotonic() > self._deadline:
+            if self.canceled and time.monotonic() > self._deadline:
                 self._process.kill()
             return False
         for reader in self._readers:
             reader.join()
         self._hear()
-        self.failed = status == FAILED and not self.cancelled
-        if self.cancelled:
-            self.error = ProgramError("cancelled")
+        self.failed = status == FAILED and not self.canceled
+        if self.canceled:
+            self.error = ProgramError("canceled")
         elif status:
             self.error = error_in("\n".join(self._words))
         else:
@@ -89,7 +89,7 @@ class Job:
 
     def cancel(self, grace: float = GRACE) -> None:
         """Ask the process to stop; `step` ends it where it has not done so within `grace` [s]."""
-        self.cancelled = True
+        self.canceled = True
         self._deadline = time.monotonic() + grace
         self._process.terminate()
 

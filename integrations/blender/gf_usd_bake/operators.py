@@ -62,7 +62,7 @@ class GFUSD_OT_bake(bpy.types.Operator):
         """Esc stops it; all else is Blender's."""
         job = self.job
         assert job is not None
-        if event.type == "ESC" and event.value == "PRESS" and not job.cancelled:
+        if event.type == "ESC" and event.value == "PRESS" and not job.canceled:
             job.cancel()
         elif event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -105,8 +105,8 @@ class GFUSD_OT_bake(bpy.types.Operator):
         worth = job is not None and (job.result is not None or job.failed)
         clear(self.names, None if worth else self.folder)
         self.tidy(context, error.message, error.hint)
-        if job is not None and job.cancelled:
-            self.report({"INFO"}, "gf-usd: cancelled")
+        if job is not None and job.canceled:
+            self.report({"INFO"}, "gf-usd: canceled")
         else:
             hint = f"\nHint: {error.hint}" if error.hint else ""
             self.report({"ERROR"}, f"{error.message}{hint}")
@@ -185,7 +185,7 @@ def clear(names: list[str], folder: Path | None) -> None:
 def show_progress(context: bpy.types.Context, job: Job) -> None:
     """In the status bar and in the panel."""
     where = f"frame {job.done} of {job.total}" if job.total else "filling the meshes"
-    text = "gf-usd: stopping" if job.cancelled else f"gf-usd: {where} (Esc stops it)"
+    text = "gf-usd: stopping" if job.canceled else f"gf-usd: {where} (Esc stops it)"
     if context.workspace is not None:
         context.workspace.status_text_set(text)
     for area in context.screen.areas if context.screen else ():

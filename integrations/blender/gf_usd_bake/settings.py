@@ -75,7 +75,7 @@ def options(settings: GFUSD_Settings, scene: bpy.types.Scene, lowest: float) -> 
     words = ["--material", settings.material, "--particles", str(settings.particles)]
     words += ["--start", str(scene.frame_start), "--frames", str(count)]
     if scene.unit_settings.scale_length != 1.0:
-        # Blender's exporter takes every unit for a metre
+        # Blender's exporter takes every unit for a meter
         words += ["--meters-per-unit", repr(round(scene.unit_settings.scale_length, 9))]
     if settings.has_floor:
         words += ["--floor", repr(settings.floor)]

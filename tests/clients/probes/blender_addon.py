@@ -26,8 +26,8 @@ def falls(out):
     return {**said, **scene_state(), "hidden": ball.hide_get(), "render": not ball.hide_render}
 
 
-def in_centimetres(out):
-    """Two objects of a scene in centimetres: a modifier, a parent, and a mirror."""
+def in_centimeters(out):
+    """Two objects of a scene in centimeters: a modifier, a parent, and a mirror."""
     scene().unit_settings.scale_length = 0.01
     carrier = bpy.data.objects.new("Carrier", None)
     scene().collection.objects.link(carrier)

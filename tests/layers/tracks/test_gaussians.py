@@ -83,7 +83,7 @@ def test_scales_that_are_too_small_stay_single(tmp_path: Path) -> None:
     assert prim.GetAttribute("orientationsh").GetTypeName() == "quath[]"
     assert not prim.GetAttribute("scalesh").HasAuthoredValue()
     assert any("its scales stay in single precision" in note for note in summary.notes)
-    # the same body in a stage of millimetres has scales that do
+    # the same body in a stage of millimeters has scales that do
     facts = replace(asset.facts, units=StageUnits(meters_per_unit=1e-3))
     _, stage = written(tmp_path / "mm.usdc", replace(asset, facts=facts), tiny, HALF)
     scales = stage.GetAttributeAtPath(f"{SPLATS}.scalesh")

@@ -25,7 +25,7 @@ from gf_usd.system.atomic_files import publish
 
 HEALTH = Health(
     substeps=7, kinetic=2.0, elastic=3.0, potential=-4.0, contact=5.0, mass=6.0,
-    centre=(0.1, 0.2, 0.3), momentum=(1.0, 2.0, 3.0), angular_momentum=(4.0, 5.0, 6.0),
+    center=(0.1, 0.2, 0.3), momentum=(1.0, 2.0, 3.0), angular_momentum=(4.0, 5.0, 6.0),
     min_J=0.5, max_J=1.5, min_stretch=0.4, max_stretch=1.6, inverted=2, penetration=0.01,
     friction_capped=3_000_000_000, rollbacks=1, work=0.25, clamped=8, stress_capped=9,
     injected=0.5,

@@ -25,13 +25,13 @@ def test_the_splats_extent_is_that_of_their_three_sigma_ellipsoids(tmp_path: Pat
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     surface = []
-    for centre, turn, scale in zip(
+    for center, turn, scale in zip(
         splats.GetAttribute("positions").Get(12),
         splats.GetAttribute("orientations").Get(12),
         splats.GetAttribute("scales").Get(12),
     ):
         matrix = np.array(Gf.Matrix3d(Gf.Quatd(turn)))  # for row vectors
-        surface.append(np.array(centre) + 3.0 * (directions * np.array(scale)) @ matrix)
+        surface.append(np.array(center) + 3.0 * (directions * np.array(scale)) @ matrix)
     cloud = np.concatenate(surface)
     low, high = np.array(splats.GetAttribute("extent").Get(12))
     size = high - low
@@ -42,7 +42,7 @@ def test_the_splats_extent_is_that_of_their_three_sigma_ellipsoids(tmp_path: Pat
     np.testing.assert_allclose(cloud.max(axis=0), high, atol=0.02 * size.max())
 
 
-def test_gaussians_carry_colour_opacity_and_rest_state(tmp_path: Path) -> None:
+def test_gaussians_carry_color_opacity_and_rest_state(tmp_path: Path) -> None:
     asset = PLAIN.asset(tmp_path)
     root, particles, _ = bake(asset, tmp_path)
     stage = Usd.Stage.Open(str(root.path))
@@ -51,7 +51,7 @@ def test_gaussians_carry_colour_opacity_and_rest_state(tmp_path: Path) -> None:
     assert splats.GetAttribute("radiance:sphericalHarmonicsDegree").Get() == 0
     flat = np.array(splats.GetAttribute("radiance:sphericalHarmonicsCoefficients").Get())
     # a renderer shows 1/2 + Y_00 f
-    np.testing.assert_allclose(0.5 + flat / (2 * np.sqrt(np.pi)), particles.colour, atol=1e-6)
+    np.testing.assert_allclose(0.5 + flat / (2 * np.sqrt(np.pi)), particles.color, atol=1e-6)
     np.testing.assert_allclose(splats.GetAttribute("opacities").Get(), particles.opacity, rtol=1e-6)
     for name in ("orientations", "gaussianFlesh:restOrientations"):
         turns = splats.GetAttribute(name).Get(11)
@@ -126,7 +126,7 @@ def test_a_material_is_bound_for_physics_in_stage_units(tmp_path: Path) -> None:
     prim = material.GetPrim()
     assert prim.GetPath() == "/root/GaussianFlesh/Materials/rubber"
     physics = UsdPhysics.MaterialAPI(prim)
-    # centimetres and kilograms: kg/m^3 * 1e-6, kg/(m s^2) * 1e-2
+    # centimeters and kilograms: kg/m^3 * 1e-6, kg/(m s^2) * 1e-2
     assert physics.GetDensityAttr().Get() == pytest.approx(RUBBER.density * 1e-6)
     assert prim.GetAttribute("physics:youngsModulus").Get() == pytest.approx(2e5 * 1e-2)
     assert prim.GetAttribute("physics:poissonsRatio").Get() == pytest.approx(0.45)

@@ -212,7 +212,7 @@ def test_a_node_that_its_followers_would_pull_under_the_bound_follows_too():
     assert (~free).sum() > (~heavy).sum()
     assert not free[~heavy].any()
     assert (lumped >= 0.5 * least).all()
-    # A lonely node's slope hangs on neighbours of weight 1e-6: 1e-16 / 1e-6, times a few cells.
+    # A lonely node's slope hangs on neighbors of weight 1e-6: 1e-16 / 1e-6, times a few cells.
     assert lumped.sum() == pytest.approx(mass.sum(), rel=1e-9)
     assert follow.shape == ((~free).sum(), free.sum())
 

@@ -42,10 +42,10 @@ def test_a_body_at_rest_has_its_weight_and_nothing_else(body):
     particles, _ = body
     m = 1100.0 * particles.V0.sum()
     _, health = first(body, gravity=(0.0, -9.81, 0.0), lift=(0.0, 7.0, 0.0))
-    centre = particles.X.mean(0) + [0.0, 7.0, 0.0]
+    center = particles.X.mean(0) + [0.0, 7.0, 0.0]
     assert health.mass == pytest.approx(m, rel=1e-12)
-    np.testing.assert_allclose(health.centre, centre, atol=1e-12)
-    assert health.potential == pytest.approx(m * 9.81 * centre[1], rel=1e-12)
+    np.testing.assert_allclose(health.center, center, atol=1e-12)
+    assert health.potential == pytest.approx(m * 9.81 * center[1], rel=1e-12)
     assert health.kinetic == health.elastic == health.contact == 0.0
     assert health.min_J == health.max_J == 1.0
     assert health.inverted == 0

@@ -21,7 +21,7 @@ def test_another_step_stiffness_and_count_compile_nothing() -> None:
     half = slice(0, len(p) // 2)
     fewer = replace(
         p, X=p.X[half], V0=p.V0[half], material=p.material[half],
-        orientation=p.orientation[half], scale=p.scale[half], colour=p.colour[half],
+        orientation=p.orientation[half], scale=p.scale[half], color=p.color[half],
         opacity=p.opacity[half], surface=p.surface[half],
     )  # fmt: skip
     stiffer = look("rubber", p, damping_time=0.0, youngs_modulus=7.7e5)

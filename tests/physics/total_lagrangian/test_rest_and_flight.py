@@ -25,7 +25,7 @@ def meeting(*surfaces: Any, **said: Any):
 
 def ball(height: float, x: float = 0.0, path: str = "/Ball"):
     """Whose lowest point is at a height [m]."""
-    return sphere(RADIUS, centre=(x, RADIUS + height, 0.0), subdivisions=2, path=path)
+    return sphere(RADIUS, center=(x, RADIUS + height, 0.0), subdivisions=2, path=path)
 
 
 def falling(height: float = 2.0, *, frames: int = 20, **said):
@@ -46,7 +46,7 @@ def test_a_drop_with_and_without_agrees():
     assert not any(frame.health.flying for frame in without)
     assert max(frame.health.penetration for frame in with_) > 0.0, "it has bounced"
     for a, b in zip(with_, without):
-        # Both round u and v to single precision at a few metres and metres a second: 1e-7 each
+        # Both round u and v to single precision at a few meters and meters a second: 1e-7 each
         # frame, and a bounce of a soft ball stretches that by its strain of some tens of percent.
         np.testing.assert_allclose(a.particles.x, b.particles.x, atol=2e-5 * RADIUS)
         np.testing.assert_allclose(a.particles.v, b.particles.v, atol=1e-4 * np.sqrt(G0 * RADIUS))
@@ -69,7 +69,7 @@ def test_flight_is_the_parabola_and_keeps_energy_and_momentum():
     total = [h.kinetic + h.potential + h.elastic for h in (first, last)]
     assert total[1] == pytest.approx(total[0], rel=1e-6)
     # About its own middle it does not begin to turn.
-    spin = np.array(last.angular_momentum) - np.cross(last.centre, last.momentum)
+    spin = np.array(last.angular_momentum) - np.cross(last.center, last.momentum)
     assert np.abs(spin).max() < 1e-5 * last.mass * RADIUS * 5.0
 
 
@@ -92,7 +92,7 @@ def test_what_is_no_free_flight_is_simulated(what):
 
 
 def test_a_body_that_came_to_rest_sleeps_and_stays():
-    # Damped so much that it settles within two seconds of falling a millimetre (measured).
+    # Damped so much that it settles within two seconds of falling a millimeter (measured).
     solver = meeting(
         cube(low=(0.0, 1e-3, 0.0)), particles=64, frames=80, fps=FPS, gravity=DOWN, floor=0.0,
         changes={"damping_time": 0.03, "restitution": 0.0},

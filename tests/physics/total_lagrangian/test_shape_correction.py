@@ -22,7 +22,7 @@ def test_wls_is_exact_for_affine_maps():
     D = wls_gradient(X, 0.2 * body().radius)
     x = X @ SQUASH.T + [3.0, -1.0, 2.0]
     F = slopes(D, x)
-    # The weights of the farthest neighbours are e^-10 of the nearest: the moments lose as much.
+    # The weights of the farthest neighbors are e^-10 of the nearest: the moments lose as much.
     np.testing.assert_allclose(F, np.broadcast_to(SQUASH, F.shape), atol=1e-9)
 
 
@@ -49,7 +49,7 @@ def test_wls_leaves_out_a_direction_without_particles():
 
 
 def test_wls_of_few_particles():
-    # Fewer than there should be neighbours, two of them at one place.
+    # Fewer than there should be neighbors, two of them at one place.
     X = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, 1]], float)
     x = X @ SQUASH.T
     F = slopes(wls_gradient(X, 0.5), x)
@@ -108,7 +108,7 @@ def test_the_shape_correction_moves_towards_the_rest_shape_by_its_strength(alpha
         np.testing.assert_allclose(now.x, was.x + alpha * (target - was.x), atol=1e-9)
         np.testing.assert_allclose(now.v, was.v, atol=1e-9 * 1e5)
         np.testing.assert_allclose(now.F, was.F + alpha * (np.eye(3) - was.F), atol=1e-9)
-    np.testing.assert_allclose(after.centre, before.centre, atol=1e-9)
+    np.testing.assert_allclose(after.center, before.center, atol=1e-9)
     assert after.kinetic == before.kinetic
     assert after.injected == pytest.approx(after.elastic - before.elastic, rel=1e-9)
     assert after.injected < 0.0

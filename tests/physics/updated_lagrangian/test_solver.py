@@ -203,7 +203,7 @@ def test_positions_move_to_the_offset_by_whole_cells():
     assert cells[1] < -10
     assert np.abs(solver.state.get("x").astype(float)).max() < 0.1 + solver.body.h
     fall = -0.5 * 9.81 * last.time**2
-    assert last.health.centre[1] == pytest.approx(fall + np.mean(body.X[:, 1]), abs=1e-4)
+    assert last.health.center[1] == pytest.approx(fall + np.mean(body.X[:, 1]), abs=1e-4)
 
 
 def test_what_it_does_not_know_is_refused():

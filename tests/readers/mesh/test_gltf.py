@@ -1,4 +1,4 @@
-"""glTF files: nodes, joined primitives, textures and colours; and the broken ones."""
+"""glTF files: nodes, joined primitives, textures and colors; and the broken ones."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_primitives_of_one_mesh_stay_one_body(tmp_path):
     welded = weld(cube.points)[0][cube.triangles]
     assert len(boundary_edges(welded)) == 0
     assert cube.triangle_materials.tolist() == [0] * 6 + [1] * 6
-    assert [m.colour for m in cube.materials] == [(1.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
+    assert [m.color for m in cube.materials] == [(1.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
     assert [m.path for m in cube.materials] == ["/thing/Materials/box", "/thing/Materials/box_2"]
 
 
@@ -125,19 +125,19 @@ def test_nodes_within_nodes_and_a_mesh_used_twice(tmp_path):
     np.testing.assert_allclose(arm, turned + [10.0, 0.0, 0.0], atol=EXACT)
 
 
-def test_colours_of_points_times_the_base_colour(tmp_path):
+def test_colors_of_points_times_the_base_color(tmp_path):
     maker = GltfMaker()
-    colours = np.zeros((8, 4), np.uint8)
-    colours[:, 0], colours[:, 3] = 51, 255
+    colors = np.zeros((8, 4), np.uint8)
+    colors[:, 0], colors[:, 3] = 51, 255
     primitive = maker.primitive(CORNERS, TRIANGLES)
-    primitive["attributes"]["COLOR_0"] = maker.accessor(colours, normalized=True)
+    primitive["attributes"]["COLOR_0"] = maker.accessor(colors, normalized=True)
     maker.mesh(primitive | {"material": 0})
     maker.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 1, 1, 1]}}]
     (cube,) = written(maker.glb(tmp_path / "thing.glb"), tmp_path / "out").surfaces
     np.testing.assert_allclose(
-        cube.triangle_colours.reshape(-1, 3), [[0.1, 0.0, 0.0]] * 36, atol=EXACT
+        cube.triangle_colors.reshape(-1, 3), [[0.1, 0.0, 0.0]] * 36, atol=EXACT
     )
-    assert cube.triangle_materials is None  # the colours are the mesh's own
+    assert cube.triangle_materials is None  # the colors are the mesh's own
 
 
 def test_a_texture_transform_moves_the_coordinates(tmp_path):

@@ -50,17 +50,17 @@ def test_what_is_missing_is_said(tmp_path):
     obj = tmp_path / "thing.obj"
     obj.write_text("mtllib gone.mtl\nusemtl a\n" + cube_obj())
     source = convert(obj)
-    assert "its material file gone.mtl is missing: no colours from it" in source.notes
+    assert "its material file gone.mtl is missing: no colors from it" in source.notes
     assert source.asset().surfaces[0].materials == ()
     obj.write_text("usemtl a\n" + cube_obj())
-    assert "it names materials (a) but no material file: no colours" in convert(obj).notes
+    assert "it names materials (a) but no material file: no colors" in convert(obj).notes
     found, notes = read(tmp_path, "newmtl b\nmap_Kd gone.png\nd 0.5\n", ("a", "b"))
     assert list(found) == ["b"]
     assert found["b"].slots == ()
     assert notes == (
-        "material b: its texture gone.png does not exist: a constant colour instead",
+        "material b: its texture gone.png does not exist: a constant color instead",
         "material b: transparency is not read: opaque",
-        "material a is in none of its material files: no colour",
+        "material a is in none of its material files: no color",
     )
 
 

@@ -112,15 +112,15 @@ def test_lines_that_go_on_comments_and_what_is_left_out(obj):
     assert "1 of its 9 points belong to no face: left out" in source.notes
 
 
-def test_colours_of_points_are_srgb(obj, tmp_path):
+def test_colors_of_points_are_srgb(obj, tmp_path):
     lines = cube_obj().splitlines()
     lines[:8] = [f"{line} 0.5 0 1" for line in lines[:8]]
     (cube,) = written(obj("\n".join(lines)), tmp_path / "out").surfaces
     expected = [float(srgb_to_linear(np.array(0.5))), 0.0, 1.0]
-    np.testing.assert_allclose(cube.triangle_colours.reshape(-1, 3), [expected] * 36, atol=EXACT)
+    np.testing.assert_allclose(cube.triangle_colors.reshape(-1, 3), [expected] * 36, atol=EXACT)
 
 
-def test_materials_of_faces_with_colour_and_texture(obj, tmp_path):
+def test_materials_of_faces_with_color_and_texture(obj, tmp_path):
     (tmp_path / "skin.png").write_bytes(png())
     (tmp_path / "looks.mtl").write_text(
         "newmtl plain\nKd 0.2 0.4 0.6\nPr 0.3\n"
@@ -135,7 +135,7 @@ def test_materials_of_faces_with_colour_and_texture(obj, tmp_path):
     (cube,) = written(path, tmp_path / "out").surfaces
     plain, skin = cube.materials
     assert cube.triangle_materials.tolist() == [0] * 4 + [1] * 8
-    assert plain.colour == pytest.approx((0.2, 0.4, 0.6), abs=EXACT)
+    assert plain.color == pytest.approx((0.2, 0.4, 0.6), abs=EXACT)
     assert skin.texture.pixels.shape == (2, 4, 3)
     assert skin.texture.wrap_s == "clamp"
     np.testing.assert_allclose(cube.triangle_uvs[4:], 0.2, atol=EXACT)

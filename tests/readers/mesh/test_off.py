@@ -24,13 +24,13 @@ def test_what_trimesh_writes(tmp_path):
     assert asset.facts.up_axis == "Y"
 
 
-def test_polygons_comments_and_colours(tmp_path):
+def test_polygons_comments_and_colors(tmp_path):
     path = tmp_path / "cube.off"
     rows = [f"{x} {y} {z} 255 0 0 255" for x, y, z in CORNERS]
     rows += ["# faces", *(f"4 {' '.join(map(str, quad))}" for quad in QUADS)]
     path.write_text("\n".join(["COFF 8 6 12  # counts", *rows]))
     source = convert(path)
-    assert "its colours are not read" in source.notes
+    assert "its colors are not read" in source.notes
     (cube,) = source.asset().surfaces
     assert cube.face_counts.tolist() == [4] * 6
     assert cube.face_indices.tolist() == [i for quad in QUADS for i in quad]

@@ -75,12 +75,10 @@ def test_what_trimesh_writes(tmp_path):
         np.testing.assert_allclose(read.normals, box.vertex_normals, atol=1e-6)
         assert read.normals_interpolation == "vertex"
         expected = [float(srgb_to_linear(np.array(128 / 255))), 0.0, 1.0]
-        np.testing.assert_allclose(
-            read.triangle_colours.reshape(-1, 3), [expected] * 36, atol=EXACT
-        )
+        np.testing.assert_allclose(read.triangle_colors.reshape(-1, 3), [expected] * 36, atol=EXACT)
 
 
-def test_colours_of_faces(tmp_path):
+def test_colors_of_faces(tmp_path):
     path = tmp_path / "cube.ply"
     face = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
     lines = rows().decode().splitlines()
@@ -88,8 +86,8 @@ def test_colours_of_faces(tmp_path):
     path.write_bytes(header(face=face) + "\n".join(lines).encode())
     (cube,) = written(path, tmp_path / "out").surfaces
     red = srgb_to_linear(np.arange(len(FACES)) * 40 / 255)
-    np.testing.assert_allclose(cube.triangle_colours[0, :, 0], red[0], atol=EXACT)
-    np.testing.assert_allclose(cube.triangle_colours[-1, :, 0], red[-1], atol=EXACT)
+    np.testing.assert_allclose(cube.triangle_colors[0, :, 0], red[0], atol=EXACT)
+    np.testing.assert_allclose(cube.triangle_colors[-1, :, 0], red[-1], atol=EXACT)
 
 
 def test_texture_coordinates_at_corners_and_at_points(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.readers.pictures.recording import BakedMotion
 
-# centimetres, Z up; two looks that move a square and one Gaussian differently
+# centimeters, Z up; two looks that move a square and one Gaussian differently
 STAGE = """#usda 1.0
 (
     customLayerData = {
@@ -91,7 +91,7 @@ def write(folder: Path, selected: str = "hard", **changes: str) -> Path:
     return path
 
 
-def test_the_selected_look_is_read_in_metres(tmp_path):
+def test_the_selected_look_is_read_in_meters(tmp_path):
     motion = BakedMotion(write(tmp_path))
     recording = motion.recording()
     assert (motion.looks, recording.look, recording.name) == (("hard", "soft"), "hard", "World")
@@ -104,7 +104,7 @@ def test_the_selected_look_is_read_in_metres(tmp_path):
     assert recording.baked == (True, False)
     first, last = motion.frames()
     assert first.meshes[0] == pytest.approx(recording.meshes[0].points)
-    # singles in centimetres
+    # singles in centimeters
     assert last.meshes[0][2] == pytest.approx([0.01, 0.01, 0.99], abs=1e-8)
     assert last.meshes[1] == pytest.approx(first.meshes[1])
 

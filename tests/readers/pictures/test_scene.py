@@ -52,14 +52,14 @@ def Xform "root" {
 """
 
 
-def test_a_mesh_in_metres_with_the_look_of_each_subset(tmp_path):
+def test_a_mesh_in_meters_with_the_look_of_each_subset(tmp_path):
     scene = read_scene(write(tmp_path, BOX))
     (mesh,) = scene.meshes
     assert mesh.points.min(axis=0) == pytest.approx((0.0, 1.0, 0.0))
     assert mesh.points.max(axis=0) == pytest.approx((2.0, 2.0, 0.0))
     right = mesh.points[mesh.triangles][:, :, 0].mean(axis=1) > 1.0
-    assert np.allclose(mesh.colours[right], (0.7, 0.6, 0.5))
-    assert np.allclose(mesh.colours[~right], (0.1, 0.2, 0.3))
+    assert np.allclose(mesh.colors[right], (0.7, 0.6, 0.5))
+    assert np.allclose(mesh.colors[~right], (0.1, 0.2, 0.3))
     assert np.allclose(mesh.roughness[right], 0.2)
     assert np.allclose(mesh.metallic, right)
     assert scene.up == (0.0, 1.0, 0.0)
@@ -140,7 +140,7 @@ PLACE = """
 def test_gaussians_are_placed_scaled_and_turned(tmp_path):
     scene = read_scene(write(tmp_path, splats(place=PLACE)))
     (cloud,) = scene.splats
-    # twice as large, a quarter turn about z, 5 up z; a unit is a centimetre
+    # twice as large, a quarter turn about z, 5 up z; a unit is a centimeter
     assert np.allclose(cloud.positions, [(0, 0.02, 0.05), (-0.04, 0, 0.05)])
     sigma = covariances(cloud.axes) / 0.02**2
     assert np.allclose(sigma[0], np.diag([4, 9, 1]), atol=1e-6)
@@ -148,25 +148,25 @@ def test_gaussians_are_placed_scaled_and_turned(tmp_path):
     assert np.allclose(cloud.opacities, [0.25, 1.0])
     assert not cloud.lit
     expected = srgb_to_linear(0.5 + Y_0 * np.array([(0, 1, -1), (1, 0, 0)]))
-    assert np.allclose(cloud.colours, expected, atol=1e-6)
+    assert np.allclose(cloud.colors, expected, atol=1e-6)
     assert any("sRGB is assumed" in note for note in scene.notes)
 
 
-def test_a_colour_space_that_is_authored_is_believed(tmp_path):
+def test_a_color_space_that_is_authored_is_believed(tmp_path):
     body = splats().replace('"cloud" {', '"cloud" (prepend apiSchemas = ["ColorSpaceAPI"]) {')
     body = body.replace(
         "point3f[]", 'uniform token colorSpace:name = "lin_rec709_scene"\npoint3f[]'
     )
     scene = read_scene(write(tmp_path, body))
-    assert np.allclose(scene.splats[0].colours[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
-    assert not any("colour space" in note for note in scene.notes)
+    assert np.allclose(scene.splats[0].colors[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
+    assert not any("color space" in note for note in scene.notes)
 
 
 def test_gaussians_of_a_bake_are_lit_and_linear(tmp_path):
     ours = "uniform point3f[] gaussianFlesh:restPositions = [(1, 0, 0), (0, 2, 0)]"
     (cloud,) = read_scene(write(tmp_path, splats(extra=ours))).splats
     assert cloud.lit
-    assert np.allclose(cloud.colours[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
+    assert np.allclose(cloud.colors[1], (0.5 + Y_0, 0.5, 0.5), atol=1e-6)
 
 
 def test_higher_harmonics_are_kept_in_their_own_space(tmp_path):
@@ -182,13 +182,13 @@ def test_higher_harmonics_are_kept_in_their_own_space(tmp_path):
     assert np.allclose(cloud.harmonics.frame @ (0, 1, 0), (1, 0, 0), atol=1e-6)
 
 
-def test_too_few_coefficients_are_grey_and_said(tmp_path):
+def test_too_few_coefficients_are_gray_and_said(tmp_path):
     radiance = """
     uniform int radiance:sphericalHarmonicsDegree = 3
     float3[] radiance:sphericalHarmonicsCoefficients = [(1, 1, 1), (1, 1, 1)]
     """
     scene = read_scene(write(tmp_path, splats(radiance=radiance)))
-    assert np.allclose(scene.splats[0].colours, 0.5)
+    assert np.allclose(scene.splats[0].colors, 0.5)
     assert any("fewer than 16 for each of 2 Gaussians" in note for note in scene.notes)
 
 
@@ -210,7 +210,7 @@ def Points "dots" {
 def test_points_are_balls_of_their_widths(tmp_path):
     (dots,) = read_scene(write(tmp_path, POINTS)).ellipsoids
     assert np.allclose(dots.axes, 0.01 * np.eye(3))
-    assert np.allclose(dots.colours, [(1, 0, 0), (0, 0, 1)])
+    assert np.allclose(dots.colors, [(1, 0, 0), (0, 0, 1)])
 
 
 def test_points_without_widths_still_show(tmp_path):

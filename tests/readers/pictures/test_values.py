@@ -8,7 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol, Vt
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.readers.pictures.scene import PictureStage
-from gf_usd.readers.pictures.values import NeighbourFit, largest_stretch
+from gf_usd.readers.pictures.values import NeighborFit, largest_stretch
 
 SIDE = 4
 LIFT = 5.0
@@ -84,15 +84,15 @@ def test_the_largest_stretch_does_not_see_rotation():
     assert np.isnan(largest_stretch(f)[3])
 
 
-def test_a_fit_to_neighbours_is_exact_for_affine_motion():
+def test_a_fit_to_neighbors_is_exact_for_affine_motion():
     rest = lattice()
     f = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.0, 0.1, 1.1]])
-    assert np.allclose(NeighbourFit(rest)(rest @ f.T + 3.0), f, atol=1e-9)
+    assert np.allclose(NeighborFit(rest)(rest @ f.T + 3.0), f, atol=1e-9)
 
 
 def test_a_sheet_of_particles_is_fitted_within_its_plane():
     flat = lattice()[: SIDE * SIDE] * (0, 1, 1)
-    f = NeighbourFit(flat)(flat * (1.0, 1.5, 1.0))
+    f = NeighborFit(flat)(flat * (1.0, 1.5, 1.0))
     assert largest_stretch(f) == pytest.approx(0.5)
 
 
@@ -100,13 +100,13 @@ def test_a_sheet_of_particles_is_fitted_within_its_plane():
 def test_strain_of_particles_and_of_the_mesh_that_rides_on_them(tmp_path, gradients):
     path = bake(tmp_path / "box.usda", gradients=gradients)
     for show in ("gaussians", "ellipsoids", "points"):
-        source = PictureStage(path, show, colour="strain")
+        source = PictureStage(path, show, color="strain")
         for time, expected in ((1.0, 0.0), (2.0, 0.5)):
             scene = source.scene(time)
             (cloud,) = scene.splats or scene.ellipsoids
             # positions are stored in single precision
             assert cloud.values == pytest.approx(expected, abs=1e-5)
-    source = PictureStage(path, "mesh", colour="strain")
+    source = PictureStage(path, "mesh", color="strain")
     skin, prop = source.scene(2.0).meshes
     assert skin.name == "/Box/Skin"
     assert skin.values == pytest.approx(0.5, abs=1e-5)
@@ -114,11 +114,11 @@ def test_strain_of_particles_and_of_the_mesh_that_rides_on_them(tmp_path, gradie
     assert any("fitted" in note for note in source.scene(2.0).notes) != gradients
 
 
-def test_stress_is_in_pascals_and_each_vertex_has_that_of_its_neighbours(tmp_path):
+def test_stress_is_in_pascals_and_each_vertex_has_that_of_its_neighbors(tmp_path):
     path = bake(tmp_path / "box.usda")
-    source = PictureStage(path, "mesh", colour="stress")
+    source = PictureStage(path, "mesh", color="stress")
     values = source.scene(2.0).meshes[0].values
-    # a pressure of 1 in a stage of centimetres and kilograms is 100 Pa
+    # a pressure of 1 in a stage of centimeters and kilograms is 100 Pa
     own = 200.0 * np.arange(1, SIDE**3 + 1)
     corners = (SIDE - 1) * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     for corner, value in zip(corners, values):
@@ -127,7 +127,7 @@ def test_stress_is_in_pascals_and_each_vertex_has_that_of_its_neighbours(tmp_pat
 
 
 def test_the_range_holds_nearly_all_in_every_frame(tmp_path):
-    source = PictureStage(bake(tmp_path / "box.usda"), "mesh", colour="stress")
+    source = PictureStage(bake(tmp_path / "box.usda"), "mesh", color="stress")
     quantity = source.values.quantity(source.motion.time_codes)
     count = SIDE**3
     assert quantity.largest == pytest.approx(200.0 * count)
@@ -138,11 +138,11 @@ def test_the_range_holds_nearly_all_in_every_frame(tmp_path):
 def test_what_a_bake_does_not_hold_is_refused(tmp_path):
     path = bake(tmp_path / "box.usda", stress=False)
     with pytest.raises(InputError, match="</Box/Gaussians> holds no stress") as caught:
-        PictureStage(path, "mesh", colour="stress")
+        PictureStage(path, "mesh", color="stress")
     assert "--stress" in caught.value.hint
-    with pytest.raises(UsageError, match="Unknown --colour heat"):
-        PictureStage(path, "mesh", colour="heat")
+    with pytest.raises(UsageError, match="Unknown --color heat"):
+        PictureStage(path, "mesh", color="heat")
     plain = tmp_path / "plain.usda"
     plain.write_text('#usda 1.0\ndef Cube "box" {\n}\n', encoding="utf-8")
     with pytest.raises(InputError, match="no particles of a bake"):
-        PictureStage(plain, "mesh", colour="strain")
+        PictureStage(plain, "mesh", color="strain")

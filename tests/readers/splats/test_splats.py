@@ -109,9 +109,9 @@ def test_the_sanity_file_of_the_spz_plugins():
     assert splats.positions[9].tolist() == [np.float32(2 * step), np.float32(2 * step), 0.0]
     alphas = np.frombuffer(raw, np.uint8, 10, 16 + 90)
     np.testing.assert_array_equal(splats.opacities.astype(np.float32), np.float32(alphas / 255))
-    colours = np.frombuffer(raw, np.uint8, 30, 16 + 100).reshape(10, 3)
+    colors = np.frombuffer(raw, np.uint8, 30, 16 + 100).reshape(10, 3)
     np.testing.assert_allclose(
-        splats.harmonics[:, 0], (colours / 255 - 0.5) / 0.15, rtol=SINGLE, atol=1e-7
+        splats.harmonics[:, 0], (colors / 255 - 0.5) / 0.15, rtol=SINGLE, atol=1e-7
     )
     scales = np.frombuffer(raw, np.uint8, 30, 16 + 130).reshape(10, 3)
     np.testing.assert_allclose(splats.scales, np.exp(scales / 16 - 10), rtol=SINGLE)
@@ -147,12 +147,12 @@ def test_splat_rows_by_hand(tmp_path):
     np.testing.assert_allclose(shown, [[1.0, 0.0, 0.2]], atol=SINGLE)
 
 
-def packed_file(path, *, colours=True, bands=0):
+def packed_file(path, *, colors=True, bands=0):
     """Two Gaussians in one chunk: both ends of every range, and two quaternions."""
     names = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
     names += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
     limits = [-1, -2, -3, 1, 2, 3, -4, -4, -4, -2, -2, -2]
-    if colours:
+    if colors:
         names += [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
         limits += [0.2, 0.2, 0.2, 0.6, 0.6, 0.6]
     words = [
@@ -191,7 +191,7 @@ def test_packed_ply_by_hand(tmp_path):
 
 
 def test_packed_ply_of_an_older_kind_and_with_harmonics(tmp_path):
-    path = packed_file(tmp_path / "two.ply", colours=False, bands=9)
+    path = packed_file(tmp_path / "two.ply", colors=False, bands=9)
     splats = read_splat_ply(path)
     shown = splats.harmonics[:, 0] * Y_0 + 0.5
     np.testing.assert_allclose(shown, [[0.0] * 3, [1.0] * 3], atol=1e-6)

@@ -25,7 +25,7 @@ def test_the_plain_cube(read):
     assert surface.triangles.shape == surface.triangle_corners.shape == (12, 3)
     np.testing.assert_array_equal(surface.face_indices[surface.triangle_corners], surface.triangles)
     assert signed_volume(surface.points, surface.triangles) == pytest.approx(1.0)
-    assert surface.normals is surface.triangle_colours is surface.triangle_uvs is None
+    assert surface.normals is surface.triangle_colors is surface.triangle_uvs is None
     assert surface.triangle_materials is None
     assert not surface.skinned
 
@@ -187,14 +187,14 @@ def test_display_color(read, interpolation, count, indices):
         "varying": surface.triangles,
         "faceVarying": surface.triangle_corners,
     }[interpolation]
-    np.testing.assert_array_equal(surface.triangle_colours[:, :, 0], expected / 32.0)
+    np.testing.assert_array_equal(surface.triangle_colors[:, :, 0], expected / 32.0)
 
 
 def test_inherited_display_color(read):
     (surface,) = read(
         'def Xform "P"\n{\ncolor3f[] primvars:displayColor = [(0.5, 0.25, 0)]\n' + mesh() + "\n}"
     ).surfaces
-    np.testing.assert_array_equal(surface.triangle_colours[0, 0], [0.5, 0.25, 0])
+    np.testing.assert_array_equal(surface.triangle_colors[0, 0], [0.5, 0.25, 0])
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_inherited_display_color(read):
 )
 def test_display_color_that_does_not_fit_is_ignored_in_words(read, authored, words, capfd):
     asset = read(mesh(f"color3f[] primvars:displayColor = {authored}"))
-    assert asset.surfaces[0].triangle_colours is None
+    assert asset.surfaces[0].triangle_colors is None
     assert asset.facts.notes == (f"/M: primvar displayColor {words}",)
     assert capfd.readouterr().err == ""
 

@@ -8,14 +8,14 @@ from usd_looks import CONSTANT, QUADS, SURFACE, only, stage, textured
 def test_constant(read):
     surface, material = only(read(stage(CONSTANT)))
     assert material.path == "/Looks/M"
-    assert material.colour == (0.5, 0.25, 0.125)
+    assert material.color == (0.5, 0.25, 0.125)
     assert material.texture is None
     np.testing.assert_array_equal(surface.triangle_materials, [0, 0, 0, 0])
     assert surface.triangle_uvs is None
 
 
-def test_a_surface_that_says_no_colour_has_the_fallback(read):
-    assert only(read(stage(SURFACE % "")))[1].colour == (0.18, 0.18, 0.18)
+def test_a_surface_that_says_no_color_has_the_fallback(read):
+    assert only(read(stage(SURFACE % "")))[1].color == (0.18, 0.18, 0.18)
 
 
 def test_connections_through_interface_inputs_and_node_graphs(read, picture):
@@ -26,14 +26,14 @@ def test_connections_through_interface_inputs_and_node_graphs(read, picture):
     def Shader "Surface"
     {
         uniform token info:id = "UsdPreviewSurface"
-        color3f inputs:diffuseColor.connect = </Looks/M/Graph.outputs:colour>
+        color3f inputs:diffuseColor.connect = </Looks/M/Graph.outputs:color>
         token outputs:surface
     }
     def NodeGraph "Graph"
     {
         asset inputs:picture = @t.png@
         string inputs:name.connect = </Looks/M.inputs:uvset>
-        color3f outputs:colour.connect = </Looks/M/Graph/Tex.outputs:rgb>
+        color3f outputs:color.connect = </Looks/M/Graph/Tex.outputs:rgb>
         def Shader "Tex"
         {
             uniform token info:id = "UsdUVTexture"
@@ -52,8 +52,8 @@ def test_connections_through_interface_inputs_and_node_graphs(read, picture):
     surface, look = only(read(stage(material, quads=QUADS.replace("primvars:st", "primvars:map1"))))
     np.testing.assert_array_equal(look.texture.pixels, picture)
     assert surface.triangle_uvs.max() == 1.0
-    constant = material.replace("</Looks/M/Graph.outputs:colour>", "</Looks/M.inputs:tint>")
-    assert only(read(stage(constant)))[1].colour == pytest.approx((0.1, 0.2, 0.3))
+    constant = material.replace("</Looks/M/Graph.outputs:color>", "</Looks/M.inputs:tint>")
+    assert only(read(stage(constant)))[1].color == pytest.approx((0.1, 0.2, 0.3))
 
 
 SUBSETS = """
@@ -88,7 +88,7 @@ def with_subset(indices, first=CONSTANT, second=CONSTANT):
 
 def test_subsets_have_their_own_material(read):
     (surface,) = read(with_subset("1")).surfaces
-    assert [m.colour[1] for m in surface.materials] == [0.25, 0.75]
+    assert [m.color[1] for m in surface.materials] == [0.25, 0.75]
     np.testing.assert_array_equal(surface.triangle_materials, [0, 0, 1, 1])
 
 
@@ -119,7 +119,7 @@ def test_bindings_are_inherited_and_come_from_collections(read):
         )
         .replace('def Scope "Looks"', '}\ndef Scope "Looks"')
     )
-    assert only(read(inherited))[1].colour == (0.5, 0.25, 0.125)
+    assert only(read(inherited))[1].color == (0.5, 0.25, 0.125)
     collection = inherited.replace(
         '["MaterialBindingAPI"] )\n        {\n            rel material:binding = </Looks/M>',
         '["MaterialBindingAPI", "CollectionAPI:all"] )\n        {\n'
@@ -127,12 +127,12 @@ def test_bindings_are_inherited_and_come_from_collections(read):
         "            rel material:binding:collection:mine = [</P.collection:all>, </Looks/M>]",
     )
     assert collection != inherited
-    assert only(read(collection))[1].colour == (0.5, 0.25, 0.125)
+    assert only(read(collection))[1].color == (0.5, 0.25, 0.125)
 
 
 def test_a_binding_without_the_applied_schema_is_read(read, capfd):
     body = stage(CONSTANT).replace('( prepend apiSchemas = ["MaterialBindingAPI"] )', "")
-    assert only(read(body))[1].colour == (0.5, 0.25, 0.125)
+    assert only(read(body))[1].color == (0.5, 0.25, 0.125)
     assert capfd.readouterr().err == ""
 
 
@@ -164,18 +164,18 @@ MTLX = """
         ("", "a material without a surface shader"),
     ],
 )
-def test_other_shading_languages_are_grey_in_words(read, material, kind):
+def test_other_shading_languages_are_gray_in_words(read, material, kind):
     asset = read(stage(material))
     _, look = only(asset)
-    assert look.colour == (0.18, 0.18, 0.18)
-    assert asset.facts.notes == (f"/Looks/M: {kind} is not read: displayColor or grey instead",)
+    assert look.color == (0.18, 0.18, 0.18)
+    assert asset.facts.notes == (f"/Looks/M: {kind} is not read: displayColor or gray instead",)
     shown = "rel material:binding = </Looks/M>\ncolor3f[] primvars:displayColor = [(1, 0, 0)]"
     (surface,) = read(stage(material, mesh=shown)).surfaces
     assert surface.triangle_materials is None
-    np.testing.assert_array_equal(surface.triangle_colours[0, 0], [1, 0, 0])
+    np.testing.assert_array_equal(surface.triangle_colors[0, 0], [1, 0, 0])
 
 
-def test_diffuse_colour_from_a_primvar(read):
+def test_diffuse_color_from_a_primvar(read):
     material = (
         SURFACE % "color3f inputs:diffuseColor.connect = </Looks/M/C.outputs:result>"
         + """
@@ -192,8 +192,8 @@ def test_diffuse_colour_from_a_primvar(read):
     paint = 'color3f[] primvars:paint = [(1, 0, 0), (0, 0, 1)] ( interpolation = "uniform" )'
     (surface,) = read(stage(material, mesh=f"{bound}\n{paint}")).surfaces
     assert surface.triangle_materials is None
-    np.testing.assert_array_equal(surface.triangle_colours[:, 0, 2], [0, 0, 1, 1])
-    assert only(read(stage(material, mesh=bound)))[1].colour == (0.5, 0.5, 0.0)
+    np.testing.assert_array_equal(surface.triangle_colors[:, 0, 2], [0, 0, 1, 1])
+    assert only(read(stage(material, mesh=bound)))[1].color == (0.5, 0.5, 0.0)
 
 
 def test_a_node_that_is_not_read_is_said(read):
@@ -208,7 +208,7 @@ def test_a_node_that_is_not_read_is_said(read):
     """
     )
     asset = read(stage(material))
-    assert only(asset)[1].colour == (0.18, 0.18, 0.18)
+    assert only(asset)[1].color == (0.18, 0.18, 0.18)
     assert "diffuseColor comes from Checker" in asset.facts.notes[0]
 
 
@@ -217,5 +217,5 @@ def test_the_same_note_at_many_places_is_one(read):
         stage(MDL).replace("Looks", f"L{i}").replace('"Q"', f'"Q{i}"') for i in range(4)
     )
     assert read(body).facts.notes == (
-        "/L0/M and 3 more: a mdl shader is not read: displayColor or grey instead",
+        "/L0/M and 3 more: a mdl shader is not read: displayColor or gray instead",
     )

@@ -49,7 +49,7 @@ def test_facts_of_a_stage_that_says_nothing(read):
     assert facts.default_prim is None
     assert not facts.says_physics
     assert facts.notes == (
-        "metersPerUnit is not authored: 0.01 (centimetres) is assumed, as USD says",
+        "metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says",
         "upAxis is not authored: Y is assumed, as USD says",
     )
     assert (facts.unit_from, facts.axis_from) == ("assumed", "assumed")

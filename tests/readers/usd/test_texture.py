@@ -1,4 +1,4 @@
-"""Textures: pictures, their colours and coordinates, and what stands in for unreadable ones."""
+"""Textures: pictures, their colors and coordinates, and what stands in for unreadable ones."""
 
 from zipfile import ZipFile
 
@@ -44,7 +44,7 @@ def test_texture_in_a_usdz(write, picture, tmp_path):
         ('token inputs:sourceColorSpace = "sRGB"', "L", True),
     ],
 )
-def test_colour_space(read, tmp_path, space, mode, srgb):
+def test_color_space(read, tmp_path, space, mode, srgb):
     Image.new(mode, (2, 2)).save(tmp_path / "t.png")
     assert only(read(stage(textured(ST + "\n" + space))))[1].texture.srgb is srgb
 
@@ -67,7 +67,7 @@ def test_single_channel(read, picture):
     np.testing.assert_array_equal(texture.pixels, np.repeat(picture[:, :, :1], 3, axis=2))
 
 
-def test_scale_and_bias_act_on_linear_colours(read, tmp_path):
+def test_scale_and_bias_act_on_linear_colors(read, tmp_path):
     Image.new("RGB", (1, 1), (188, 0, 255)).save(tmp_path / "t.png")
     extra = "float4 inputs:scale = (0.5, 1, 2, 1)\nfloat4 inputs:bias = (0, 0.25, 0, 0)"
     pixel = only(read(stage(textured(extra))))[1].texture.pixels[0, 0]
@@ -120,7 +120,7 @@ def test_a_missing_uv_primvar_is_said(read, picture):
 @pytest.mark.parametrize(
     ("content", "file", "words"),
     [
-        (None, "t.png", "texture t.png does not exist: a constant colour instead"),
+        (None, "t.png", "texture t.png does not exist: a constant color instead"),
         (b"no picture", "t.png", "texture t.png cannot be read: not a picture that Pillow knows"),
         (b"", "t.png", "texture t.png cannot be read: it is empty"),
         (b"x", "t.<UDIM>.png", "texture t.<UDIM>.png: UDIM tiles are not read"),
@@ -133,7 +133,7 @@ def test_an_unreadable_texture_gives_its_fallback_in_words(read, tmp_path, conte
     asset = read(stage(material))
     _, look = only(asset)
     assert look.texture is None
-    assert look.colour == (1.0, 0.5, 0.0)
+    assert look.color == (1.0, 0.5, 0.0)
     assert asset.facts.notes[0].startswith(f"/Looks/M: {words}")
 
 

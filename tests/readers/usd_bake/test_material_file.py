@@ -30,7 +30,7 @@ def material(name: str, *lines: str) -> str:
 
 @pytest.fixture
 def write(tmp_path: Path):
-    """Write a layer in centimetres, or with another head."""
+    """Write a layer in centimeters, or with another head."""
 
     def write(*prims: str, head: str = CM, name: str = "soft.usda") -> Path:
         path = tmp_path / name
@@ -67,7 +67,7 @@ def test_what_is_not_said_is_assumed_as_documented(write) -> None:
     assert (made.friction, made.restitution) == (0.8, 0.85)
 
 
-def test_a_file_without_units_is_in_centimetres_and_kilograms(write) -> None:
+def test_a_file_without_units_is_in_centimeters_and_kilograms(write) -> None:
     made = read_material(write(material("Soft", attributes("physics:", SOUND)), head=""))
     assert made.youngs_modulus == pytest.approx(1e6, rel=REL)
 

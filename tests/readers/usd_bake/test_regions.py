@@ -70,7 +70,7 @@ def test_a_subset_of_faces_is_a_patch_that_moves_with_its_mesh(regions: Regions)
     assert len(end.points) == 4
     assert len(end.triangles) == 2
     np.testing.assert_array_equal(end.points[:, 0], 0.0)
-    # 4 units of half a metre
+    # 4 units of half a meter
     np.testing.assert_allclose(end.path[:, 0] - end.points[0], [[0, 0, 0], [1, 0, 0], [2, 0, 0]])
 
 

@@ -73,7 +73,7 @@ def test_the_bound_material_in_si(said) -> None:
 
 
 @pytest.mark.parametrize("prefix", ["newton:mpm:", "omniphysics:"])
-def test_the_neighbours_moduli_are_read_after_those_of_the_field(said, prefix: str) -> None:
+def test_the_neighbors_moduli_are_read_after_those_of_the_field(said, prefix: str) -> None:
     theirs = [line.replace("physics:", prefix) for line in SOFT]
     (body,) = said(material("Soft", DENSE, *theirs), duck(bound("/Soft"))).bodies
     assert body.material is not None

@@ -36,7 +36,7 @@ def normals(collider: Collider) -> np.ndarray:
     return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
-def test_a_mesh_with_the_api_is_an_obstacle_in_metres(said) -> None:
+def test_a_mesh_with_the_api_is_an_obstacle_in_meters(said) -> None:
     floor = only(said(mesh("Floor", MIRROR, apis=[COLLISION]), layer=head(0.01, "Z")))
     assert (floor.path, floor.shape, floor.role) == ("/Floor", "mesh", "static")
     np.testing.assert_allclose(floor.points.max(0), [0.0, 0.01, 0.01], atol=CLOSE)
@@ -93,7 +93,7 @@ def test_a_collider_under_a_baked_prim_is_no_obstacle(said) -> None:
     assert only(said(duck)).path == "/Duck/Proxy"
 
 
-def test_a_soft_body_of_the_neighbours_owns_its_colliders(said) -> None:
+def test_a_soft_body_of_the_neighbors_owns_its_colliders(said) -> None:
     jelly = prim(
         "Xform",
         "Jelly",

@@ -31,7 +31,7 @@ def test_a_collider_moves_with_the_transforms_above_it(said) -> None:
     moving = prim("Xform", "Arm", SLIDE, mesh("Hand", turning, apis=[COLLISION]))
     hand = only(said(moving, layer=layer))
     assert (hand.frames, hand.moves, hand.rigid) == (3, True, True)
-    # the corner (1, 0, 0): half way it has turned to -Z and slid by two units of half a metre
+    # the corner (1, 0, 0): half way it has turned to -Z and slid by two units of half a meter
     corner = [hand.positions(k)[1] for k in range(3)]
     np.testing.assert_allclose(corner, [[0.5, 0, 0], [1, 0, -0.5], [1.5, 0, 0]], atol=CLOSE)
     np.testing.assert_allclose(hand.positions(0), hand.points, atol=CLOSE)

@@ -81,7 +81,7 @@ def test_a_box_keeps_its_edges_and_a_wide_crease_rounds_them():
     assert np.allclose(round_, expected, atol=1e-6)
 
 
-def test_a_triangle_without_area_does_not_spoil_its_neighbours():
+def test_a_triangle_without_area_does_not_spoil_its_neighbors():
     points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.5, 0, 0)], dtype=float)
     normals = corner_normals(points, np.array([(0, 1, 2), (0, 3, 1)]), 50.0)
     assert np.isfinite(normals).all()

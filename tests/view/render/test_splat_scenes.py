@@ -1,7 +1,7 @@
 """Captured Gaussians look the same at rest, and turn with the body, in degree 3 as well.
 
 Pictures are the Gaussians alone over black: peak signal-to-noise ratio over all pixels, where the
-Gaussians' own colours reach 1.
+Gaussians' own colors reach 1.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def picture(cloud: RenderSplats, turn: np.ndarray | None = None) -> np.ndarray:
         Camera(eye=tuple(eye), target=(0.0, 0.0, 0.0), up=tuple(up), fov=40.0), *SIZE, np.zeros(3)
     )
     out = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
-    colours = seen_from(cloud.harmonics, cloud.positions - eye)
-    draw_splats(cloud, colours, view, out, np.full(out.shape[:2], np.inf, np.float32))
+    colors = seen_from(cloud.harmonics, cloud.positions - eye)
+    draw_splats(cloud, colors, view, out, np.full(out.shape[:2], np.inf, np.float32))
     return out
 
 
@@ -54,7 +54,7 @@ def direct(splats: Splats) -> RenderSplats:
         name="/ball",
         positions=splats.points,
         axes=splats.axes,
-        colours=splats.colours,
+        colors=splats.colors,
         opacities=splats.opacities,
         harmonics=Harmonics(coefficients=splats.harmonics, frame=np.eye(3), srgb=True),
     )

@@ -29,18 +29,18 @@ def splats(positions, scales, opacities, orientations=None, **rest) -> RenderSpl
         name="/splats",
         positions=positions,
         axes=gaussian_axes(np.array(orientations), np.array(scales)),
-        colours=rest.pop("colours", np.ones((len(positions), 3))),
+        colors=rest.pop("colors", np.ones((len(positions), 3))),
         opacities=np.array(opacities, dtype=float),
         **rest,
     )
 
 
 def over_black(cloud: RenderSplats, depth: float = np.inf) -> np.ndarray:
-    """(H, W, 3) the splats' own colours over black, behind nothing nearer than depth."""
+    """(H, W, 3) the splats' own colors over black, behind nothing nearer than depth."""
     ensure_taichi()
     picture = np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32)
     seen = np.full((HEIGHT, WIDTH), depth, dtype=np.float32)
-    draw_splats(cloud, cloud.colours, lens(CAMERA, WIDTH, HEIGHT, np.zeros(3)), picture, seen)
+    draw_splats(cloud, cloud.colors, lens(CAMERA, WIDTH, HEIGHT, np.zeros(3)), picture, seen)
     return picture
 
 
@@ -80,9 +80,9 @@ def test_a_long_splat_lies_along_its_axis():
 
 def test_splats_blend_front_to_back_in_any_order():
     near, far = (0.0, 0.0, 0.5), (0.0, 0.0, -0.5)
-    colours = np.array([(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-    one = splats([near, far], [(0.3,) * 3] * 2, [0.5, 0.6], colours=colours)
-    two = splats([far, near], [(0.3,) * 3] * 2, [0.6, 0.5], colours=colours[::-1])
+    colors = np.array([(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+    one = splats([near, far], [(0.3,) * 3] * 2, [0.5, 0.6], colors=colors)
+    two = splats([far, near], [(0.3,) * 3] * 2, [0.6, 0.5], colors=colors[::-1])
     picture = over_black(one)
     assert np.array_equal(picture, over_black(two))
     x, y = grid()
@@ -106,18 +106,18 @@ def test_splats_behind_the_camera_and_without_opacity_do_not_show():
     assert over_black(cloud).max() == 0.0
 
 
-def test_captured_colours_come_out_as_they_are():
+def test_captured_colors_come_out_as_they_are():
     sheet = np.stack(np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-1, 1, 40)), -1).reshape(-1, 2)
     positions = np.concatenate([sheet, np.zeros((len(sheet), 1))], axis=1)
-    colour = np.array((0.6, 0.3, 0.75))
+    color = np.array((0.6, 0.3, 0.75))
     cloud = splats(
         positions,
         [(0.1,) * 3] * len(sheet),
         np.ones(len(sheet)),
-        colours=np.tile(colour, (1600, 1)),
+        colors=np.tile(color, (1600, 1)),
     )
     shown = render(Scene(up=UP, splats=(cloud,)), CAMERA, (WIDTH, HEIGHT))[HEIGHT // 2, WIDTH // 2]
-    flat = np.where(colour <= 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
+    flat = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
     # one step of 8 bits and the dither's one
     assert np.abs(shown - 255.0 * flat).max() <= 2.0
 
@@ -135,7 +135,7 @@ def test_a_lit_splat_shows_less_on_the_side_away_from_the_light():
         name="/ball",
         positions=normals,
         axes=axes,
-        colours=np.full((3000, 3), 0.6),
+        colors=np.full((3000, 3), 0.6),
         opacities=np.full(3000, 0.95),
         lit=True,
     )
@@ -151,7 +151,7 @@ def test_rendering_splats_is_reproducible():
         np.exp(rng.normal(size=(500, 3))) * 0.05,
         rng.random(500),
         rng.normal(size=(500, 4)),
-        colours=rng.random((500, 3)),
+        colors=rng.random((500, 3)),
     )
     scene = Scene(up=UP, splats=(cloud,), ground=-1.0)
     first, second = (render(scene, CAMERA, (WIDTH, HEIGHT)) for _ in range(2))

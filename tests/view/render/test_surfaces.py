@@ -20,21 +20,21 @@ RED = np.array((0.9, 0.0, 0.0))
 BLUE = np.array((0.0, 0.0, 0.9))
 
 
-def mesh(points, triangles, colour=RED, **rest) -> RenderMesh:
+def mesh(points, triangles, color=RED, **rest) -> RenderMesh:
     return RenderMesh(
         name="/mesh",
         points=np.array(points, dtype=float),
         triangles=np.array(triangles),
-        colours=colour,
+        colors=color,
         roughness=np.array(1.0),
         metallic=np.array(0.0),
         **rest,
     )
 
 
-def quad(z: float, colour=RED, half: float = 0.8) -> RenderMesh:
+def quad(z: float, color=RED, half: float = 0.8) -> RenderMesh:
     corners = [(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)]
-    return mesh(corners, [(0, 1, 2), (0, 2, 3)], colour)
+    return mesh(corners, [(0, 1, 2), (0, 2, 3)], color)
 
 
 def ball(height: float = 0.0) -> RenderEllipsoids:
@@ -42,7 +42,7 @@ def ball(height: float = 0.0) -> RenderEllipsoids:
         name="/ball",
         positions=np.array([[0.0, height, 0.0]]),
         axes=np.eye(3)[None],
-        colours=np.array([[0.8, 0.4, 0.1]]),
+        colors=np.array([[0.8, 0.4, 0.1]]),
     )
 
 
@@ -75,7 +75,7 @@ def test_a_red_triangle_covers_its_area():
     assert abs(samples - area) < 0.1 * perimeter
 
 
-def test_neighbours_leave_no_crack_and_share_no_sample():
+def test_neighbors_leave_no_crack_and_share_no_sample():
     ring = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
     rim = np.stack([np.cos(ring), np.sin(ring), np.zeros(40)], axis=1)
     points = np.concatenate([[(0.1, -0.2, 0.4)], rim])
@@ -128,7 +128,7 @@ def test_texture_coordinates_are_perspective_correct():
     column = render_linear(Scene(up=UP, meshes=(strip,)), camera, (100, 400))[:, 50]
     blue = np.flatnonzero(column[:, 2] > 2.0 * column[:, 0])
     focal = 200.0 / np.tan(np.radians(30.0))
-    # the colours meet at z = -10; linear interpolation in the picture would put it at z = -3.6
+    # the colors meet at z = -10; linear interpolation in the picture would put it at z = -3.6
     boundary = 200.0 + focal / 10.0
     assert abs(blue.max() + 1 - boundary) <= 1.0
 

@@ -104,7 +104,7 @@ def test_without_a_report_curves_are_of_the_geometry():
     page = build_report([FallingBox()], {}, "box.report.json is gone", Limits())
     (look,) = json.loads(data_of(page))["looks"]
     assert [plot["title"] for plot in look["plots"]] == ["Height", "Stretch", "Volume ratio J"]
-    assert [c["name"] for c in look["plots"][0]["curves"]] == ["highest", "centre", "lowest"]
+    assert [c["name"] for c in look["plots"][0]["curves"]] == ["highest", "center", "lowest"]
     assert "Missing:" in page
 
 

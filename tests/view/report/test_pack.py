@@ -89,9 +89,9 @@ def test_curves_are_of_the_whole_body(motion):
     assert curves["surface_max"][5] == pytest.approx(1.1)
     whole = FallingBox()
     mean = np.mean([f.positions[:, 1].mean() for f in whole.frames([1.0])])
-    # the centre is that of all 40 Gaussians, of which the page keeps 30
+    # the center is that of all 40 Gaussians, of which the page keeps 30
     assert len(motion.chosen) == 30
-    assert curves["centre"][0] == pytest.approx(mean)
+    assert curves["center"][0] == pytest.approx(mean)
 
 
 def test_a_motion_without_gaussians_or_without_meshes_packs():
@@ -100,5 +100,5 @@ def test_a_motion_without_gaussians_or_without_meshes_packs():
     motion = collect(recording, bare.frames(recording.time_codes), 100, 100)
     table, _ = pack(motion)
     assert "positions" not in table
-    assert motion.curves["centre"][0] == pytest.approx(0.6)
+    assert motion.curves["center"][0] == pytest.approx(0.6)
     assert "ratio_min" not in motion.curves

@@ -119,7 +119,7 @@ def test_rows_of_warnings_are_marked():
     assert all(row.first for row in rows if row.marked)
 
 
-def test_every_rule_of_the_judgement_marks_rows_that_there_are():
+def test_every_rule_of_the_judgment_marks_rows_that_there_are():
     assert set(MARKS) == set(RULES)
     assert {key for keys in MARKS.values() for key in keys} <= {row.key for row in ROWS}
 

@@ -9,13 +9,13 @@ from recordings import BOX, TRIANGLES, FallingBox
 from gf_usd.core.asset import Texture
 from gf_usd.core.scene import RenderMesh
 from gf_usd.view.report.motion import SurfaceStretch, volume_ratio
-from gf_usd.view.report.surface import corner_colours, make_skin, smooth_groups
+from gf_usd.view.report.surface import corner_colors, make_skin, smooth_groups
 
 
-def box(colours: np.ndarray | None = None, crease: float = 50.0) -> RenderMesh:
-    colours = np.full((12, 3, 3), 0.5) if colours is None else colours
+def box(colors: np.ndarray | None = None, crease: float = 50.0) -> RenderMesh:
+    colors = np.full((12, 3, 3), 0.5) if colors is None else colors
     return RenderMesh(
-        name="/Box", points=BOX, triangles=TRIANGLES, colours=colours, crease_angle=crease,
+        name="/Box", points=BOX, triangles=TRIANGLES, colors=colors, crease_angle=crease,
         roughness=np.array(0.5), metallic=np.array(0.0),
     )  # fmt: skip
 
@@ -32,15 +32,15 @@ def test_a_box_has_three_normals_a_corner_and_a_smooth_one_has_one():
     assert not set(groups[0]) & set(groups[2])
 
 
-def test_vertices_split_where_the_colour_changes_and_keep_their_normal():
-    colours = np.full((12, 3, 3), 0.1)
-    colours[::2] = 0.9  # one triangle of each side
-    skin = make_skin([box(colours, crease=180.0)], 100)
+def test_vertices_split_where_the_color_changes_and_keep_their_normal():
+    colors = np.full((12, 3, 3), 0.1)
+    colors[::2] = 0.9  # one triangle of each side
+    skin = make_skin([box(colors, crease=180.0)], 100)
     assert len(skin.kept) == 8
     assert len(set(skin.shade.tolist())) == 8
     assert len(skin.source) > 8
-    # every corner of a triangle has the colour it came with
-    shown = skin.colours[skin.corners][:, :, 0]
+    # every corner of a triangle has the color it came with
+    shown = skin.colors[skin.corners][:, :, 0]
     assert (shown[::2] > 200).all()
     assert (shown[1::2] < 130).all()
     assert np.array_equal(skin.kept[skin.source][skin.corners], TRIANGLES)
@@ -61,14 +61,14 @@ def test_two_meshes_are_one_skin():
 def test_textures_are_looked_up_at_the_corners(wrap, u, texel):
     pixels = np.array([[[255, 0, 0], [0, 0, 255]], [[9, 9, 9], [9, 9, 9]]], dtype=np.uint8)
     mesh = RenderMesh(
-        name="/T", points=BOX, triangles=TRIANGLES[:1], colours=np.full((1, 3, 3), 0.5),
+        name="/T", points=BOX, triangles=TRIANGLES[:1], colors=np.full((1, 3, 3), 0.5),
         uvs=np.array([[[u, 0.9], [0.2, 0.8], [0.7, 0.6]]]),
         textures=(Texture(pixels=pixels, srgb=True, wrap_s=wrap),),
         triangle_textures=np.array([0]), roughness=np.array(0.5), metallic=np.array(0.0),
     )  # fmt: skip
     # v above 1/2 is the top row
     expected = [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)]
-    assert corner_colours(mesh)[0].tolist() == [list(expected[k]) for k in (texel, 0, 1)]
+    assert corner_colors(mesh)[0].tolist() == [list(expected[k]) for k in (texel, 0, 1)]
 
 
 def test_surface_stretch_is_that_of_the_deformation():

@@ -29,7 +29,7 @@ class GfUsd:
         particles = Particles(
             X=ball.X, V0=np.full(count, ball.volume), material=np.zeros(count, int),
             orientation=np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)),
-            scale=np.full((count, 3), ball.lattice), colour=np.full((count, 3), 0.5),
+            scale=np.full((count, 3), ball.lattice), color=np.full((count, 3), 0.5),
             opacity=np.ones(count), surface=np.zeros(count, int), spacing=spacing,
             volume=volume, lattice=ball.lattice, corner=ball.corner,
         )  # fmt: skip

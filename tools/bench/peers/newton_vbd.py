@@ -25,7 +25,7 @@ CONTACT = 0.4  # of (c / s)^2: the floor's stiffness per mass, as gf-usd has it
 def tetrahedra(n: int) -> tuple[np.ndarray, np.ndarray]:
     """About n vertices (n, 3) of a ball, and its tetrahedra (m, 4).
 
-    A body-centred lattice inside and points of the golden angle on the sphere, joined by Delaunay.
+    A body-centered lattice inside and points of the golden angle on the sphere, joined by Delaunay.
     """
     volume = 4.0 / 3.0 * np.pi * scene.RADIUS**3
     a = np.cbrt(2.0 * volume / n)

@@ -38,7 +38,7 @@ async function loadLook(look, number) {
   return look.arrays;
 }
 
-// Colour maps as stops from low to high, sRGB 0..255: the shaders and the legend share them.
+// Color maps as stops from low to high, sRGB 0..255: the shaders and the legend share them.
 const MAPS = {
   diverging: [[37, 78, 166], [86, 143, 214], [178, 207, 232], [238, 236, 230],
     [244, 190, 150], [221, 107, 77], [163, 24, 45]],
@@ -46,7 +46,7 @@ const MAPS = {
     [122, 197, 84], [206, 220, 62], [253, 231, 90]],
 };
 
-// The values 0..255 that colour vertices or Gaussians in a mode; null where there are none.
+// The values 0..255 that color vertices or Gaussians in a mode; null where there are none.
 function scalars(look, mode, kind, frame) {
   const a = look.arrays;
   if (mode === "strain") return a[kind === "mesh" ? "stretch" : "ratio"]?.at(frame) ?? null;
@@ -66,7 +66,7 @@ function scalars(look, mode, kind, frame) {
   return out;
 }
 
-// The fastest that a mode of colour shows: of 200 points, so that one stray does not set it.
+// The fastest that a mode of color shows: of 200 points, so that one stray does not set it.
 function topSpeed(look) {
   const places = look.arrays.points?.row ? look.arrays.points : look.arrays.positions;
   if (!places?.row) return 1;
@@ -85,7 +85,7 @@ function topSpeed(look) {
   return top || 1;
 }
 
-// How far from 1 the strain colours reach: a power of two that holds 98 in 100 of the values.
+// How far from 1 the strain colors reach: a power of two that holds 98 in 100 of the values.
 function strainReach(look) {
   const counts = new Float64Array(129);
   let total = 0;

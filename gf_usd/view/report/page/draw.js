@@ -61,7 +61,7 @@ function common(view, { at }, camera, valued) {
   if (!at.stops) return;
   const map = mode === "strain" ? MAPS.diverging : MAPS.sequential;
   gl.uniform3fv(at.stops, map.flat().map((v) => v / 255));
-  gl.uniform1i(at.mode, mode !== "colour" && valued ? 1 : 0);
+  gl.uniform1i(at.mode, mode !== "color" && valued ? 1 : 0);
   // strain codes reach two octaves either way about 128
   gl.uniform1f(at.gain, mode === "strain" ? 2 / look.reach : 1);
   gl.uniform1f(at.middle, mode === "strain" ? 128 / 255 : 0);
@@ -81,7 +81,7 @@ function drawMesh(view, program, camera, alpha) {
   common(view, program, camera, view.meshValued);
   feed(view, program, "place", "places", 3, gl.FLOAT);
   feed(view, program, "normal", "normals", 3, gl.FLOAT);
-  feed(view, program, "colour", "meshColours", 3, gl.UNSIGNED_BYTE, { whole: false });
+  feed(view, program, "color", "meshColors", 3, gl.UNSIGNED_BYTE, { whole: false });
   feed(view, program, "value", "meshValues", 1, gl.UNSIGNED_BYTE, { whole: false });
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, view.buffers.triangles);
   gl.drawElements(gl.TRIANGLES, view.look.arrays.corners.values.length, gl.UNSIGNED_INT, 0);
@@ -98,13 +98,13 @@ function drawBalls(view, program, camera) {
   gl.uniform2f(at.scale, scales.low, scales.step);
   gl.uniform1f(at.grow, view.size * look.grow);
   gl.uniform1f(at.shrink, view.shrink);
-  gl.uniform3fv(at.centre, view.centre);
+  gl.uniform3fv(at.center, view.center);
   gl.uniform1i(at.zup, look.up === "Z" ? 1 : 0);
   feed(view, program, "corner", "ball", 3, gl.FLOAT);
   feed(view, program, "place", "positions", 3, gl.UNSIGNED_SHORT, { each: 1 });
   feed(view, program, "turn", "turns", 4, gl.BYTE, { each: 1 });
   feed(view, program, "size", "scales", 3, gl.UNSIGNED_BYTE, { each: 1 });
-  feed(view, program, "colour", "colours", 3, gl.UNSIGNED_BYTE, { whole: false, each: 1 });
+  feed(view, program, "color", "colors", 3, gl.UNSIGNED_BYTE, { whole: false, each: 1 });
   feed(view, program, "value", "values", 1, gl.UNSIGNED_BYTE, { whole: false, each: 1 });
   gl.bindBuffer(gl.ARRAY_BUFFER, view.buffers.ball);
   const corners = gl.getBufferParameter(gl.ARRAY_BUFFER, gl.BUFFER_SIZE) / 12;

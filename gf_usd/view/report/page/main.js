@@ -149,9 +149,9 @@ class Controls {
 
   legend() {
     const { $, viewer, player } = this;
-    const mode = viewer?.mode ?? "colour";
-    $("legend").hidden = mode === "colour";
-    if (mode === "colour") return;
+    const mode = viewer?.mode ?? "color";
+    $("legend").hidden = mode === "color";
+    if (mode === "color") return;
     const stops = MAPS[mode === "strain" ? "diverging" : "sequential"];
     const inks = stops.map((c) => `rgb(${c.join(",")})`).join(",");
     $("legend-bar").style.background = `linear-gradient(90deg,${inks})`;

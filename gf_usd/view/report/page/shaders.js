@@ -3,7 +3,7 @@
 const LIGHT = `
 uniform vec3 eye;
 uniform vec3 stops[7];
-uniform int mode;            // 0: own colour; 1: by the value
+uniform int mode;            // 0: own color; 1: by the value
 uniform float gain;          // of the value about its middle
 uniform float middle;
 vec3 linear(vec3 c) { return pow(c, vec3(2.2)); }
@@ -22,17 +22,17 @@ vec3 shade(vec3 albedo, vec3 n, vec3 p) {
     + mix(vec3(0.20, 0.18, 0.17), vec3(0.42, 0.46, 0.52), sky) * 0.75;
   float rim = pow(1.0 - max(0.0, dot(n, v)), 4.0);
   float spark = pow(max(0.0, dot(n, normalize(key + v))), 48.0);
-  vec3 colour = albedo * light + vec3(0.10) * rim + vec3(0.10) * spark;
-  return pow(colour / (colour * 0.18 + 0.92), vec3(1.0 / 2.2));
+  vec3 color = albedo * light + vec3(0.10) * rim + vec3(0.10) * spark;
+  return pow(color / (color * 0.18 + 0.92), vec3(1.0 / 2.2));
 }
 `;
 
 const MESH_VERTEX = `#version 300 es
-in vec3 place; in vec3 normal; in vec3 colour; in float value;
+in vec3 place; in vec3 normal; in vec3 color; in float value;
 uniform mat4 camera;
 out vec3 p; out vec3 n; out vec3 c; out float s;
 void main() {
-  p = place; n = normal; c = colour; s = value;
+  p = place; n = normal; c = color; s = value;
   gl_Position = camera * vec4(place, 1.0);
 }`;
 
@@ -47,14 +47,14 @@ void main() {
   pixel = vec4(shade(albedo, normalize(n), p) * alpha, alpha);
 }`;
 
-// One ball for each Gaussian: x = centre + R (scales * s); its normal is R (s / scales).
+// One ball for each Gaussian: x = center + R (scales * s); its normal is R (s / scales).
 const BALL_VERTEX = `#version 300 es
-in vec3 corner; in vec3 place; in vec4 turn; in vec3 size; in vec3 colour; in float value;
+in vec3 corner; in vec3 place; in vec4 turn; in vec3 size; in vec3 color; in float value;
 uniform mat4 camera;
 uniform vec3 low, step_;     // of the places
 uniform vec2 scale;          // logarithm of the scales: low and step
-uniform float grow, shrink;  // of the balls; page lengths per metre
-uniform vec3 centre;
+uniform float grow, shrink;  // of the balls; page lengths per meter
+uniform vec3 center;
 uniform bool zup;
 out vec3 p; out vec3 n; out vec3 c; out float s;
 vec3 rotate(vec4 q, vec3 v) { return v + 2.0 * cross(q.xyz, cross(q.xyz, v) + q.w * v); }
@@ -62,9 +62,9 @@ vec3 stand(vec3 v) { return zup ? vec3(v.x, v.z, -v.y) : v; }
 void main() {
   vec4 q = normalize(turn);
   vec3 axes = exp(scale.x + scale.y * size) * grow;
-  p = stand((low + step_ * place - centre + rotate(q, axes * corner)) * shrink);
+  p = stand((low + step_ * place - center + rotate(q, axes * corner)) * shrink);
   n = stand(rotate(q, corner / axes));
-  c = colour; s = value;
+  c = color; s = value;
   gl_Position = camera * vec4(p, 1.0);
 }`;
 

@@ -4,7 +4,7 @@ class Viewer {
   constructor(canvas) {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
     if (!gl) throw new Error("This browser offers no WebGL 2, which the 3D view needs.");
-    Object.assign(this, { canvas, gl, orbit: new Orbit(), show: "mesh", mode: "colour", size: 1 });
+    Object.assign(this, { canvas, gl, orbit: new Orbit(), show: "mesh", mode: "color", size: 1 });
     this.mesh = this.program(MESH_VERTEX, MESH_FRAGMENT);
     this.balls = this.program(BALL_VERTEX, BALL_FRAGMENT);
     this.meshShadow = this.program(MESH_VERTEX, SHADOW_FRAGMENT);
@@ -60,22 +60,22 @@ class Viewer {
     const first = !this.look;
     this.look = look;
     const [low, high] = [look.low, look.high];
-    this.centre = low.map((v, i) => 0.5 * (v + high[i]));
+    this.center = low.map((v, i) => 0.5 * (v + high[i]));
     this.shrink = 1 / (Math.hypot(...low.map((v, i) => high[i] - v)) || 1);
     this.box = [this.stand(low), this.stand(high)];
     const [a, b] = this.box;
     this.box = [a.map((v, i) => Math.min(v, b[i])), a.map((v, i) => Math.max(v, b[i]))];
     this.ground = look.ground === null ? null
-      : look.ground * this.shrink - this.stand(this.centre, false)[1];
-    const { corners, source, shade, meshColours } = look.arrays;
+      : look.ground * this.shrink - this.stand(this.center, false)[1];
+    const { corners, source, shade, meshColors } = look.arrays;
     const shared = shade.values.reduce((most, v) => Math.max(most, v), -1) + 1;
     this.places = new Float32Array(3 * source.values.length);
     this.normals = new Float32Array(3 * source.values.length);
     this.sums = new Float32Array(3 * shared);
     this.values = new Uint8Array(source.values.length);
     this.upload("triangles", corners.values, this.gl.ELEMENT_ARRAY_BUFFER);
-    this.upload("meshColours", meshColours.values);
-    if (look.arrays.gaussianColours) this.upload("colours", look.arrays.gaussianColours.values);
+    this.upload("meshColors", meshColors.values);
+    if (look.arrays.gaussianColors) this.upload("colors", look.arrays.gaussianColors.values);
     this.upload("ball", ball(look.arrays.positions?.row > 9000 ? 1 : 2));
     if (first) this.refit();
   }
@@ -84,9 +84,9 @@ class Viewer {
     this.orbit.fit(...this.box, this.canvas.clientWidth / (this.canvas.clientHeight || 1));
   }
 
-  // A place in metres in the page's frame: Y up, centred unless told, 1 across.
-  stand(p, centred = true) {
-    const q = p.map((v, i) => (v - (centred ? this.centre[i] : 0)) * this.shrink);
+  // A place in meters in the page's frame: Y up, centered unless told, 1 across.
+  stand(p, centered = true) {
+    const q = p.map((v, i) => (v - (centered ? this.center[i] : 0)) * this.shrink);
     return this.look.up === "Z" ? [q[0], q[2], -q[1]] : q;
   }
 
@@ -146,7 +146,7 @@ class Viewer {
     this.upload("normals", normals);
   }
 
-  // The values that colour what is shown.
+  // The values that color what is shown.
   paint() {
     const { look, mode, frame } = this;
     const mesh = scalars(look, mode, "mesh", frame);
