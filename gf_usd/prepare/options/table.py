@@ -70,13 +70,15 @@ class RequestOptions:
     """What a plan hangs on; None where nothing was said."""
 
     particles: Annotated[int | None, Option(
-        PARTICLES, "Approximate number of particles.", shown="8000", above_zero=True, commands=INSPECT,
+        PARTICLES, "Approximate number of particles.",
+        shown="8000", above_zero=True, commands=INSPECT,
     )] = None
     spacing: Annotated[float | None, Option(
         PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Seed of the random sampling.", shown="the stage's, else 0", low=0, commands=INSPECT,
+        PARTICLES, "Seed of the random sampling.",
+        shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | None, Option(
         TIME, "Number of frames.", shown="13.6 T of the body", above_zero=True, commands=INSPECT,
@@ -99,7 +101,8 @@ class RequestOptions:
         parse=texts.parse_drop, commands=INSPECT,
     )] = None
     gravity: Annotated[str | None, Option(
-        SCENE, "Gravity [m/s^2], downward, or a vector x,y,z.", shown="9.81", parse=texts.parse_gravity,
+        SCENE, "Gravity [m/s^2], downward, or a vector x,y,z.",
+        shown="9.81", parse=texts.parse_gravity,
     )] = None
     floor: Annotated[str | None, Option(
         SCENE, "none, a height [stage units], a normal x,y,z, or both: 0.5:0.2,1,0.",
@@ -128,10 +131,12 @@ class RequestOptions:
         MATERIAL, "Coulomb friction coefficient.", shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Restitution of the contact springs, 0 to 1.", shown="the material's", low=0.0, high=1.0,
+        MATERIAL, "Restitution of the contact springs, 0 to 1.",
+        shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Sequence[str], Option(
-        MATERIAL, "Preset for the particles that rest in a box, PRESET:x0,y0,z0,x1,y1,z1 [stage units];"
+        MATERIAL, "Preset for the particles that rest in a box, PRESET:x0,y0,z0,x1,y1,z1"
+        " [stage units];"
         " repeatable, the later one applies.",
         shown="nothing", commands=INSPECT,
     )] = ()
@@ -147,7 +152,8 @@ class RequestOptions:
         METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
     )] = None
     skin: Annotated[str | None, Option(
-        METHOD, "How meshes follow the particles: embed (the solver's grid), idw (nearest particles),"
+        METHOD, "How meshes follow the particles: embed (the solver's grid), idw"
+        " (nearest particles),"
         " paper (all particles, GaussianFlesh eq. 6).",
         shown="embed; paper with --preset paper", choices=("embed", "idw", "paper"),
     )] = None
@@ -206,7 +212,9 @@ class RequestOptions:
     export_ply: Annotated[str | None, Option(
         ASSET, "Folder for a sequence of 3DGS PLY files, one per frame.", shown="none",
     )] = None
-    export_spz: Annotated[str | None, Option(ASSET, "Folder for a sequence of SPZ files, one per frame.", shown="none")] = None
+    export_spz: Annotated[str | None, Option(
+        ASSET, "Folder for a sequence of SPZ files, one per frame.", shown="none",
+    )] = None
 
 
 @table

@@ -38,7 +38,9 @@ def _height(motion: Motion, record: Record) -> Plot:
     up = motion.recording.up
     known = motion.curves
     center = [
-        None if (c := frame.get("center")) is None else sum(a * b for a, b in zip(c, up))
+        None
+        if (c := frame.get("center", frame.get("centre"))) is None
+        else sum(a * b for a, b in zip(c, up))
         for frame in record.frames
     ]
     curves = [
