@@ -172,7 +172,7 @@ def write_summary(
 
 
 def recorded(job: Job) -> Outcome | None:
-    """What the record beside a result says came of the job."""
+    """What the record next to a result says came of the job."""
     entry = read_record(job)
     return None if entry is None else Outcome.of(entry["outcome"])
 

@@ -40,7 +40,7 @@ class Job:
 
     @property
     def record(self) -> Path:
-        """The file beside the root layer that says what came of the job."""
+        """The file next to the root layer that says what came of the job."""
         return self.beside(RECORD)
 
     @property

@@ -1,6 +1,6 @@
 """The page of a batch: every job with its picture, health and time, what went wrong on top.
 
-Small pictures of results, drawn in processes of their own and kept beside them.
+Small pictures of results, drawn in processes of their own and kept next to them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is known of a job's result, in a file beside it: ``NAME.job.json``.
+"""What is known of a job's result, in a file next to it: ``NAME.job.json``.
 
 When two bakes would be the same: the same inputs, options, program and schema.
 

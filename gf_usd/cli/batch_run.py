@@ -62,7 +62,7 @@ from gf_usd.system.processes import Children
 
 @dataclass(frozen=True, kw_only=True)
 class Asked:
-    """What the command line says beside the manifest or the assets."""
+    """What the command line says next to the manifest or the assets."""
 
     materials: str | None = None
     seeds: str | None = None

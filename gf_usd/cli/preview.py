@@ -197,7 +197,7 @@ SIZE = (192, 144)
 def thumbnails(
     roots: Annotated[list[Path], typer.Argument(help="Root layers of bakes.")],
 ) -> None:
-    """Draw the middle frame of each as NAME.png beside it; print a line of JSON for each."""
+    """Draw the middle frame of each as NAME.png next to it; print a line of JSON for each."""
     for root in roots:
         try:
             target = thumbnail(root)

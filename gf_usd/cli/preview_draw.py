@@ -60,7 +60,7 @@ class Drawing:
         return self._size[0] / self._size[1]
 
     def _fit(self) -> Camera | None:
-        """A camera that has the whole motion beside the legend; None where nothing is visible."""
+        """A camera that has the whole motion next to the legend; None where nothing is visible."""
         motion, (width, height) = self._source.motion, self._size
         if motion.bounds is None:
             return None

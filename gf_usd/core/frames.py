@@ -1,4 +1,4 @@
-"""The immutable values that cross rooms: SI, in the source stage's world frame and up axis.
+"""The immutable values that cross packages: SI, in the source stage's world frame and up axis.
 
 Quaternions (w, x, y, z); linear Rec. 709.
 
@@ -161,7 +161,7 @@ class Frame:
     index: int  # 0 for the first
     time: float  # [s] simulated
     particles: Pose
-    riders: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
+    embedded: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
     stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
     health: Health = field(default_factory=Health)
 

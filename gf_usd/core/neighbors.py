@@ -109,13 +109,13 @@ def components(graph: coo_matrix) -> tuple[int, Ints]:
     return int(parts), np.asarray(part, np.int64)
 
 
-FLAT = 1e-9  # eigenvalue of M, beside the largest, of a direction without neighbors
+FLAT = 1e-9  # eigenvalue of M, next to the largest, of a direction without neighbors
 
 
 def operator(near: Ints, d: Floats, w: Floats) -> csr_matrix:
     """(3 N, N) [1/m], row 3 p + b of da/dX_b at point p.
 
-    near : (N, k) points beside each; d : (N, k, 3) [m] from it to them; w : (N, k) weights.
+    near : (N, k) points next to each; d : (N, k, 3) [m] from it to them; w : (N, k) weights.
     """
     from scipy.sparse import csr_matrix
 

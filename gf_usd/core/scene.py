@@ -1,4 +1,4 @@
-"""What a picture is made of: plain arrays between the room that reads and the room that draws.
+"""What a picture is made of: plain arrays between the code that reads and the code that draws.
 
 Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), colors linear
 Rec. 709 unless a field says otherwise.  Everything here is immutable and knows neither USD nor
@@ -6,7 +6,7 @@ the renderer.
 
 Which captured Gaussians a picture has to hold: captures have strays far from all else.
 
-A baked motion as plain arrays, between the room that reads it and the room that shows it.
+A baked motion as plain arrays, between the code that reads it and the code that shows it.
 
 Lengths are meters in the world frame of the stage, colors linear Rec. 709.
 """
@@ -157,7 +157,7 @@ class Motion:
 
 FAINT = 0.1  # opacity of what no one would miss
 TAIL = 0.02  # share at either end of an axis that may be strays
-ROOM = 0.5  # of the middle's longest side: what lies farther beyond it than this is a stray
+STRAY_MARGIN = 0.5  # of the middle's longest side: what lies farther beyond it than this is a stray
 
 
 def to_frame(positions: Floats, opacities: Floats) -> NDArray[np.bool_]:
@@ -170,8 +170,10 @@ def to_frame(positions: Floats, opacities: Floats) -> NDArray[np.bool_]:
     if not solid.any():
         return np.ones(len(solid), bool)
     low, high = np.quantile(np.asarray(positions)[solid], (TAIL, 1.0 - TAIL), axis=0)
-    room = ROOM * float((high - low).max())
-    near = solid & (positions >= low - room).all(axis=1) & (positions <= high + room).all(axis=1)
+    margin = STRAY_MARGIN * float((high - low).max())
+    near = (
+        solid & (positions >= low - margin).all(axis=1) & (positions <= high + margin).all(axis=1)
+    )
     return near if near.any() else np.ones(len(solid), bool)
 
 

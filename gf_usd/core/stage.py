@@ -38,7 +38,7 @@ WATER = 1000.0  # [kg/m^3] what UsdPhysics assumes where no density is given
 
 
 @dataclass(frozen=True, kw_only=True)
-class MaterialWords:
+class PhysicsMaterialSpec:
     """What one physics material says; None: nothing."""
 
     path: str = ""  # of the Material prim; empty where none is bound
@@ -108,7 +108,7 @@ class Collider:
     linear: Floats  # (F, 3, 3); F = 1: it stays where it is at rest
     offset: Floats  # (F, 3) [m]
     deformed: Floats | None = None  # (F, V, 3) [m] at each frame, of points that move by themselves
-    words: MaterialWords = field(default_factory=MaterialWords)  # friction, restitution
+    words: PhysicsMaterialSpec = field(default_factory=PhysicsMaterialSpec)  # friction, restitution
     approximation: str = "none"  # of UsdPhysics, as authored
     role: str = "static"  # static | kinematic | dynamic: what UsdPhysics would do with it
 
@@ -146,7 +146,7 @@ class SubsetMaterial:
 
     path: str  # of the GeomSubset
     faces: Ints  # (n,) sorted, into Surface.face_counts
-    words: MaterialWords
+    words: PhysicsMaterialSpec
     material: Material | None  # None: says nothing of elasticity
 
     def resolve(self, base: Material, density: float | None = None) -> Material:
@@ -170,7 +170,9 @@ class BodyPhysics:
     angular_velocity: Triple | None = None  # [rad/s]
     center: Triple | None = None  # [m] of mass, as authored; None: that of the volume
     moving: Floats | None = None  # (V, 3) [m/s of playback] of the animation that ends at rest
-    words: MaterialWords = field(default_factory=MaterialWords)  # of the bound physics material
+    words: PhysicsMaterialSpec = field(
+        default_factory=PhysicsMaterialSpec
+    )  # of the bound physics material
     material: Material | None = None  # None: nothing is said of elasticity
     subsets: tuple[SubsetMaterial, ...] = ()
 
@@ -214,7 +216,7 @@ class PrimBake:
     path: str
     enabled: bool | None = None
     material: str | None = None  # name of a preset
-    spacing: float | None = None  # [m]; never beside particles
+    spacing: float | None = None  # [m]; never next to particles
     particles: int | None = None  # of all prims with the same particles_of together
     particles_of: str = ""  # the prim that states it
     seed: int | None = None
@@ -263,7 +265,7 @@ class Skin:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Encounters:
+class ContactSetup:
     """Who meets whom."""
 
     skins: tuple[Skin, ...]  # one a body
@@ -312,7 +314,7 @@ class Pin:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageWords:
+class StageSpec:
     """What is said; empty for an asset that is no USD file."""
 
     bakes: dict[str, PrimBake] = field(default_factory=dict)  # by prim path of a surface
@@ -355,11 +357,11 @@ def read_words(
     *,
     where: str,
     assume: Assume | None = None,
-) -> MaterialWords:
+) -> PhysicsMaterialSpec:
     """What the Material prim at `path` says.
 
     where : file and prim, for messages.
-    assume : without it a Young's modulus needs a Poisson's ratio beside it, and both values that
+    assume : without it a Young's modulus needs a Poisson's ratio next to it, and both values that
         the vocabularies give a meaning of their own (0 or -inf: not stated; 0.5: incompressible)
         and missing ones are refused.  With it they are settled, and it is told how.
 
@@ -377,7 +379,7 @@ def read_words(
     law = authored(OURS + "law")
     if law is not None and law not in LAWS:
         raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
-    return MaterialWords(
+    return PhysicsMaterialSpec(
         path=path,
         density=density,
         youngs_modulus=young,

@@ -151,26 +151,31 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
     """
     points = surface.points
     vertex = weld(points)[0][surface.triangles].reshape(-1)
-    slots = np.arange(len(vertex)).reshape(-1, 3)  # corners of Surface.triangles, counted through
+    material_parts = np.arange(len(vertex)).reshape(
+        -1, 3
+    )  # corners of Surface.triangles, counted through
 
-    sound = proper(vertex[slots])
-    slots = slots[sound]
-    flat = idle(slivers(points, vertex[slots]), Edges.of(vertex[slots]))
-    slots = slots[~flat]
-    double = doubled(vertex[slots], authored_faces(surface)[slots[:, 0] // 3])
-    slots = slots[double == SINGLE]
-    if len(slots) == 0:
+    sound = proper(vertex[material_parts])
+    material_parts = material_parts[sound]
+    flat = idle(slivers(points, vertex[material_parts]), Edges.of(vertex[material_parts]))
+    material_parts = material_parts[~flat]
+    double = doubled(vertex[material_parts], authored_faces(surface)[material_parts[:, 0] // 3])
+    material_parts = material_parts[double == SINGLE]
+    if len(material_parts) == 0:
         return surface, Repairs(path=surface.path)
 
-    patch = winding.patches(points, vertex[slots], Edges.of(vertex[slots]))
-    slots = winding.turned(slots, patch.against)
-    facing = winding.facing(points, vertex[slots], patch.label)
-    slots = winding.turned(slots, facing.wrong[patch.label])
+    patch = winding.patches(points, vertex[material_parts], Edges.of(vertex[material_parts]))
+    material_parts = winding.turned(material_parts, patch.against)
+    facing = winding.facing(points, vertex[material_parts], patch.label)
+    material_parts = winding.turned(material_parts, facing.wrong[patch.label])
     kept = ~facing.inner[patch.label]
-    slots, label = slots[kept], np.unique(patch.label[kept], return_inverse=True)[1]
-    shared = overlapping(points, vertex[slots], label)
-    caps, closing = _close(points, vertex, slots)
-    slots = np.concatenate([slots, caps])
+    material_parts, label = (
+        material_parts[kept],
+        np.unique(patch.label[kept], return_inverse=True)[1],
+    )
+    shared = overlapping(points, vertex[material_parts], label)
+    caps, closing = _close(points, vertex, material_parts)
+    material_parts = np.concatenate([material_parts, caps])
 
     done = Repairs(
         path=surface.path,
@@ -187,12 +192,12 @@ def repair_surface(surface: Surface) -> tuple[Surface, Repairs]:
         caps=len(caps),
         **closing,
     )
-    return (_with_slots(surface, slots) if done.changed else surface), done
+    return (_with_slots(surface, material_parts) if done.changed else surface), done
 
 
-def _close(points: Floats, vertex: Ints, slots: Ints) -> tuple[Ints, dict[str, Any]]:
+def _close(points: Floats, vertex: Ints, material_parts: Ints) -> tuple[Ints, dict[str, Any]]:
     """Caps (C, 3) of slots over the small holes, and what was counted."""
-    triangles = vertex[slots]
+    triangles = vertex[material_parts]
     label = shells(triangles)
     area = np.bincount(label, winding.areas(points, triangles))
     loops, loose = boundary_loops(Edges.of(triangles))
@@ -207,7 +212,7 @@ def _close(points: Floats, vertex: Ints, slots: Ints) -> tuple[Ints, dict[str, A
             large.append(share)
             continue
         small.append(share)
-        ring = slots.reshape(-1)[loop[::-1]]  # a cap runs along each edge the other way
+        ring = material_parts.reshape(-1)[loop[::-1]]  # a cap runs along each edge the other way
         _, corners, _ = triangulate(points, np.array([len(ring)]), vertex[ring])
         caps.append(ring[corners])
     return np.concatenate(caps), {
@@ -219,21 +224,21 @@ def _close(points: Floats, vertex: Ints, slots: Ints) -> tuple[Ints, dict[str, A
     }
 
 
-def _with_slots(surface: Surface, slots: Ints) -> Surface:
+def _with_slots(surface: Surface, material_parts: Ints) -> Surface:
     """The surface with triangles made of these corners of its own triangles, (T', 3).
 
-    A cap takes color and UV at each corner, and its material, from the triangle beside it.
+    A cap takes color and UV at each corner, and its material, from the triangle next to it.
     """
     colors, uvs, materials = (
         surface.triangle_colors, surface.triangle_uvs, surface.triangle_materials,
     )  # fmt: skip
     return replace(
         surface,
-        triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[slots]),
-        triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[slots]),
-        triangle_colors=None if colors is None else colors.reshape(-1, 3)[slots],
-        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[slots],
-        triangle_materials=None if materials is None else materials[slots[:, 0] // 3],
+        triangles=np.ascontiguousarray(surface.triangles.reshape(-1)[material_parts]),
+        triangle_corners=np.ascontiguousarray(surface.triangle_corners.reshape(-1)[material_parts]),
+        triangle_colors=None if colors is None else colors.reshape(-1, 3)[material_parts],
+        triangle_uvs=None if uvs is None else uvs.reshape(-1, 2)[material_parts],
+        triangle_materials=None if materials is None else materials[material_parts[:, 0] // 3],
     )
 
 

@@ -36,7 +36,7 @@ class Solid:
     volume: float  # [m^3]
     low: Floats  # (3,) [m]
     high: Floats  # (3,) [m]
-    riders: tuple[tuple[str, str], ...]  # (prim path, reason) of surfaces that only ride along
+    embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of surfaces that only ride along
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""
@@ -98,17 +98,17 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
 
     Raises InputError where none bounds a solid.
     """
-    kept, triangles, sources, riders = [], [], [], []
+    kept, triangles, sources, embedded = [], [], [], []
     for surface in asset.surfaces:
         welded, source, reason = _welded(surface)
         if reason:
-            riders.append((surface.path, reason))
+            embedded.append((surface.path, reason))
             continue
         kept.append(surface)
         triangles.append(welded)
         sources.append(source)
     if not kept:
-        listed = "\n".join(f"  {path}: {reason}" for path, reason in riders)
+        listed = "\n".join(f"  {path}: {reason}" for path, reason in embedded)
         raise InputError(
             f"{asset.facts.path}: no mesh encloses a volume: nothing can be filled:\n{listed}",
             "close the holes or give the mesh thickness"
@@ -118,7 +118,7 @@ def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
     low, high = points.min(0), points.max(0)
     partial = Solid(
         surfaces=tuple(kept), triangles=tuple(triangles), sources=tuple(sources), volume=0.0,
-        low=low, high=high, riders=tuple(riders),
+        low=low, high=high, embedded=tuple(embedded),
     )  # fmt: skip
     return Solid(**{**partial.__dict__, "volume": _volume(partial, asset, repaired)})
 

@@ -245,9 +245,9 @@ def field(
         if ((2.0 * radius + 1.0) ** 3).sum() <= PAIRS:
             break
         h *= 1.2
-    room = max(MARGIN, int(radius.max()) + 1)
-    n = np.ceil((high - low) / h).astype(int) + 1 + 2 * room
-    grid = Grid(low=low - room * h, h=h, shape=(int(n[0]), int(n[1]), int(n[2])))
+    margin = max(MARGIN, int(radius.max()) + 1)
+    n = np.ceil((high - low) / h).astype(int) + 1 + 2 * margin
+    grid = Grid(low=low - margin * h, h=h, shape=(int(n[0]), int(n[1]), int(n[2])))
     inverse = np.linalg.inv(covariance / h**2 + 0.25 * np.eye(3))
     place = grid.cells(points)
     # In steps of a byte, as most files have them: a capture has one surface in every format.

@@ -56,7 +56,7 @@ def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Sur
     done = np.zeros(len(which), int)
     if not which.any():
         return surface, done
-    points, triangles, slots = [surface.points], [], []
+    points, triangles, material_parts = [surface.points], [], []
     first = len(surface.points)
     corner = 3 * seen.source[:, None] + np.arange(3)  # slots of Surface.triangles, counted through
     patch = winding.patches(surface.points, seen.triangles, Edges.of(seen.triangles))
@@ -67,12 +67,12 @@ def _thicken(surface: Surface, seen: Shells, which: Ints, a: float) -> tuple[Sur
         for X, faces, at in made:
             points.append(X)
             triangles.append(first + faces)
-            slots.append(corner.reshape(-1)[at])
+            material_parts.append(corner.reshape(-1)[at])
             first += len(X)
     kept = done[seen.label] == 0
     triangles.append(seen.triangles[kept])
-    slots.append(corner[kept])
-    slot = np.concatenate(slots)
+    material_parts.append(corner[kept])
+    slot = np.concatenate(material_parts)
     made_of = replace(
         surface, points=np.concatenate(points), triangles=np.concatenate(triangles),
         triangle_corners=surface.triangle_corners.reshape(-1)[slot],

@@ -215,7 +215,7 @@ class ClipStore:
 
 
 def folder_of(cache: Path) -> Path:
-    """``duck.rubber.cache.usdc`` -> ``duck.rubber.clips``, beside it."""
+    """``duck.rubber.cache.usdc`` -> ``duck.rubber.clips``, next to it."""
     return cache.with_name(f"{cache.stem.removesuffix('.cache')}.clips")
 
 

@@ -119,7 +119,7 @@ def _export(layer: Sdf.Layer, path: Path) -> None:
 
 FOLDER = "files"  # in a package
 TILES = "<UDIM>"
-# what a usdz may hold beside layers (OpenUSD's specification of the format)
+# what a usdz may hold next to layers (OpenUSD's specification of the format)
 ALLOWED = {".png", ".jpg", ".jpeg", ".exr", ".avif", ".m4a", ".mp3", ".wav"}
 
 

@@ -204,13 +204,13 @@ def reference_roots(layer: Sdf.Layer, source: Usd.Stage, asset: Asset, reference
     reference : the source's file as the layer refers to it.
     """
     inherited = _inherited(source, asset)
-    holder = _holder(layer, source) if inherited else None
+    pin_constraint = _holder(layer, source) if inherited else None
     for prim in source.GetPseudoRoot().GetAllChildren():
         name = prim.GetName()
         spec = Sdf.PrimSpec(layer.pseudoRoot, name, prim.GetSpecifier())
-        if holder is not None and name in inherited:
-            spec.specializesList.prependedItems = [holder.path.AppendChild(name)]
-            spec = Sdf.PrimSpec(holder, name, prim.GetSpecifier())
+        if pin_constraint is not None and name in inherited:
+            spec.specializesList.prependedItems = [pin_constraint.path.AppendChild(name)]
+            spec = Sdf.PrimSpec(pin_constraint, name, prim.GetSpecifier())
         spec.referenceList.prependedItems = [Sdf.Reference(reference, prim.GetPath())]
 
 

@@ -30,7 +30,7 @@ class Home:
 
     root: Sdf.Path  # the root prim that counts as the asset: default prim of the output
     scope: Sdf.Path  # parent of Gaussians, Points and Materials
-    inside: bool  # scope is a child of root; else a root prim beside it, which is a Gprim
+    inside: bool  # scope is a child of root; else a root prim next to it, which is a Gprim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ def clock(source: Usd.Stage, settings: Settings) -> Clock:
 
 
 def find_home(source: Usd.Stage, asset: Asset, choices: Choices | None = None) -> Home:
-    """Where the particle prims go: a scope under the root prim, or beside one that is a Gprim.
+    """Where the particle prims go: a scope under the root prim, or next to one that is a Gprim.
 
     The root prim is the default prim, or without one the first root prim that holds a surface
     and stands on the stage.  Gprims may not nest, hence the sibling; a bake that writes no

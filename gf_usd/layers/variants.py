@@ -2,7 +2,7 @@
 
 A variant set acts on its own prim only.  A source with one root prim that holds the meshes has
 one; where several root prims hold meshes each has its own, to be switched one by one, and so has
-the particles' scope where it stands beside a root prim that is itself a mesh.  The display sets
+the particles' scope where it stands next to a root prim that is itself a mesh.  The display sets
 are nested because two independent ones could be set to show nothing (none + gaussians).
 """
 
@@ -88,7 +88,7 @@ def add_variants(
     """
     spec = layer.GetPrimAtPath(root)
     if spec is None:
-        # beside a root prim that is a mesh; defined by the payload alone, so absent under none
+        # next to a root prim that is a mesh; defined by the payload alone, so absent under none
         spec = Sdf.PrimSpec(layer.pseudoRoot, root.name, Sdf.SpecifierOver)
     spec.variantSetNameList.prependedItems = [VARIANT_SET]
     spec.variantSelections[VARIANT_SET] = bakes[0].name

@@ -116,7 +116,7 @@ def to_device(values: Mapping[str, Floats], real: type) -> dict[str, Any]:
 
 
 class Saved(Protocol):
-    """What has a state of its own beside the arrays."""
+    """What has a state of its own next to the arrays."""
 
     def save(self) -> dict[str, Any]:
         """The state as arrays and numbers."""

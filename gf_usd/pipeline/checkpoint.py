@@ -1,4 +1,4 @@
-"""The file from which a bake goes on: ``NAME.checkpoint.npz``, beside the cache.
+"""The file from which a bake goes on: ``NAME.checkpoint.npz``, next to the cache.
 
     about       JSON: `Checkpoint` without its arrays
     solver.*    the solver's state, as `FrameBuilder.state` gives it
@@ -9,7 +9,7 @@ samples up to there are in the clips, so it does not grow with them.
 
 Going on with a bake that ended early: when its checkpoints fit, and when they are written.
 
-Every variant of a bake has a checkpoint of its own, beside its cache.  One that was done when the
+Every variant of a bake has a checkpoint of its own, next to its cache.  One that was done when the
 bake ended is taken up again at its last full clip, as the others are: only the frames after it are
 simulated a second time, and give the same bits.
 """
@@ -245,7 +245,7 @@ def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint
 
 
 def clip_files(state: Mapping[str, Any]) -> list[str]:
-    """Names, beside the cache, of the files that a `CacheWriter.state` goes on from."""
+    """Names, next to the cache, of the files that a `CacheWriter.state` goes on from."""
     clips = [f"{count:04d}.usdc" for count in range(1, len(state["clips"]) + 1)]
     return [f"{state['folder']}/{name}" for name in ("manifest.usda", *clips)]
 

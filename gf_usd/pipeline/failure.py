@@ -27,7 +27,7 @@ def place(
     variant: str,
     *,
     asset: Asset,
-    riders: Sequence[tuple[str, str]],
+    embedded: Sequence[tuple[str, str]],
     particles: Particles,
     settings: Settings,
 ) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def place(
     if error.particle >= 0:
         unit = asset.facts.units.length
         surface = int(particles.surface[error.particle])
-        riding = {path for path, _ in riders}  # particles count the surfaces that are filled
+        riding = {path for path, _ in embedded}  # particles count the surfaces that are filled
         filled = [s.path for s in asset.surfaces if s.path not in riding]
         found = {
             "particle": error.particle,
@@ -72,7 +72,7 @@ def leave(
 
     failed : of `place`.
     variants : the bakes so far, the last of which failed; their caches have partial names.
-    clips : files beside the caches.
+    clips : files next to the caches.
 
     No file under a final name is touched but a report of an earlier failure.
     """

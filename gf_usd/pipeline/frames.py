@@ -79,7 +79,7 @@ class FrameBuilder:
 
         s = self._settings
         gaussians = self._track.advance(frame.particles)
-        poses = frame.riders
+        poses = frame.embedded
         if self._skin:
             poses = self._skin.poses(frame.particles, self._track.turn)
         meshes = {}
@@ -141,7 +141,7 @@ class SplatDeformer:
         self._turns = {WORLD: np.eye(3), STOOD: UPRIGHT[facts.up_axis]}
         # The same Gaussians in spaces of files that are not their prims'.
         self._elsewhere: dict[str, dict[str, CarriedSplats]] = {}
-        self._riders: Mapping[str, Pose] = {}
+        self._embedded: Mapping[str, Pose] = {}
         self._now: dict[str, SplatPose] = {}
         self._there: dict[str, dict[str, SplatPose]] = {}
         if not splats:
@@ -177,20 +177,20 @@ class SplatDeformer:
             for k, one in enumerate(tracks.values())
         ]
 
-    def poses(self, riders: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
+    def poses(self, embedded: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
         """The Gaussians at one sample, by prim path; riders are the poses of all that rides."""
-        self._riders = riders
+        self._embedded = embedded
         for path, track in self._tracks.items():
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit
-            self._now[path] = track.advance(riders[path], np.asarray(to_local))
+            self._now[path] = track.advance(embedded[path], np.asarray(to_local))
         for kind, tracks in self._elsewhere.items():
             to_there = self._turns[kind] / self._unit
-            self._there[kind] = {p: one.advance(riders[p], to_there) for p, one in tracks.items()}
+            self._there[kind] = {p: one.advance(embedded[p], to_there) for p, one in tracks.items()}
         return dict(self._now)
 
     def held(self, frame: BakedFrame) -> BakedFrame:
         """A frame before the start: the pose asked for last, in the prims' spaces at its time."""
-        return replace(frame, splats=self.poses(self._riders, frame.time_code))
+        return replace(frame, splats=self.poses(self._embedded, frame.time_code))
 
     def export(self, frame: BakedFrame, number: int) -> None:
         """Write the files of a frame, the one that `poses` was asked for last.

@@ -68,7 +68,7 @@ class Inspection:
         """(filled | rides along | refused, reason) of a mesh."""
         if self.plan is None:
             return "refused", ""
-        reason = dict(self.plan.riders).get(path)
+        reason = dict(self.plan.embedded).get(path)
         return ("filled", "") if reason is None else ("rides along", reason)
 
     def as_json(self) -> dict[str, Any]:

@@ -67,7 +67,7 @@ class VariantResult:
     health: dict[str, Any] = field(repr=False)  # see `HealthLog.summary`
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
     warnings: tuple[HealthWarning, ...] = ()
-    clips: tuple[Path, ...] = ()  # files beside the cache
+    clips: tuple[Path, ...] = ()  # files next to the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""

@@ -62,7 +62,7 @@ class Prepared:
     def cost(self) -> Cost:
         """Of `budget.estimate`; builds the solvers."""
         plan = self.plan
-        meets = plan.encounters is not None and plan.encounters.any
+        meets = plan.contact_setup is not None and plan.contact_setup.any
         samples = plan.settings.samples_per_frame
         surfaces = plan.asset.surfaces
         return estimate(
@@ -236,7 +236,7 @@ def _run_locked(
                 finished(files)  # it would fail again
             seconds = time.perf_counter() - began
             failed = place(
-                error, variant.name, asset=plan.asset, riders=plan.riders,
+                error, variant.name, asset=plan.asset, embedded=plan.embedded,
                 particles=plan.particles, settings=plan.settings,
             )  # fmt: skip
             report = partial(report_json, describe(plan), plan.settings, results, seconds)
@@ -375,13 +375,13 @@ def _solver(plan: Plan, variant: Variant) -> Solver:
     if plan.velocity:
         more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
     if plan.settings.solver == "tl" and plan.bodies is not None:
-        more |= {"encounters": plan.encounters, "rider_body": plan.bodies.riders}
+        more |= {"contact_setup": plan.contact_setup, "embedded_body": plan.bodies.embedded}
     return make_solver(
         sampled(variant.settings),
         plan.particles,
         variant.table,
         samples=plan.samples,
-        riders=plan.points if plan.settings.skin == "embed" else {},
+        embedded=plan.points if plan.settings.skin == "embed" else {},
         pins=plan.pins,
         **more,
     )

@@ -13,7 +13,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import Particles
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.core.stage import BodyPhysics, Encounters, Skin, StagePhysics
+from gf_usd.core.stage import BodyPhysics, ContactSetup, Skin, StagePhysics
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -29,7 +29,7 @@ class BodyPlan:
     of_surface: Ints  # (S,) body of each filled surface, in the order of `Solid.surfaces`
     radius: Floats  # (B,) [m] r = (3 V / 4 pi)^(1/3)
     surfaces: tuple[tuple[str, ...], ...]  # prim paths of each body
-    riders: dict[str, int]  # body that each mesh rides on, by prim path
+    embedded: dict[str, int]  # body that each mesh rides on, by prim path
     notes: tuple[str, ...] = ()
 
     @property
@@ -68,7 +68,7 @@ def plan_bodies(
         of_surface=of,
         radius=radius,
         surfaces=names,
-        riders=_riders(asset, dict(zip(paths, of.tolist())), particles, body),
+        embedded=_embedded(asset, dict(zip(paths, of.tolist())), particles, body),
         notes=tuple(notes),
     )
     return plan, replace(particles, body=body if several else None)
@@ -101,7 +101,7 @@ def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, lis
     return renumbered, fused
 
 
-def _riders(
+def _embedded(
     asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
 ) -> dict[str, int]:
     """Body that each surface rides on: its own, or the one that most of its points are nearest."""
@@ -130,9 +130,9 @@ def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
     return tuple(out)
 
 
-def encounters(
+def contact_setup(
     solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool
-) -> Encounters:
+) -> ContactSetup:
     """Who meets whom, as the stage wants it."""
     colliders = physics.colliders
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
@@ -148,7 +148,7 @@ def encounters(
             mine = body[said.path]
             through |= {(mine, k) for k in range(bodies.count)}
             through_colliders |= {(mine, k) for k in range(len(colliders))}
-    return Encounters(
+    return ContactSetup(
         skins=skins(solid, bodies.of_surface),
         colliders=colliders,
         through=frozenset(through),

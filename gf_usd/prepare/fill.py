@@ -27,11 +27,11 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import StageWords
+from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
-from gf_usd.prepare.bodies import encounters, plan_bodies, start_velocities
+from gf_usd.prepare.bodies import contact_setup, plan_bodies, start_velocities
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
@@ -54,7 +54,7 @@ def fill(
     files: Outputs,
     file: Path,
     *,
-    words: StageWords,
+    words: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
 ) -> tuple[Plan, Solid]:
@@ -122,8 +122,8 @@ def fill(
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
-    parts = body_materials.slots(solid, words, request.regions)
-    slot = body_materials.slot_of_particles(solid, particles, parts)
+    parts = body_materials.material_parts(solid, words, request.regions)
+    slot = body_materials.part_of_particles(solid, particles, parts)
     of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
     slot = body_materials.in_regions(slot, particles, parts, of)
 
@@ -156,7 +156,7 @@ def fill(
         for m in made
     )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
-    ridden = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.riders]
+    embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(words.advice[s.path] for s in solid.surfaces) if words.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
@@ -170,18 +170,18 @@ def fill(
         each=each,
         outputs=files,
         source=files.source or file,
-        riders=solid.riders,
+        embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
         choices=choices,
         bodies=bodies,
-        encounters=encounters(solid, bodies, physics, self_contact=request.self_contact),
+        contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
         velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
-            *regional, *own, *physics.notes, *ridden, *left, *skin,
+            *regional, *own, *physics.notes, *embedded_points, *left, *skin,
             *_options(made, each), *split,
         ),
     )  # fmt: skip
@@ -189,7 +189,7 @@ def fill(
 
 
 def _with_stage(
-    request: Request, words: StageWords, asset: Asset
+    request: Request, words: StageSpec, asset: Asset
 ) -> tuple[Request, tuple[str, ...]]:
     """The request with what the stage says where it says nothing, and notes on that."""
     notes = []
@@ -287,7 +287,7 @@ def _stated_values(request: Request) -> dict[str, float]:
 
 
 def _resolution(
-    request: Request, words: StageWords, unit: float, volumes: Callable[[], Mapping[str, float]]
+    request: Request, words: StageSpec, unit: float, volumes: Callable[[], Mapping[str, float]]
 ) -> Resolution:
     """See `resolution`; unit : [m] of the stage's."""
     spacing = request.spacing * unit if request.spacing else None
@@ -328,7 +328,7 @@ def implausible_size(asset: Asset) -> str:
 
 
 def mend(
-    asset: Asset, request: Request, words: StageWords
+    asset: Asset, request: Request, words: StageSpec
 ) -> tuple[Asset, Asset, tuple[Repairs, ...]]:
     """The asset mended, the same with its sheets thickened for the fill, and what was done.
 

@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
 from gf_usd.core.materials import Look, Material, find_preset, lame, law_parameters
-from gf_usd.core.stage import StageWords, SubsetMaterial
+from gf_usd.core.stage import StageSpec, SubsetMaterial
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.regions import Region
 
@@ -30,7 +30,7 @@ SAME = 1e-3  # relative: materials that differ by less are one
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slot:
+class MaterialPart:
     """A part of a body that has one material: a surface, some of its faces, or a region."""
 
     surface: int  # into Solid.surfaces
@@ -45,26 +45,30 @@ class Authored:
     name: str
 
 
-def slots(solid: Solid, words: StageWords, regions: Sequence[Region] = ()) -> list[Slot]:
+def material_parts(
+    solid: Solid, words: StageSpec, regions: Sequence[Region] = ()
+) -> list[MaterialPart]:
     """The parts, first the surfaces in their order, last those in regions."""
-    found = [Slot(surface=k) for k in range(len(solid.surfaces))]
+    found = [MaterialPart(surface=k) for k in range(len(solid.surfaces))]
     for k, surface in enumerate(solid.surfaces):
         body = words.bodies.get(surface.path)
-        found += [Slot(surface=k, subset=one) for one in (body.subsets if body else ())]
-    return found + [Slot(surface=k, region=r) for r in regions for k in range(len(solid.surfaces))]
+        found += [MaterialPart(surface=k, subset=one) for one in (body.subsets if body else ())]
+    return found + [
+        MaterialPart(surface=k, region=r) for r in regions for k in range(len(solid.surfaces))
+    ]
 
 
-def in_regions(slot: Ints, particles: Particles, parts: Sequence[Slot], of: Ints) -> Ints:
+def in_regions(slot: Ints, particles: Particles, parts: Sequence[MaterialPart], of: Ints) -> Ints:
     """(N,) part of each particle, with those in regions in parts of their own.
 
-    slot : of `slot_of_particles`; of : (N,) of `material_regions.owners`.
+    slot : of `part_of_particles`; of : (N,) of `material_regions.owners`.
     """
     first = next((k for k, part in enumerate(parts) if part.region is not None), len(parts))
     surfaces = 1 + max(part.surface for part in parts)
     return np.where(of < 0, slot, first + of * surfaces + np.asarray(particles.surface))
 
 
-def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot]) -> Ints:
+def part_of_particles(solid: Solid, particles: Particles, parts: Sequence[MaterialPart]) -> Ints:
     """(N,) part of each particle: of the nearest surface, or of the nearest face's subset."""
     out = np.asarray(particles.surface).copy()
     divided = {slot.surface for slot in parts if slot.subset}
@@ -73,14 +77,14 @@ def slot_of_particles(solid: Solid, particles: Particles, parts: Sequence[Slot])
     from gf_usd.geometry.surface import nearest
 
     at = nearest(solid, particles.X)
-    of_triangle = slot_of_triangles(solid, parts)
+    of_triangle = part_of_triangles(solid, parts)
     for k in divided:
         mine = np.flatnonzero(at.surface == k)
         out[mine] = of_triangle[k][at.triangle[mine]]
     return out
 
 
-def slot_of_triangles(solid: Solid, parts: Sequence[Slot]) -> list[Ints]:
+def part_of_triangles(solid: Solid, parts: Sequence[MaterialPart]) -> list[Ints]:
     """For each surface (T,) the part of each row of `Surface.triangles`."""
     out = []
     for k, surface in enumerate(solid.surfaces):
@@ -94,13 +98,13 @@ def slot_of_triangles(solid: Solid, parts: Sequence[Slot]) -> list[Ints]:
     return out
 
 
-def look_name(words: StageWords, surfaces: Sequence[Surface]) -> str:
+def variant_name(words: StageSpec, surfaces: Sequence[Surface]) -> str:
     """What the stage's own materials are called together."""
     names = set().union(*(_own_names(surface, words) for surface in surfaces))
     return names.pop() if len(names) == 1 else AUTHORED
 
 
-def _own_names(surface: Surface, words: StageWords) -> set[str]:
+def _own_names(surface: Surface, words: StageSpec) -> set[str]:
     bake, body = words.bakes.get(surface.path), words.bodies.get(surface.path)
     own = bake.material if bake is not None and bake.material else ""
     if not own and body is not None and body.material:
@@ -116,18 +120,18 @@ def _own_names(surface: Surface, words: StageWords) -> set[str]:
 
 def table(
     look: Any,
-    parts: Sequence[Slot],
+    parts: Sequence[MaterialPart],
     slot: Ints,
     particles: Particles,
     solid: Solid,
     bodies: BodyPlan,
-    words: StageWords,
+    words: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> tuple[tuple[Material, ...], Ints]:
     """The materials of a look, and (N,) which of them each particle has.
 
     look : `Authored`, or a preset for every part that is in no region; slot : (N,) of
-    `slot_of_particles`; finish : the material of a preset on a body of radius [m], with what the
+    `part_of_particles`; finish : the material of a preset on a body of radius [m], with what the
     command line says.
     """
     made: list[Material] = []
@@ -157,9 +161,9 @@ def table(
 
 def _authored(
     path: str,
-    part: Slot,
+    part: MaterialPart,
     radius: float,
-    words: StageWords,
+    words: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> Material:
     bake, body = words.bakes.get(path), words.bodies.get(path)
@@ -183,11 +187,11 @@ def _authored(
 
 def _with_masses(
     made: list[Material],
-    parts: Sequence[Slot],
+    parts: Sequence[MaterialPart],
     slot: Ints,
     particles: Particles,
     solid: Solid,
-    words: StageWords,
+    words: StageSpec,
 ) -> list[Material]:
     """Densities such that what states a mass has it; moduli stay."""
     volume = np.bincount(slot, particles.V0, minlength=len(made))
@@ -215,7 +219,7 @@ def _alike(one: Material, other: Material) -> bool:
     return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
 
 
-def stated_spacing(words: StageWords, volumes: Mapping[str, float]) -> tuple[float | None, str]:
+def stated_spacing(words: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
     """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
 
     volumes : [m^3] of each surface, by prim path.
@@ -243,15 +247,15 @@ def with_own_values(
     particles: Particles,
     materials: Sequence[Material],
     slot: Ints,
-    parts: Sequence[Slot],
+    parts: Sequence[MaterialPart],
     solid: Solid,
     bodies: BodyPlan,
-    words: StageWords,
+    words: StageSpec,
     width: float,
 ) -> tuple[Particles, tuple[str, ...]]:
     """The particles with values of their own, where they have any, and notes on that.
 
-    materials : of `body_materials.table`; slot : (N,) of `slot_of_particles`; width : [m] over
+    materials : of `body_materials.table`; slot : (N,) of `part_of_particles`; width : [m] over
     which materials of a body turn into each other, 0: at once.
     """
     values, notes = None, []
@@ -278,7 +282,7 @@ def blended(
     particles: Particles,
     materials: Sequence[Material],
     slot: Ints,
-    parts: Sequence[Slot],
+    parts: Sequence[MaterialPart],
     solid: Solid,
     bodies: BodyPlan,
     width: float,
@@ -291,7 +295,7 @@ def blended(
 
     material = np.asarray(particles.material)
     of_slot = {int(k): int(material[np.flatnonzero(slot == k)[0]]) for k in np.unique(slot)}
-    slots = slot_of_triangles(solid, parts)
+    material_parts = part_of_triangles(solid, parts)
     body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
     table = columns(materials)
     values = of_materials(particles, materials)
@@ -304,7 +308,9 @@ def blended(
         several = True
         members = np.flatnonzero(np.asarray(bodies.of_surface) == b)
         center = particles.X[mine].mean(0)
-        meshes = [_faces_of(int(kind), members, of_slot, slots, solid, center) for kind in kinds]
+        meshes = [
+            _faces_of(int(kind), members, of_slot, material_parts, solid, center) for kind in kinds
+        ]
         weights = part_weights(particles.X[mine] - center, meshes, width)
         for name, column in table.items():
             values[name][mine] = weights @ column[kinds]
@@ -315,7 +321,7 @@ def _faces_of(
     kind: int,
     members: Ints,
     of_slot: dict[int, int],
-    slots: Sequence[Ints],
+    material_parts: Sequence[Ints],
     solid: Solid,
     center: Floats,
 ) -> tuple[Floats, Ints]:
@@ -323,7 +329,7 @@ def _faces_of(
     points, faces, first = [], [], 0
     kinds = {s for s, owner in of_slot.items() if owner == kind}
     for k in members:
-        has = np.isin(slots[k][solid.sources[k]], list(kinds))
+        has = np.isin(material_parts[k][solid.sources[k]], list(kinds))
         points.append(solid.surfaces[k].points - center)
         faces.append(solid.triangles[k][has] + first)
         first += len(points[-1])
@@ -331,7 +337,7 @@ def _faces_of(
 
 
 def painted(
-    particles: Particles, values: dict[str, Floats], solid: Solid, words: StageWords
+    particles: Particles, values: dict[str, Floats], solid: Solid, words: StageSpec
 ) -> dict[str, Floats]:
     """The values with what is painted on the nearest point of the surface in their place.
 
@@ -370,7 +376,7 @@ def painted(
 
 
 def _with_blended_masses(
-    values: dict[str, Floats], particles: Particles, solid: Solid, words: StageWords
+    values: dict[str, Floats], particles: Particles, solid: Solid, words: StageSpec
 ) -> dict[str, Floats]:
     """Densities such that what states a mass has it all the same."""
     density = values["density"].copy()

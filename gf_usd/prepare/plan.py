@@ -23,7 +23,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import Advice, Encounters, Pin
+from gf_usd.core.stage import Advice, ContactSetup, Pin
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.options.table import words
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
@@ -56,13 +56,13 @@ class Plan:
     settings: Settings  # of the first material
     outputs: Outputs
     source: Path  # the USD file to lie over: the asset, or the layer that is made of it
-    riders: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
+    embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     pins: tuple[Pin, ...] = ()
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
-    encounters: Encounters | None = None
+    contact_setup: ContactSetup | None = None
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `start_velocities`
     each: tuple[Settings, ...] = ()  # of each variant, where they are not all the same
     sequences: tuple[tuple[SplatSequence, ...], ...] = ()  # splat files of each variant
@@ -140,8 +140,8 @@ def describe(plan: Plan) -> dict[str, Any]:
         "source": str(plan.asset.facts.path),
         "bodies": [s.path for s in plan.asset.surfaces],
         "separate_bodies": [list(paths) for paths in plan.bodies.surfaces] if plan.bodies else [],
-        "obstacles": [c.path for c in plan.encounters.colliders] if plan.encounters else [],
-        "riders": [list(r) for r in plan.riders],
+        "obstacles": [c.path for c in plan.contact_setup.colliders] if plan.contact_setup else [],
+        "riders": [list(r) for r in plan.embedded],
         "particles": len(plan.particles),
         "spacing_m": plan.particles.spacing,
         "volume_m3": plan.particles.volume,

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core import materials
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
-from gf_usd.core.stage import StageWords
+from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
 from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
 from gf_usd.prepare.fill import fill, implausible_size
-from gf_usd.prepare.materials import Authored, look_name
+from gf_usd.prepare.materials import Authored, variant_name
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.outputs import (
@@ -151,7 +151,7 @@ class SourceAsset:
     """An asset that was read, and what it is to be made of."""
 
     asset: Asset
-    words: StageWords  # what its stage says
+    words: StageSpec  # what its stage says
     presets: Sequence[Any]  # one for each variant
     file: Path  # its USD form
     converted: MeshSource | None  # of an asset that is not USD
@@ -173,7 +173,7 @@ def read_stage(
     asset, words, converted = _hulled(read.asset), read.words, read.converted
     usd = converted is None
     if words is None:
-        words = StageWords()
+        words = StageSpec()
         if usd:
             asset, words = read_words(
                 asset, source, prims, rest=request.start, elastic=_elastic(presets)
@@ -182,7 +182,7 @@ def read_stage(
         words = advise(asset, source, words, presets[0], usd=usd, rest=request.start, draw=draw)
         presets = [Authored(presets[0].name)]
     elif not presets:
-        named = look_name(words, asset.surfaces) if words.says_material else "rubber"
+        named = variant_name(words, asset.surfaces) if words.says_material else "rubber"
         presets = [Authored(named)]
     return SourceAsset(
         asset=asset, words=words, presets=presets, converted=converted,

@@ -19,7 +19,7 @@ from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
-from gf_usd.core.stage import StageWords
+from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
@@ -199,7 +199,7 @@ class Resolution:
 def resolution(
     particles: int | None,
     spacing: float | None,
-    words: StageWords,
+    words: StageSpec,
     volumes: Callable[[], Mapping[str, float]],
     *,
     paper: bool,

@@ -106,7 +106,7 @@ def _require_file(path: Path) -> None:
 
 
 def _near(path: Path) -> str:
-    """Words for the files beside a missing one that have almost its name."""
+    """Words for the files next to a missing one that have almost its name."""
     if not path.parent.is_dir():
         return f"the folder {path.parent} does not exist either; "
     names = [p.name for p in path.parent.iterdir() if p.suffix.lower() in SUFFIXES]

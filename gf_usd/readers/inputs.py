@@ -78,8 +78,8 @@ def _files(path: Path) -> tuple[Sequence[Path], Sequence[str]]:
     if row and not is_splat_file(path):
         read = row.function(path)
         # pictures that are only named become references of the layer made of the file
-        slots = (slot for material in read.materials for slot in material.slots)
-        pictures = (slot.picture.path for slot in slots if slot.picture.path)
+        material_parts = (slot for material in read.materials for slot in material.material_parts)
+        pictures = (slot.picture.path for slot in material_parts if slot.picture.path)
         return [*read.inputs, *pictures], ()
     return [path], ()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.stage import StageWords
+from gf_usd.core.stage import StageSpec
 from gf_usd.system.sandbox import Isolated, Limits
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ class Source:
     """All that a bake reads of a file before it fills it."""
 
     asset: Asset
-    words: StageWords | None  # what its stage says; None: a mesh file, or not asked for yet
+    words: StageSpec | None  # what its stage says; None: a mesh file, or not asked for yet
     converted: MeshSource | None = None  # of a mesh file
 
 
@@ -31,7 +31,7 @@ class Sent:
     """A `Source` as a child sends it."""
 
     asset: Asset
-    words: StageWords | None
+    words: StageSpec | None
     folder: Path | None  # with the USD form of a mesh file
     record: dict[str, str]
     notes: tuple[str, ...]

@@ -1,6 +1,6 @@
 """Files that appear under their final name whole, or not at all.
 
-A file is written as ``NAME.partial.EXT`` beside its final place, flushed to the disk, and renamed;
+A file is written as ``NAME.partial.EXT`` next to its final place, flushed to the disk, and renamed;
 a rename within a folder is atomic, so a kill at any moment leaves either the old file or the new
 one under the final name.  Publish what others refer to first, and what refers to it last.
 """
@@ -25,7 +25,7 @@ def partial_path(path: Path) -> Path:
 def drop_working(path: Path) -> None:
     """Delete what a kill in the middle of USD's saving left of `partial_path(path)`.
 
-    USD saves to a file beside it, its name without the suffix and six letters, and renames that.
+    USD saves to a file next to it, its name without the suffix and six letters, and renames that.
     """
     stem = partial_path(path).stem
     for left in path.parent.glob(f"{glob.escape(stem)}.??????"):

@@ -47,7 +47,7 @@ class Held:
 
 
 def lock_path(path: Path) -> Path:
-    """``duck.rubber.usda`` -> ``.duck.rubber.usda.lock``, beside it."""
+    """``duck.rubber.usda`` -> ``.duck.rubber.usda.lock``, next to it."""
     return path.with_name(f".{path.name}.lock")
 
 

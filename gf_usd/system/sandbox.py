@@ -104,7 +104,7 @@ def attempt(path: Path, task: str, limits: Limits | None, *args: Any) -> Any:
 
 
 class Isolated:
-    """A task that reads a file in a child process, beside what this process does meanwhile.
+    """A task that reads a file in a child process, next to what this process does meanwhile.
 
     Parameters
     ----------

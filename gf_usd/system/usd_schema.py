@@ -26,7 +26,7 @@ DEFINITIONS = "generatedSchema.usda"
 def schema_path() -> Path:
     """The folder of the library, to be added to ``PXR_PLUGINPATH_NAME`` of other programs.
 
-    A wheel carries it inside the package, a source checkout beside it.
+    A wheel carries it inside the package, a source checkout next to it.
 
     Raises
     ------

@@ -33,7 +33,7 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """One figure beside its target.
+    """One figure next to its target.
 
     The error is |value - target|, the same over |target|, or by how much the value falls short of
     the target, whichever `kind` says.

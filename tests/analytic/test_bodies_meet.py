@@ -116,7 +116,7 @@ def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
     assert last.health.kinetic < 1e-4 * solver.body.m.sum() * G0, "they have come to rest"
     assert 0.0 < last.health.overlap <= 0.1 * s  # as on the floor, see `test_drop`
     assert depth(last, lower, upper) <= 0.1 * s
-    assert last.riders["/Upper"].x[:, 1].min() > 0.8
+    assert last.embedded["/Upper"].x[:, 1].min() > 0.8
 
 
 def plate(degrees: float, **said):
@@ -168,7 +168,7 @@ def test_a_plane_without_friction_leaves_what_is_along_it():
     v = np.asarray(frames[-1].health.momentum) / solver.body.m.sum()
     assert v @ along == pytest.approx(1.0, abs=1e-3)  # 1e-3: normals and points of float32 at 50 m
     assert 1.0 < v @ out < 2.0
-    lowest = min(float((f.riders["/Ball"].x @ out).min()) for f in frames)
+    lowest = min(float((f.embedded["/Ball"].x @ out).min()) for f in frames)
     assert -0.5 * solver.particles.spacing <= lowest < 0.0
 
 
@@ -222,7 +222,7 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
             body, particles=500, material=material, self_contact=asked, velocity=[close], frames=12
         )
         frames = list(solver.frames())
-        x = [f.riders["/Tongs"].x[:, 0] for f in frames]
+        x = [f.embedded["/Tongs"].x[:, 0] for f in frames]
         gap[asked] = [(a[right].min() - a[left].max()) / solver.particles.spacing for a in x]
         p = np.array([f.health.momentum for f in frames])
         assert np.abs(p - p[0]).max() <= ROUNDING * solver.body.m.sum() * 3.0 * rate

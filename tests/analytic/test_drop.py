@@ -27,10 +27,10 @@ def drop(name: str, radius: float, particles: int = 1000) -> dict[str, float]:
         lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
     made = look(name, body)
-    solver = TotalLagrangian(body, [made], s, samples=samples, riders={"skin": shape.points})
+    solver = TotalLagrangian(body, [made], s, samples=samples, embedded={"skin": shape.points})
     heights, depths, health = [], [], []
     for frame in solver.frames():
-        y = frame.riders["skin"].x[:, 1]
+        y = frame.embedded["skin"].x[:, 1]
         heights.append(np.ptp(y) / (2.0 * radius))
         depths.append(max(0.0, -y.min()) / body.spacing)
         health.append(frame.health)

@@ -25,9 +25,9 @@ def drop(kind: type, name: str, frames: int = 75, radius: float = 1.0):
         frames=frames, fps=19.1 / T, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=np.inf,
         lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
-    solver = kind(body, [look(name, body)], s, samples=samples, riders={"skin": shape.points})
+    solver = kind(body, [look(name, body)], s, samples=samples, embedded={"skin": shape.points})
     seen = list(solver.frames())
-    heights = [float(np.ptp(f.riders["skin"].x[:, 1])) / (2.0 * radius) for f in seen]
+    heights = [float(np.ptp(f.embedded["skin"].x[:, 1])) / (2.0 * radius) for f in seen]
     return heights, [f.health for f in seen], body.spacing
 
 

@@ -83,7 +83,7 @@ def test_without_the_json_the_root_layer_is_asked(gf_usd, work):
     (work / "block.soft.report.json").unlink()
     assert gf_usd("report", "block.soft.usda", "--look", "rubber").status == 0
     text = (work / "block.soft.html").read_text(encoding="utf-8")
-    assert "Missing: block.soft.report.json is not beside the file" in text
+    assert "Missing: block.soft.report.json is not next to the file" in text
     assert "Smallest volume ratio" in text
     assert "corotated" in text
     titles = [plot["title"] for plot in data(work / "block.soft.html")["looks"][0]["plots"]]

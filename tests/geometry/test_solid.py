@@ -24,7 +24,7 @@ def grid_points(low: float, high: float, n: int = 12) -> np.ndarray:
 def test_a_closed_box_has_its_exact_volume_and_inside():
     body = solid(cube(low=(1.0, 2.0, 3.0), edge=(2.0, 3.0, 0.5)))
     assert body.volume == pytest.approx(3.0, rel=1e-14)
-    assert body.riders == ()
+    assert body.embedded == ()
     np.testing.assert_array_equal(body.low, [1, 2, 3])
     np.testing.assert_array_equal(body.high, [3, 5, 3.5])
     X = grid_points(0.5, 6.0)
@@ -119,13 +119,13 @@ def test_hole_fraction_is_the_share_of_the_closed_area(missing, share):
 def test_a_box_without_a_lid_is_a_solid_and_a_sheet_is_not():
     lid = surface(cube().points, CUBE_TRIANGLES[2:], path="/Box")
     assert hole_fraction(lid.points, lid.triangles) < OPEN_FRACTION
-    assert solid(lid).riders == ()
+    assert solid(lid).embedded == ()
     open_box = surface(cube().points, CUBE_TRIANGLES[4:], path="/Tube")
     assert hole_fraction(open_box.points, open_box.triangles) > OPEN_FRACTION
     body = solid(cube(path="/Solid"), open_box)
-    assert [path for path, _ in body.riders] == ["/Tube"]
+    assert [path for path, _ in body.embedded] == ["/Tube"]
     assert [s.path for s in body.surfaces] == ["/Solid"]
-    reason = body.riders[0][1]
+    reason = body.embedded[0][1]
     # Two loops of four edges; fans of 2 m^2 beside walls of 4.
     assert "8 boundary edges" in reason
     assert "33 % of the closed area (at most 25 %)" in reason

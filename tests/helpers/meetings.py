@@ -10,7 +10,7 @@ from solids import look, settings, solid, surface
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Frame
-from gf_usd.core.stage import Collider, Encounters, MaterialWords
+from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec
 from gf_usd.geometry.bodies import find_bodies
 from gf_usd.geometry.sampling import sample_solid, sample_surface
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -44,10 +44,10 @@ def meeting(
         [look(material, filled, **(changes or {}))],
         settings(**{"filter_rate": FILTER, **said}),
         samples=sample_surface(made, filled.spacing, 0, of),
-        riders={s.path: s.points for s in surfaces},
-        rider_body={s.path: int(k) for s, k in zip(surfaces, of)},
+        embedded={s.path: s.points for s in surfaces},
+        embedded_body={s.path: int(k) for s, k in zip(surfaces, of)},
         velocity=velocity,
-        encounters=Encounters(
+        contact_setup=ContactSetup(
             skins=skins(made, of),
             colliders=colliders,
             through=through,
@@ -74,7 +74,7 @@ def obstacle(
         triangles=np.asarray(triangles),
         linear=np.tile(np.eye(3), (len(offset), 1, 1)),
         offset=offset,
-        words=MaterialWords(dynamic_friction=friction, restitution=restitution),
+        words=PhysicsMaterialSpec(dynamic_friction=friction, restitution=restitution),
     )
 
 
@@ -106,7 +106,7 @@ def depth(frame: Frame, one: Surface, other: Surface) -> float:
     """
     deepest = 0.0
     for a, b in ((one, other), (other, one)):
-        X, points = (np.ascontiguousarray(frame.riders[s.path].x) for s in (a, b))
+        X, points = (np.ascontiguousarray(frame.embedded[s.path].x) for s in (a, b))
         triangles = np.ascontiguousarray(b.triangles, dtype=np.int64)
         inside = np.abs(np.asarray(igl.fast_winding_number(points, triangles, X))) > 0.5
         squared = igl.point_mesh_squared_distance(X, points, triangles)[0]

@@ -27,11 +27,11 @@ def test_the_words_of_the_option_are_the_registry():
 def test_every_solver_flies(name):
     body, samples = ball(100)
     s = settings(frames=3, solver=name, gravity=(0.0, -9.81, 0.0), floor=-3.0)
-    solver = make_solver(s, body, [look("rubber", body)], samples=samples, riders={"a": body.X})
+    solver = make_solver(s, body, [look("rubber", body)], samples=samples, embedded={"a": body.X})
     assert isinstance(solver, Solver)
     *_, last = solver.frames()
     fallen = -0.5 * 9.81 * last.time**2
-    np.testing.assert_allclose(last.riders["a"].x[:, 1] - body.X[:, 1], fallen, atol=1e-5)
+    np.testing.assert_allclose(last.embedded["a"].x[:, 1] - body.X[:, 1], fallen, atol=1e-5)
     assert last.health.substeps == solver.coarse
 
 

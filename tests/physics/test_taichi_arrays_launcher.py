@@ -21,7 +21,7 @@ def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     for quick in (True, False):
         solver = made(real, velocity=lambda X: SPEED * np.sin(3.0 * X[:, [1, 2, 0]]))
         if not quick:
-            kernel, pack = solver.body.kernels.relay, solver.state.pack
+            kernel, pack = solver.body.kernels.queued, solver.state.pack
             plain: Any = lambda *a, kernel=kernel, pack=pack: kernel(pack, *a)  # noqa: E731
             solver.launches._kernel = plain
         for index in (1, 2, 3):
@@ -44,4 +44,4 @@ def test_launchers_of_two_bodies_keep_to_their_own() -> None:
 def test_it_complains_as_taichi_does() -> None:
     solver = made()
     with pytest.raises(Exception, match="missing"):
-        Launcher(solver.body.kernels.relay, solver.state.pack)(1)
+        Launcher(solver.body.kernels.queued, solver.state.pack)(1)

@@ -36,7 +36,7 @@ def plan() -> Plan:
         settings=settings(frames=31, gravity=(0.0, -9.81, 0.0), floor=-1.5),
         outputs=outputs(Path("ball.usda"), ["rubber"], None),
         source=Path("ball.usda"),
-        riders=(),
+        embedded=(),
         drop=1.0,
         notes=(),
     )

@@ -16,13 +16,13 @@ def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(p
     seen = plan(mesh("One"), mesh("Two", at(3.0)), particles=200)
     rider = replace(seen.asset.surfaces[0], path="/Cloth")
     asset = replace(seen.asset, surfaces=(rider, *seen.asset.surfaces))
-    seen = replace(seen, asset=asset, riders=(("/Cloth", "is open"),))
+    seen = replace(seen, asset=asset, embedded=(("/Cloth", "is open"),))
     for particle in (0, len(seen.particles) - 1):
         surface = int(seen.particles.surface[particle])
         prim = ("/One", "/Two")[surface]
         error = SolverError("frame 3: it is torn", "", frame=3, particle=particle)
         found = place(
-            error, "rubber", asset=seen.asset, riders=seen.riders, particles=seen.particles,
+            error, "rubber", asset=seen.asset, embedded=seen.embedded, particles=seen.particles,
             settings=seen.settings,
         )  # fmt: skip
         assert found["prim"] == prim

@@ -31,8 +31,8 @@ def test_choice(options: dict[str, Any], skin: str, tmp_path: Path) -> None:
     assert ("--skin" in plan.command) == ("skin" in options), "the command says what was asked"
     # What is wrong with the paper's skin is said in every bake that has it.
     assert any(note.startswith("skin paper: ") for note in plan.notes) == (skin == "paper")
-    riders = prepared.solvers.take(plan.variants[0]).body.riders
-    assert list(riders) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])
+    embedded = prepared.solvers.take(plan.variants[0]).body.embedded
+    assert list(embedded) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])
 
 
 def test_skins_are_written(tmp_path: Path) -> None:

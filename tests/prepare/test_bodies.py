@@ -15,14 +15,14 @@ COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsM
 def test_what_lies_apart_is_a_body_each(plan) -> None:
     seen = plan(cubes())
     assert seen.bodies.surfaces == (("/One",), ("/Two",))
-    assert seen.bodies.riders == {"/One": 0, "/Two": 1}
+    assert seen.bodies.embedded == {"/One": 0, "/Two": 1}
     # Of a cube of 1 m^3; 2 %: the strata of 200 particles.
     np.testing.assert_allclose(seen.bodies.radius, np.cbrt(0.75 / np.pi), rtol=0.02)
     np.testing.assert_array_equal(seen.particles.body, (seen.particles.X[:, 0] > 2).astype(int))
     assert noted(seen, "2 bodies, which meet by contact: </One>, </Two>; --combine")
     one = plan(cubes(), combine=True)
     assert (one.bodies.count, one.particles.body) == (1, None)
-    assert not one.encounters.any
+    assert not one.contact_setup.any
 
 
 def test_what_one_rigid_body_holds_is_one(plan) -> None:
@@ -43,26 +43,26 @@ def test_skins_are_seen_from_outside(plan) -> None:
 
     inside_out = 'uniform token orientation = "leftHanded"'
     seen = plan(cubes(inside_out))
-    volumes = [signed_volume(s.points, s.triangles) for s in seen.encounters.skins]
+    volumes = [signed_volume(s.points, s.triangles) for s in seen.contact_setup.skins]
     np.testing.assert_allclose(volumes, 1.0)
 
 
 def test_filters_and_switched_off_collisions_let_bodies_pass(plan) -> None:
     floor = mesh("Floor", at(0.0, -3.0), apis=[COLLISION])
-    assert plan(cubes(), floor).encounters.through == frozenset()
+    assert plan(cubes(), floor).contact_setup.through == frozenset()
     filtered = "rel physics:filteredPairs = [</Two>, </Floor>]"
-    seen = plan(cubes(filtered, apis=("PhysicsFilteredPairsAPI",)), floor).encounters
+    seen = plan(cubes(filtered, apis=("PhysicsFilteredPairsAPI",)), floor).contact_setup
     assert {frozenset(pair) for pair in seen.through} == {frozenset({0, 1})}
     assert seen.through_colliders == {(0, 0)}
     off = "bool physics:collisionEnabled = false"
-    seen = plan(cubes(off, apis=(COLLISION,)), floor).encounters
+    seen = plan(cubes(off, apis=(COLLISION,)), floor).contact_setup
     assert {(0, 1)} <= seen.through
     assert seen.through_colliders == {(0, 0)}
 
 
 def test_self_contact_is_asked_for(plan) -> None:
-    assert not plan(cubes()).encounters.self_contact
-    assert plan(cubes(), self_contact=True).encounters.self_contact
+    assert not plan(cubes()).contact_setup.self_contact
+    assert plan(cubes(), self_contact=True).contact_setup.self_contact
 
 
 def test_rigid_velocities_of_one_body_only(plan) -> None:

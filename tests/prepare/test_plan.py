@@ -48,7 +48,7 @@ def plan(source: Path) -> Plan:
         settings=settings(frames=5, fps=30.0, seed=3, gravity=(0.0, -9.81, 0.0)),
         outputs=outputs(source, ["rubber", "jelly"], "out/"),
         source=source,
-        riders=(("/World/Hat", "open"),),
+        embedded=(("/World/Hat", "open"),),
         drop=1.5,
         notes=("a note",),
     )
@@ -136,10 +136,10 @@ def test_the_command_has_every_digit() -> None:
 
 def test_a_solver_carries_the_meshes_where_the_skin_is_embedded(plan: Plan) -> None:
     solver = Prepared(plan=plan).solvers.take(plan.variants[1])
-    assert solver.body.riders.keys() == plan.points.keys() == {PATH}
+    assert solver.body.embedded.keys() == plan.points.keys() == {PATH}
     assert solver.settings is plan.settings
     alone = replace(plan, settings=replace(plan.settings, skin="idw"))
-    assert Prepared(plan=alone).solvers.take(alone.variants[0]).body.riders == {}
+    assert Prepared(plan=alone).solvers.take(alone.variants[0]).body.embedded == {}
 
 
 def test_a_result_has_the_documented_keys(plan: Plan) -> None:

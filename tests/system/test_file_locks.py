@@ -20,7 +20,7 @@ HOLD = (
 )
 
 
-def holder(path: Path) -> subprocess.Popen[str]:
+def pin_constraint(path: Path) -> subprocess.Popen[str]:
     """A process that holds the lock."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(path)], stdout=subprocess.PIPE, text=True
@@ -45,7 +45,7 @@ def test_a_second_one_does_not_get_it(tmp_path: Path) -> None:
 
 def test_kill_9_sets_it_free(tmp_path: Path) -> None:
     path = tmp_path / "a.usda"
-    process = holder(path)
+    process = pin_constraint(path)
     assert acquire(path) is None
     process.send_signal(signal.SIGKILL)
     held = acquire(path, patience=20.0)

@@ -99,8 +99,8 @@ def _checked(result: dict[str, object]) -> tuple[str, str]:
     ours = report["check"]
     bodies = len(report["bodies"])
     words = f"{bodies} mesh{'es' if bodies > 1 else ''}, {result['particles']} particles"
-    if riders := len(report["riders"]):
-        words += f", {riders} not filled"
+    if embedded := len(report["riders"]):
+        words += f", {embedded} not filled"
     if found and not ours:
         words += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"
     sound = not ours and (status == 0 or found)

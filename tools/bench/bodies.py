@@ -19,7 +19,7 @@ import numpy as np
 from gf_usd.core.asset import Asset, StageFacts
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import LOOKS
-from gf_usd.core.stage import Encounters
+from gf_usd.core.stage import ContactSetup
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.bodies import find_bodies
 from gf_usd.geometry.sampling import sample_solid, sample_surface
@@ -60,7 +60,7 @@ def row(count: int) -> TotalLagrangian:
         settings,
         samples=sample_surface(solid, particles.spacing, 0, of),
         velocity=[(SPEED * (1 - 2 * (k % 2)), 0.0, 0.0) for k in range(count)],
-        encounters=Encounters(skins=skins(solid, of)),
+        contact_setup=ContactSetup(skins=skins(solid, of)),
     )
 
 

@@ -151,7 +151,7 @@ def _variances(wxyz: Floats, scales: Floats) -> np.ndarray:
 
 
 LOWEST, HIGHEST = 6.2e-5, 65504.0
-ROOM = 8.0  # how much scales may change in a bake and stay in the range of precise halves
+SCALE_RANGE = 8.0  # how much scales may change in a bake and stay in the range of precise halves
 
 
 @dataclass(frozen=True)
@@ -228,4 +228,4 @@ def halves_do(values: Floats) -> bool:
     """Whether positive numbers, and ones a few times smaller or larger, are precise as halves."""
     values = np.asarray(values, np.float64)
     low, high = values.min(initial=np.inf), values.max(initial=0.0)
-    return bool(low >= LOWEST * ROOM and high <= HIGHEST / ROOM)
+    return bool(low >= LOWEST * SCALE_RANGE and high <= HIGHEST / SCALE_RANGE)

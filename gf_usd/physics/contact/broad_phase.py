@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.stage import Encounters
+from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.narrow_phase import Obstacle, box_gap
 
 
@@ -36,7 +36,7 @@ class Box:
 def schedule(
     boxes: Sequence[Box],
     obstacles: Sequence[Obstacle],
-    encounters: Encounters,
+    contact_setup: ContactSetup,
     *,
     frame: float,
     fall: float,
@@ -63,10 +63,10 @@ def schedule(
 
     rests = [still is not None and bool(still[k]) for k in range(len(boxes))]
     for a, mine in enumerate(boxes):
-        if encounters.self_contact and not rests[a]:
+        if contact_setup.self_contact and not rests[a]:
             hold = min(hold, judge(0.0, 2.0 * mine.spread, (a, a)))
         for b, other in enumerate(boxes[:a]):
-            if (a, b) in encounters.through or (b, a) in encounters.through:
+            if (a, b) in contact_setup.through or (b, a) in contact_setup.through:
                 continue
             if rests[a] and rests[b]:
                 continue
@@ -74,7 +74,7 @@ def schedule(
             gap = box_gap(mine.low, mine.high, other.low, other.high)
             hold = min(hold, judge(gap, speed, (a, b), (b, a)))
         for k, obstacle in enumerate(obstacles):
-            if (a, k) in encounters.through_colliders or (rests[a] and speeds[k] == 0.0):
+            if (a, k) in contact_setup.through_colliders or (rests[a] and speeds[k] == 0.0):
                 continue
             speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
             hold = min(hold, judge(obstacle.gap(mine.low, mine.high), speed, (a, -1 - k)))

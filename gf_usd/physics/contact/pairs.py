@@ -51,15 +51,15 @@ class BodyContact:
     """
 
     def __init__(self, body: Body) -> None:
-        assert body.encounters is not None
+        assert body.contact_setup is not None
         assert body.contact is not None
-        self._body, self.encounters, self.contact = body, body.encounters, body.contact
-        samples, skins = body.contact.samples, body.encounters.skins
+        self._body, self.contact_setup, self.contact = body, body.contact_setup, body.contact
+        samples, skins = body.contact.samples, body.contact_setup.skins
         self._normal, self._X = samples.normal, samples.X
         of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
         self._members = [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
-        self._obstacles = obstacles(self.encounters.colliders, body.settings.frame_time)
+        self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
             BodySkin(skin, body.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
                      samples.X[m])
@@ -171,7 +171,7 @@ class BodyContact:
         values = pair_values(
             self.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
-            [(c.words.friction, c.words.restitution) for c in self.encounters.colliders],
+            [(c.words.friction, c.words.restitution) for c in self.contact_setup.colliders],
         )  # fmt: skip
         self._k = values["stiffness"]
         self.injected += self._stored(self.planes.depth(x, 0.0)) - before
@@ -192,7 +192,7 @@ class BodyContact:
         return schedule(
             [Box.around(x[m], v[m]) for m in self._members],
             self._obstacles,
-            self.encounters,
+            self.contact_setup,
             frame=frame,
             fall=fall,
             reach=(FACING + TRAVEL) * self._spacing,

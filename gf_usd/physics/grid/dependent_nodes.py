@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
 FIT_NEIGHBORS = 24  # free nodes in an affine fit
-FIT_LEAST = 1e-6  # weight of a node in a fit, beside the nearest one's
+FIT_LEAST = 1e-6  # weight of a node in a fit, next to the nearest one's
 TIE = 1e-9  # distances that differ by less are equal
 FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 

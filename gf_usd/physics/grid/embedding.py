@@ -84,7 +84,7 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
 NODES = len(OFFSETS)
 
 
-def rider_rows(stencil: Stencil, X: Floats, body: Ints) -> Rows:
+def embedded_rows(stencil: Stencil, X: Floats, body: Ints) -> Rows:
     """Rows of points X (n, 3) [m], each on a body (n,), whose `spread` is S.
 
     The same as `Stencil.rows` makes, to rounding.

@@ -41,7 +41,7 @@ REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outs
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class PinnedPoints:
     """Which of a set of points are held, and by which pin."""
 
     pin: Ints  # (n,) index of the pin; -1: free
@@ -51,16 +51,16 @@ class Held:
         return bool((self.pin >= 0).any())
 
 
-def held_by(pins: Sequence[Pin], X: Floats) -> Held:
+def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
     """The first pin that holds each point X (n, 3) [m]."""
     out = np.full(len(X), -1)
     for index, pin in enumerate(pins):
         free = np.flatnonzero(out < 0)
         out[free[np.asarray(pin.inside(X[free]), bool)]] = index
-    return Held(pin=out)
+    return PinnedPoints(pin=out)
 
 
-def mirror_points(pins: Sequence[Pin], held: Held, X: Floats, h: float) -> Floats:
+def mirror_points(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> Floats:
     """X' (n, 3) [m] of held nodes near the boundary of their pin; nan for free and deep ones."""
     out = np.full(X.shape, np.nan)
     for index, pin in enumerate(pins):
@@ -94,7 +94,7 @@ def interpolation(at: Floats, nodes: Ints) -> sparse.csr_matrix:
     return sparse.csr_matrix((w / total[r], (r, c)), shape=(len(at), len(nodes)))
 
 
-class Holder:
+class PinConstraint:
     """The pins of one body: what they hold, and where it is at each frame.
 
     Raises InputError where a pin holds no node, which means that it would do nothing, or all.
@@ -102,7 +102,7 @@ class Holder:
 
     def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
         self.pins = tuple(pins)
-        self.particles = held_by(self.pins, X)
+        self.particles = pinned_by(self.pins, X)
         self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
         if (self.particles.pin >= 0).all():
             raise InputError(
@@ -118,7 +118,7 @@ class Holder:
         """Whether any region is animated."""
         return any(motion.moving for motion in self.motions)
 
-    def check(self, nodes: Held) -> None:
+    def check(self, nodes: PinnedPoints) -> None:
         """Raise InputError for a pin that holds no node of the grid."""
         for index, pin in enumerate(self.pins):
             if not (nodes.pin == index).any():
@@ -130,12 +130,14 @@ class Holder:
 
     def constants(self, pin: Ints, X: Floats, mirror: Floats, frame: float) -> Floats:
         """c (n, 3) [m] of followers at X: g(X), and where they mirror g(X) + g(X')."""
-        out = self.pose(Held(pin=pin), X, frame)[0] - X
+        out = self.pose(PinnedPoints(pin=pin), X, frame)[0] - X
         ghost = np.isfinite(mirror).all(1)
-        out[ghost] += self.pose(Held(pin=pin[ghost]), mirror[ghost], frame)[0] - mirror[ghost]
+        out[ghost] += (
+            self.pose(PinnedPoints(pin=pin[ghost]), mirror[ghost], frame)[0] - mirror[ghost]
+        )
         return out
 
-    def pose(self, held: Held, X: Floats, frame: float) -> tuple[Floats, Floats]:
+    def pose(self, held: PinnedPoints, X: Floats, frame: float) -> tuple[Floats, Floats]:
         """x (n, 3) [m] and F (n, 3, 3) of held points; X and I for free ones."""
         x, F = X.copy(), np.broadcast_to(np.eye(3), (len(X), 3, 3)).copy()
         for index, motion in enumerate(self.motions):
@@ -145,13 +147,19 @@ class Holder:
         return x, F
 
     def override(
-        self, held: Held, X: Floats, pose: Pose, index: int, frame_time: float, offset: Floats
+        self,
+        held: PinnedPoints,
+        X: Floats,
+        pose: Pose,
+        index: int,
+        frame_time: float,
+        offset: Floats,
     ) -> Pose:
         """A pose with the held points where they belong; offset (3,) [m] shifts all."""
         mine = np.flatnonzero(held.pin >= 0)
         if not len(mine):
             return pose
-        part = Held(pin=held.pin[mine])
+        part = PinnedPoints(pin=held.pin[mine])
         x, F = self.pose(part, X[mine], index)
         before = self.pose(part, X[mine], max(index - 1, 0))[0]
         after = self.pose(part, X[mine], index + 1)[0]
@@ -177,7 +185,7 @@ class Motion:
         self._tree = kd_tree(self.anchors)
         self._extent = float(np.linalg.norm(np.ptp(self.anchors, axis=0)))
 
-    def anchors_at(self, frame: float) -> Floats:
+    def targets_at(self, frame: float) -> Floats:
         """(k, 3) [m], linear between frames."""
         frame = float(np.clip(frame, 0.0, len(self.path) - 1))
         low = min(int(frame), max(len(self.path) - 2, 0))
@@ -187,7 +195,7 @@ class Motion:
 
     def at(self, X: Floats, frame: float) -> tuple[Floats, Floats]:
         """x (n, 3) [m] and A (n, 3, 3) of points X (n, 3) [m]."""
-        now = self.anchors_at(frame)
+        now = self.targets_at(frame)
         k = min(NEIGHBORS, len(self.anchors))
         distance, near = self._tree.query(X, k=k)
         distance, near = distance.reshape(len(X), k), near.reshape(len(X), k)

@@ -20,7 +20,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS, affine_fit, split_nodes
-from gf_usd.physics.grid.pins import Held, Holder, held_by, mirror_points
+from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, mirror_points, pinned_by
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
 CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
@@ -49,7 +49,7 @@ class Rows:
     X: Floats  # (n, 3) [m]
     W: sparse.csr_matrix  # (n, M)
     G: tuple[sparse.csr_matrix, sparse.csr_matrix, sparse.csr_matrix]  # (n, M) [1/m] each
-    spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `rider_rows`
+    spread: sparse.csr_matrix | None = None  # from u to what W and G are of: see `embedded_rows`
 
     @cached_property
     def slopes(self) -> sparse.csr_matrix:
@@ -77,7 +77,7 @@ class Stencil:
     follow: sparse.csr_matrix  # (M - free, free) e: displacement of the followers
     shift: Floats  # (bodies, 3) [m] that sets the bodies apart on the grid: they share no node
     node_body: Ints  # (M,) the body of each node
-    held: Held  # which followers a pin holds, and all nodes
+    held: PinnedPoints  # which followers a pin holds, and all nodes
     mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
@@ -226,7 +226,7 @@ def build_stencil(
     corner_at: Floats,
     *,
     free_mass: float = FREE_MASS,
-    holder: Holder | None = None,
+    pin_constraint: PinConstraint | None = None,
     body: Ints | None = None,
 ) -> Stencil:
     """Sort particles by cell and number the nodes they reach.
@@ -260,8 +260,8 @@ def build_stencil(
     node_body[cell_nodes] = body[order[first]][:, None]
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
-    held = held_by(holder.pins if holder else (), node_X)
-    mirror = mirror_points(holder.pins if holder else (), held, node_X, h)
+    held = pinned_by(pin_constraint.pins if pin_constraint else (), node_X)
+    mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(
         node_ijk,
         mass,
@@ -288,7 +288,7 @@ def build_stencil(
         follow=follow,
         shift=shift,
         node_body=node_body[ordered],
-        held=Held(pin=held.pin[ordered]),
+        held=PinnedPoints(pin=held.pin[ordered]),
         mirror=mirror,
         sorted_keys=sorted_keys,
         sorted_node=renumber,

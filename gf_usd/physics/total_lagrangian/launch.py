@@ -6,7 +6,7 @@ cut into launches, and among threads, changes no bit.
 
 How many threads share a launch, and how many substeps it takes.
 
-Threads of a launch wait for each other without sleeping (`relay_kernel`): quickest where each has a
+Threads of a launch wait for each other without sleeping (`kernels.work_queue`): quickest where each has a
 core, slow where one waits for a core that another program uses.  So the time that threads ran is
 compared with the time that passed, and where cores were lacking fewer threads share the launches
 that follow.  No result depends on it.
@@ -45,12 +45,12 @@ class Launches:
         self._vectors = tuple(
             vector([float(v) for v in values]) for values in (s.gravity, s.normal)
         )
-        self._body, self.crew = body, None
+        self._body, self.thread_count = body, None
         if s.device != "cpu" if over_all is None else over_all:
             self._kernel = Launcher(body.kernels.parallel, state.pack)
         else:
-            self._kernel = Launcher(body.kernels.relay, state.pack)
-            self.crew = Crew(s.threads or cores(), len(body.particles))
+            self._kernel = Launcher(body.kernels.queued, state.pack)
+            self.thread_count = ThreadCount(s.threads or cores(), len(body.particles))
 
     def run(self, state: State, substeps: int, dt: float, active: int) -> None:
         """So many substeps of dt [s] in which `active` contact samples are looked at."""
@@ -62,12 +62,12 @@ class Launches:
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))
         done = 0
         while done < substeps:
-            many = self.crew.fitting(substeps - done) if self.crew else 1
+            many = self.thread_count.fitting(substeps - done) if self.thread_count else 1
             ends = (OPENS if done == 0 else 0) | (CLOSES if done + many == substeps else 0)
             when = (every, (state.done + done) % every if every else 0)
-            if self.crew:
+            if self.thread_count:
                 tail = (many, ends, *when, *numbers)
-                self.crew.launch(partial(self._draw, counts, tail), many)
+                self.thread_count.launch(partial(self._draw, counts, tail), many)
             else:
                 self._kernel(*counts, ends, *when, *numbers)
             done += many
@@ -96,7 +96,7 @@ REST = 2  # launches of fewer threads before more are tried; doubled each time t
 LONGEST_REST = 512
 
 
-class Crew:
+class ThreadCount:
     """The threads of a body's launches.
 
     threads : as many as there are; particles : of the body, which may ask for fewer.

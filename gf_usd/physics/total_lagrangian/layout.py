@@ -129,11 +129,11 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     """
     count = len(stencil.cell_nodes)
     g, lane = np.divmod(np.arange(count), LANES)
-    slots = LANES * (81 * g[:, None] + 3 * np.arange(27)) + lane[:, None]
+    material_parts = LANES * (81 * g[:, None] + 3 * np.arange(27)) + lane[:, None]
     flat = stencil.cell_nodes[batches.cells.ravel()[:count]].ravel()
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(stencil.node_count + 1))
-    return start, slots.ravel()[order]
+    return start, material_parts.ravel()[order]
 
 
 def follower_arrays(stencil: Stencil) -> dict[str, Any]:

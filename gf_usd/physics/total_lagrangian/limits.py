@@ -20,7 +20,7 @@ from gf_usd.core.frames import Settings
 from gf_usd.physics.total_lagrangian import layout
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
-CLIP_ROOM = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
+CLIP_BUFFER = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
 CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
 
 
@@ -64,8 +64,8 @@ def arrays(
         if asked.anchored
         else np.zeros((1, layout.LANES)),
         "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
-        "clip_room": np.zeros(
-            (CLIP_ROOM * len(batches.source) if asked.clamped else 1, layout.LANES)
+        "clip_buffer": np.zeros(
+            (CLIP_BUFFER * len(batches.source) if asked.clamped else 1, layout.LANES)
         ),
         "touched": np.zeros(lanes if asked.clamped or asked.capped else 1, int),
     }

@@ -46,13 +46,15 @@ class Shortcuts:
     def __init__(self, body: Body, state: State) -> None:
         s = body.settings
         bodies = bodies_of(body.particles, body.per["density"])
-        held = body.holder is not None
+        held = body.pin_constraint is not None
         asked = s.shortcuts and not acts(s)
         self._body = body
         self._g = np.asarray(s.gravity, float)
         self._flies = asked and not held and s.drag == 0.0 and not state.acceleration.any()
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
-        self._sleeps = asked and pressed and not (body.holder and body.holder.moving)
+        self._sleeps = (
+            asked and pressed and not (body.pin_constraint and body.pin_constraint.moving)
+        )
         self._wave = float(body.per["wave_speed"].min())
         self._limit = REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])

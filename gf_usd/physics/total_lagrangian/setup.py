@@ -11,18 +11,18 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples, spread
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import Encounters, Pin
+from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
-from gf_usd.physics.grid.embedding import rider_rows
-from gf_usd.physics.grid.pins import Held, Holder, held_by
+from gf_usd.physics.grid.embedding import embedded_rows
+from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, pinned_by
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
-from gf_usd.physics.total_lagrangian.stages import GATE
+from gf_usd.physics.total_lagrangian.stages import QUEUE
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
@@ -45,11 +45,11 @@ class Body:
     h: float  # [m] edge of a cell
     stencil: Stencil
     rows: Rows  # of the particles on the nodes
-    riders: Mapping[str, Rows]  # of each set of points that rides along
-    holder: Holder | None  # the pins
-    held: Mapping[str, Held]  # which riders a pin holds, and under "" which particles
+    embedded: Mapping[str, Rows]  # of each set of points that rides along
+    pin_constraint: PinConstraint | None  # the pins
+    held: Mapping[str, PinnedPoints]  # which riders a pin holds, and under "" which particles
     contact: FloorContact | None
-    encounters: Encounters | None  # what the bodies meet besides the floor; None: nothing
+    contact_setup: ContactSetup | None  # what the bodies meet besides the floor; None: nothing
     start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
     step: StableStep
     layout: layout.Batches  # where cells and particles stand in the kernels' arrays
@@ -74,10 +74,10 @@ class Body:
 
         rows, free : of the riders; offset : (3,) [m] of the moving frame.
         """
-        if self.holder is None:
+        if self.pin_constraint is None:
             return free
         time = self.settings.frame_time
-        return self.holder.override(self.held[name], rows.X, free, index, time, offset)
+        return self.pin_constraint.override(self.held[name], rows.X, free, index, time, offset)
 
 
 def build_body(
@@ -86,11 +86,11 @@ def build_body(
     settings: Settings,
     *,
     samples: SurfaceSamples | None,
-    riders: Mapping[str, Floats] | None,
+    embedded: Mapping[str, Floats] | None,
     velocity: Any,
     pins: Sequence[Pin],
-    encounters: Encounters | None,
-    rider_body: Mapping[str, int] | None,
+    contact_setup: ContactSetup | None,
+    embedded_body: Mapping[str, int] | None,
     h: float | None,
     real: type,
     plain: bool | None,
@@ -104,8 +104,10 @@ def build_body(
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
-    holder = Holder(pins, particles.X) if pins else None
-    per = per_particle(particles, materials, holder.particles.pin if holder else None)
+    pin_constraint = PinConstraint(pins, particles.X) if pins else None
+    per = per_particle(
+        particles, materials, pin_constraint.particles.pin if pin_constraint else None
+    )
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     stencil = build_stencil(
@@ -114,27 +116,27 @@ def build_body(
         h,
         particles.corner,
         free_mass=FREE_MASS if settings.followers else 0.0,
-        holder=holder,
+        pin_constraint=pin_constraint,
         body=particles.body,
     )
     held = {}
-    if holder:
-        holder.check(stencil.held)
-        held = {name: held_by(pins, X) for name, X in (riders or {}).items()}
-        held[""] = holder.particles
-    on = rider_body or {}
+    if pin_constraint:
+        pin_constraint.check(stencil.held)
+        held = {name: pinned_by(pins, X) for name, X in (embedded or {}).items()}
+        held[""] = pin_constraint.particles
+    on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
-    meets = encounters is not None and encounters.any
+    meets = contact_setup is not None and contact_setup.any
     contact = surface_contact(
         samples, particles, stencil, settings, per, pins,
         meets=meets,
-        datum=encounters.lowest(settings.normal) if encounters else np.inf,
+        datum=contact_setup.lowest(settings.normal) if contact_setup else np.inf,
         speed=fastest(start),
     )  # fmt: skip
     if not (meets and contact):
-        encounters = None
+        contact_setup = None
     plain = settings.device != "cpu" if plain is None else plain
-    options = limits.options_of(settings, encounters is not None, plain)
+    options = limits.options_of(settings, contact_setup is not None, plain)
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -147,14 +149,14 @@ def build_body(
         h=h,
         stencil=stencil,
         rows=stencil.rows(particles.X, particles.body),
-        riders={
-            name: rider_rows(stencil, X, np.full(len(X), on.get(name, 0)))
-            for name, X in (riders or {}).items()
+        embedded={
+            name: embedded_rows(stencil, X, np.full(len(X), on.get(name, 0)))
+            for name, X in (embedded or {}).items()
         },
-        holder=holder,
+        pin_constraint=pin_constraint,
         held=held,
         contact=contact,
-        encounters=encounters,
+        contact_setup=contact_setup,
         start=start,
         step=largest_step(particles, h, contact, settings, per),
         layout=(
@@ -201,7 +203,7 @@ def surface_contact(
     """
     if samples is None or (settings.floor is None and not meets):
         return None
-    free = held_by(pins, samples.X).pin < 0
+    free = pinned_by(pins, samples.X).pin < 0
     if not free.any():
         return None
     samples = SurfaceSamples(
@@ -296,7 +298,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         **batches.arrays(stencil),
         **layout.follower_arrays(stencil),
         **layout.contact_arrays(contact, height, stencil.free_count),
-        "gate": np.zeros(GATE, int),
+        "queue": np.zeros(QUEUE, int),
         **limits.arrays(batches, body.settings, stencil.h, body.converged),
         **pack_arrays(len(contact.samples.X) if contact and body.options.meets else 0),
     }

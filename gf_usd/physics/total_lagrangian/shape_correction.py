@@ -89,7 +89,7 @@ class ShapeCorrection:
 
     def __init__(self, body: Body) -> None:
         s = body.settings
-        if s.procrustes > 0.0 and body.holder is not None:
+        if s.procrustes > 0.0 and body.pin_constraint is not None:
             raise UsageError(
                 f"--procrustes {s.procrustes:g} moves the body towards its rest shape about its"
                 " mean, and --pin holds it elsewhere",

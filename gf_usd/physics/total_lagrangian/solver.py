@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
-from gf_usd.core.stage import Encounters, Pin
+from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
@@ -61,11 +61,11 @@ class TotalLagrangian(Solver):
         settings: Settings,
         *,
         samples: SurfaceSamples | None = None,
-        riders: Mapping[str, Floats] | None = None,
+        embedded: Mapping[str, Floats] | None = None,
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
-        encounters: Encounters | None = None,
-        rider_body: Mapping[str, int] | None = None,
+        contact_setup: ContactSetup | None = None,
+        embedded_body: Mapping[str, int] | None = None,
         acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
@@ -76,8 +76,9 @@ class TotalLagrangian(Solver):
         init_taichi(settings.device, settings.threads, f64=real is np.float64)
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
-            particles, materials, settings, samples=samples, riders=riders, velocity=velocity,
-            pins=pins, encounters=encounters, rider_body=rider_body, h=h, real=real, plain=plain,
+            particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
+            pins=pins, contact_setup=contact_setup, embedded_body=embedded_body, h=h, real=real,
+            plain=plain,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
@@ -85,7 +86,7 @@ class TotalLagrangian(Solver):
         b = np.zeros((body.stencil.free_count, 3))
         self.state = State(body, b if acceleration is None else acceleration(body.stencil.free_X))
         self.active = ActiveSamples(body)
-        self.pairs = BodyContact(body) if body.encounters else None
+        self.pairs = BodyContact(body) if body.contact_setup else None
         self.correction = ShapeCorrection(body)
         self.shortcuts = Shortcuts(body, self.state)
         self.state.parts += [*([self.pairs] if self.pairs else []), self.shortcuts]
@@ -156,10 +157,10 @@ class TotalLagrangian(Solver):
             index=index,
             time=time,
             particles=particles,
-            riders={
+            embedded={
                 name: body.constrained(name, rows, pose(rows, *now.nodes, now.offset), index,
                                        now.offset)
-                for name, rows in body.riders.items()
+                for name, rows in body.embedded.items()
             },
             stress=von_mises(body, state) if body.settings.stress else None,
             health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),

@@ -15,7 +15,7 @@ FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups"
 ALWAYS, OPENING, FILTERING = "always", "opening", "filtering"
 
 APART = 32  # numbers between the two counters of a launch: they share no cache line
-GATE = 2 * APART  # numbers of the array that they stand in
+QUEUE = 2 * APART  # numbers of the array that they stand in
 
 OPENS, CLOSES = 1, 2  # bits: a launch begins a frame, ends one
 

@@ -109,12 +109,14 @@ class State(DeviceState):
     def prescribe(self, index: int) -> None:
         """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
         self.clear("work")
-        holder, nodes = self._body.holder, self._body.stencil
-        if holder is None or not holder.moving:
+        pin_constraint, nodes = self._body.pin_constraint, self._body.stencil
+        if pin_constraint is None or not pin_constraint.moving:
             return
         free = nodes.free_count
         start, end = (
-            holder.constants(nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame)
+            pin_constraint.constants(
+                nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
+            )
             for frame in (index - 1, index)
         )
         self.put("anchor", start)
@@ -122,7 +124,7 @@ class State(DeviceState):
 
     def recenter(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
-        if self._body.holder:
+        if self._body.pin_constraint:
             return
         u, m = self.rows("u"), self._body.stencil.mass
         mean = m @ u[: self._body.stencil.free_count] / m.sum()
@@ -148,7 +150,9 @@ class State(DeviceState):
 
     def view(self) -> StateView:
         """The present state, with what was found out about it so far."""
-        names = ("u", "v") if self._body.holder is None else ("u", "v", "anchor", "anchor_rate")
+        names = (
+            ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "anchor_rate")
+        )
         if self._body.law.set.flows:
             names = (*names, "history")
         given = (*(self.get(name) for name in names), self.offset.copy())
@@ -253,7 +257,7 @@ class StateView:
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:
         """u and v as `Rows` stack them: with pins, the followers' constants too."""
-        if self._body.holder is None:
+        if self._body.pin_constraint is None:
             return self.u, self.v
         c, rate = self.constants
         return np.concatenate([self.u, c]), np.concatenate([self.v, rate])
@@ -283,7 +287,7 @@ class StateView:
 
     def gradients(self, index: int) -> Floats:
         """F (N, 3, 3) of `pose`."""
-        return self._anchored() if self._body.holder is None else self.pose(index).F
+        return self._anchored() if self._body.pin_constraint is None else self.pose(index).F
 
     def _anchored(self) -> Floats:
         return self._rest.anchored(self.F) if self._rest else self.F

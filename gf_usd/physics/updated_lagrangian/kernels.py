@@ -79,7 +79,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
 
     @ti.kernel
     def serial(
-        body: Body, n: ti.i32, active: ti.i32, node_room: ti.i32, cell_room: ti.i32,
+        body: Body, n: ti.i32, active: ti.i32, node_capacity: ti.i32, cell_capacity: ti.i32,
         substeps: ti.i32, g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
         cap: real, low: real, high: real, converged: real,
     ):  # fmt: skip
@@ -95,12 +95,12 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
             clear_box(body)
             for p in range(n):
                 widen_box(body, p, ih, phase)
-            close_box(body, node_room)
+            close_box(body, node_capacity)
             for node in range(body.box[6]):
                 body.slot[node] = 0
             for p in range(n):
                 count_particle(body, p, ih, phase)
-            number_cells(body, cell_room)
+            number_cells(body, cell_capacity)
             for p in range(n):
                 place_particle(body, p)
             for k in range(active):
@@ -122,7 +122,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
 
     @ti.kernel
     def parallel(
-        body: Body, n: ti.i32, active: ti.i32, node_room: ti.i32, cell_room: ti.i32,
+        body: Body, n: ti.i32, active: ti.i32, node_capacity: ti.i32, cell_capacity: ti.i32,
         g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
         cap: real, low: real, high: real, converged: real, drift: real,
     ):  # fmt: skip
@@ -134,14 +134,14 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
             widen_box(body, p, ih, phase)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            close_box(body, node_room)
+            close_box(body, node_capacity)
         for node in range(body.box[6]):
             body.slot[node] = 0
         for p in range(n):
             count_particle(body, p, ih, phase)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            number_cells(body, cell_room)
+            number_cells(body, cell_capacity)
         for p in range(n):
             place_particle(body, p)
         for cell in range(body.box[7]):

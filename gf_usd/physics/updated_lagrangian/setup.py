@@ -42,7 +42,7 @@ class Body:
     center: Floats  # (3,) [m] of mass
     phase: Floats  # (3,) [cells] where the grid's node 0 lies, from the offset
     start: Mapping[str, Floats]  # v (N, 3), C and L (N, 3, 3): `start_motion`
-    riders: Mapping[str, Ride]
+    embedded: Mapping[str, Ride]
     contact: FloorContact | None
     ride: Ride | None  # of the contact samples
     step: StableStep
@@ -62,7 +62,7 @@ def build_body(
     settings: Settings,
     *,
     samples: SurfaceSamples | None,
-    riders: Mapping[str, Floats] | None,
+    embedded: Mapping[str, Floats] | None,
     velocity: Any,
     h: float | None,
     real: type,
@@ -94,7 +94,7 @@ def build_body(
         center=center,
         phase=(at_rest.origin - center) / h,
         start=start_motion(velocity, rows, at_rest),
-        riders={name: board(X, particles.X) for name, X in (riders or {}).items()},
+        embedded={name: board(X, particles.X) for name, X in (embedded or {}).items()},
         contact=contact,
         ride=ride,
         step=largest_step(particles, h, contact, settings, per),

@@ -46,7 +46,7 @@ class UpdatedLagrangian(Solver):
         settings: Settings,
         *,
         samples: SurfaceSamples | None = None,
-        riders: Mapping[str, Floats] | None = None,
+        embedded: Mapping[str, Floats] | None = None,
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
         h: float | None = None,
@@ -58,8 +58,8 @@ class UpdatedLagrangian(Solver):
         init_taichi(settings.device, settings.threads, f64=real is np.float64)
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
-            particles, materials, settings, samples=samples, riders=riders, velocity=velocity, h=h,
-            real=real,
+            particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
+            h=h, real=real,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
@@ -104,7 +104,7 @@ class UpdatedLagrangian(Solver):
         lift = float(state.offset @ s.normal) - (s.floor or 0.0)
         active = state.watch_floor(lift)
         low, high = s.clamp or (0.0, 0.0)
-        rooms = (state.node_room, state.cell_room)
+        capacities = (state.node_capacity, state.cell_capacity)
         vector = ti.types.vector(3, ti.f64 if body.real is np.float64 else ti.f32)
         tail = (
             *(vector(list(a)) for a in (s.gravity, s.normal, body.phase)),
@@ -112,12 +112,12 @@ class UpdatedLagrangian(Solver):
             s.stress_cap or 0.0, low, high, body.converged,
         )  # fmt: skip
         if n < SERIAL_BELOW:
-            body.kernels.serial(state.pack, n, active, *rooms, substeps, *tail)
+            body.kernels.serial(state.pack, n, active, *capacities, substeps, *tail)
         else:
             body.kernels.start(state.pack, n, 0.5 * dt)
             for k in range(substeps):
                 drift = dt if k < substeps - 1 else 0.5 * dt
-                body.kernels.parallel(state.pack, n, active, *rooms, *tail, drift)
+                body.kernels.parallel(state.pack, n, active, *capacities, *tail, drift)
         return active
 
     def read(self, index: int) -> Frame:
@@ -140,7 +140,7 @@ class UpdatedLagrangian(Solver):
             index=index,
             time=state.time,
             particles=pose,
-            riders={name: ride.pose(x, v, F, L) for name, ride in body.riders.items()},
+            embedded={name: ride.pose(x, v, F, L) for name, ride in body.embedded.items()},
             stress=self.von_mises() if s.stress else None,
             health=measure(
                 pose, (stretch, J), C, body.m, body.h, s,

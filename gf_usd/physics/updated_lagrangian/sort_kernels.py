@@ -12,7 +12,7 @@ import taichi as ti
 
 FAR = 1e6  # [cells] from the origin: beyond, and where a position is no number, there is no cell
 NOT_A_PLACE = 1  # faults
-NO_ROOM = 2
+OVERFLOW = 2
 
 
 @ti.func
@@ -51,13 +51,13 @@ def extent(body: ti.template(), d: ti.template()):
 
 
 @ti.func
-def close_box(body: ti.template(), room):
-    """Count the nodes of the box, or find that there are more than `room`."""
+def close_box(body: ti.template(), capacity):
+    """Count the nodes of the box, or find that there are more than `capacity`."""
     nodes = ti.cast(0, ti.i64)
     if body.box[8] == 0:
         nodes = ti.cast(extent(body, 0), ti.i64) * extent(body, 1) * extent(body, 2)
-        if nodes > room:
-            body.box[8] = NO_ROOM
+        if nodes > capacity:
+            body.box[8] = OVERFLOW
             nodes = 0
     body.box[6] = ti.cast(nodes, ti.i32)
     body.box[7] = 0
@@ -76,7 +76,7 @@ def count_particle(body: ti.template(), p, ih, phase):
 
 
 @ti.func
-def number_cells(body: ti.template(), room):
+def number_cells(body: ti.template(), capacity):
     """Turn the counts in `slot` into numbers of the cells that hold particles, -1 for the others.
 
     One thread does it: the box has about as many nodes as the body has quarters of a particle.
@@ -87,14 +87,14 @@ def number_cells(body: ti.template(), room):
         count = body.slot[key]
         body.slot[key] = -1
         if count > 0:
-            if cells < room:
+            if cells < capacity:
                 body.slot[key] = cells
                 body.cell_key[cells] = key
                 body.cell_start[cells] = total
             cells += 1
             total += count
-    if cells > room:
-        body.box[8] = NO_ROOM
+    if cells > capacity:
+        body.box[8] = OVERFLOW
         body.box[6] = 0
         cells = 0
     body.cell_start[cells] = total

@@ -14,7 +14,7 @@ from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
 LARGEST_BOX = 1 << 23  # nodes, or eight times the box at rest where that is more
 PARTICLES = ("x", "v", "C", "F", "L")
 FAULT = 8  # of `box`: see `sort_kernels`
-NO_ROOM = 2
+OVERFLOW = 2
 
 
 class State(DeviceState):
@@ -28,7 +28,7 @@ class State(DeviceState):
         super().__init__(arrays(body), body.real, saved, lift + body.center)
         self._body = body
         self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
-        self.node_room = self.cell_room = 0
+        self.node_capacity = self.cell_capacity = 0
         self.make_room()
         # a number of each particle, that kernels write
         self.value = ti.ndarray(ti.f64 if body.real is np.float64 else ti.f32, len(body.m))
@@ -43,9 +43,9 @@ class State(DeviceState):
         nodes = self._box_nodes()
         if not nodes <= self._most_nodes:
             return False
-        self.node_room = max(2 * int(nodes), 2 * self.node_room)
-        self.cell_room = min(len(self._body.particles), self.node_room)
-        grid = grid_arrays(self.node_room, self.cell_room)
+        self.node_capacity = max(2 * int(nodes), 2 * self.node_capacity)
+        self.cell_capacity = min(len(self._body.particles), self.node_capacity)
+        grid = grid_arrays(self.node_capacity, self.cell_capacity)
         self.arrays |= taichi_arrays.to_device(grid, self.real)
         self.pack = self._body.pack_type(**self.arrays)
         return True
@@ -53,7 +53,7 @@ class State(DeviceState):
     @property
     def lacks_room(self) -> bool:
         """Whether the last launch ended because the grid was too small."""
-        return self.get("box")[FAULT] == NO_ROOM
+        return self.get("box")[FAULT] == OVERFLOW
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""

@@ -1,6 +1,6 @@
 """What a prim is likely made of: by its names and labels, or by an advisor that is asked.
 
-Plain data that cross the street; `names` has the rule, `words` its word lists, `advisors` the
+Plain data; `names` has the rule, `words` its word lists, `advisors` the
 plug-ins.
 """
 

@@ -18,7 +18,7 @@ from gf_usd.core import materials
 from gf_usd.core.asset import Asset, Surface, Texture
 from gf_usd.core.errors import UsageError
 from gf_usd.core.scene import RenderMesh, Scene
-from gf_usd.core.stage import Advice, StageWords, Subject
+from gf_usd.core.stage import Advice, StageSpec, Subject
 from gf_usd.prepare.advice import AUTO, Auto, Question
 
 PICTURE = (512, 512)  # pixels of what an advisor sees: what vision models take in one tile
@@ -58,13 +58,13 @@ def parse_auto(material: str | None, preset: str | None) -> Auto | None:
 def advise(
     asset: Asset,
     file: Path,
-    words: StageWords,
+    words: StageSpec,
     auto: Auto,
     *,
     usd: bool,
     rest: float | None,
     draw: Draw,
-) -> StageWords:
+) -> StageSpec:
     """What the stage says, with an `Advice` for every surface of the asset.
 
     file : the asset's USD file, where `usd`; rest : time code of the rest pose; draw : makes the
@@ -85,7 +85,7 @@ def advise(
     return replace(words, advice={s.path: by_path[s.path] for s in asset.surfaces})
 
 
-def _stated(path: str, words: StageWords) -> Advice | None:
+def _stated(path: str, words: StageSpec) -> Advice | None:
     bake, body = words.bakes.get(path), words.bodies.get(path)
     if bake is not None and bake.material:
         reason = "the stage names it (gaussianFlesh:material)"

@@ -55,7 +55,7 @@ class FileMaterial:
 
     name: str
     values: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)
-    slots: tuple[Slot, ...] = ()
+    material_parts: tuple[Slot, ...] = ()
     mesh_colors: bool = False  # diffuseColor is the mesh's own displayColor
     double_sided: bool = False
 

@@ -2,7 +2,7 @@
 
 The standard: Khronos glTF 2.0, sections 3.6 (buffers) and 4 (GLB).
 
-The pictures of a glTF file: files beside it, or bytes inside it.
+The pictures of a glTF file: files next to it, or bytes inside it.
 
 The types of what is read from a glTF file, so that its readers need not ask.
 

@@ -39,7 +39,7 @@ class GltfMaterials:
 
     @property
     def inputs(self) -> tuple[Path, ...]:
-        """Picture files beside the asset."""
+        """Picture files next to the asset."""
         return tuple(self._images.files)
 
     def index(self, number: int | None, colored: bool) -> int:
@@ -98,7 +98,7 @@ class GltfMaterials:
         surface = pbr.get("metallicRoughnessTexture", {})
         bump = row.get("normalTexture", {})
         k = float(bump.get("scale", 1.0))
-        slots = [
+        material_parts = [
             self._slot(row, "diffuseColor", base, scale=(r, g, b)),
             self._slot(row, "roughness", surface, "g", srgb=False, scale=(rough,) * 3),
             self._slot(row, "metallic", surface, "b", srgb=False, scale=(metal,) * 3),
@@ -108,13 +108,13 @@ class GltfMaterials:
             self._slot(row, "occlusion", row.get("occlusionTexture", {}), "r", srgb=False),
         ]
         if any(glow):
-            slots.append(
+            material_parts.append(
                 self._slot(row, "emissiveColor", row.get("emissiveTexture", {}), scale=glow)
             )
         return FileMaterial(
             name=_name(row) or "material",
             values=values,
-            slots=tuple(slot for slot in slots if slot is not None),
+            material_parts=tuple(slot for slot in material_parts if slot is not None),
             mesh_colors=mesh_colors,
             double_sided=bool(row.get("doubleSided")),
         )

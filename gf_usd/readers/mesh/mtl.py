@@ -26,7 +26,7 @@ CONSTANTS = {"Kd": "diffuseColor", "Ke": "emissiveColor", "Pr": "roughness", "Pm
 def read_libraries(
     obj: Path, libraries: Sequence[str], wanted: Sequence[str], notes: Notes
 ) -> tuple[dict[str, FileMaterial], list[Path]]:
-    """The wanted materials by name, of the MTL files beside an OBJ file, and the files read.
+    """The wanted materials by name, of the MTL files next to an OBJ file, and the files read.
 
     A missing file or material is a note.  Raises InputError for a line that cannot be read.
     """
@@ -82,7 +82,7 @@ class _Library:
     def _finish(self) -> None:
         if self._name is not None:
             self._done[self._name] = FileMaterial(
-                name=self._name, values=dict(self._values), slots=tuple(self._slots)
+                name=self._name, values=dict(self._values), material_parts=tuple(self._slots)
             )
         self._values, self._slots = {}, []
 
@@ -155,13 +155,13 @@ class _Library:
         )
 
     def _picture(self, name: str) -> Picture | None:
-        """The file as named, or one of that name beside the MTL file."""
+        """The file as named, or one of that name next to the MTL file."""
         plain = name.replace("\\", "/")
         beside = self._path.parent / plain.rsplit("/", 1)[-1]
         for path in (self._path.parent / plain, beside):
             if path.is_file():
                 if path == beside and "/" in plain:
-                    self._notes.add(f"its texture {name} was found beside the material file")
+                    self._notes.add(f"its texture {name} was found next to the material file")
                 return Picture(name=path.name, path=path)
         return None
 

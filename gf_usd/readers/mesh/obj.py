@@ -261,8 +261,8 @@ class Tables:
 def to_nodes(tables: Tables, defined: list[str], notes: Notes) -> tuple[FileNode, ...]:
     """A node with a mesh for each body; materials become indices into the names `defined`."""
     where = {name: i for i, name in enumerate(defined)}
-    slots = np.array([where.get(n, NO_INDEX) for n in tables.material_names] + [NO_INDEX])
-    materials = slots[tables.materials]
+    material_parts = np.array([where.get(n, NO_INDEX) for n in tables.material_names] + [NO_INDEX])
+    materials = material_parts[tables.materials]
     face_of = np.repeat(np.arange(len(tables.counts)), tables.counts)
     unused = len(tables.points) - len(np.unique(tables.corners))
     if unused:

@@ -68,7 +68,7 @@ def read_ply(path: Path) -> MeshFile:
     materials = ()
     if picture is not None and mesh.uvs is not None:
         slot = Slot(input="diffuseColor", picture=picture)
-        materials = (FileMaterial(name="texture", slots=(slot,)),)
+        materials = (FileMaterial(name="texture", material_parts=(slot,)),)
     return require_sound(
         MeshFile(
             path=path,

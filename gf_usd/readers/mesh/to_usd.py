@@ -1,4 +1,4 @@
-"""A mesh file made into USD: read at once, written beside the results when they are.
+"""A mesh file made into USD: read at once, written next to the results when they are.
 
 The layer is first made in a temporary folder and read from there, so that a file which is refused,
 or a dry run, leaves nothing behind.
@@ -65,7 +65,7 @@ class MeshSource:
     Parameters
     ----------
     path : the file as the user named it.
-    folder : holds its USD form and what is to be extracted beside that.
+    folder : holds its USD form and what is to be extracted next to that.
     record : what the layer was made of, to be found again in it.
     notes : what was assumed or left out on the way.
     sources : `unit_from` and `axis_from` of the facts, where the layer does not tell them itself.
@@ -127,7 +127,7 @@ class MeshSource:
         return all(picture.is_file() for picture in self.textures(target))
 
     def textures(self, target: Path) -> tuple[Path, ...]:
-        """Pictures that are written beside a layer of that name."""
+        """Pictures that are written next to a layer of that name."""
         return tuple(textures_folder(target) / name for name in self._names())
 
     def write(self, target: Path) -> Path:
@@ -164,7 +164,7 @@ class MeshSource:
         return target
 
     def extract(self, target: Path) -> dict[Path, Path]:
-        """Write the pictures beside a layer of that name; returns from where to where."""
+        """Write the pictures next to a layer of that name; returns from where to where."""
         folder = textures_folder(target)
         placed = {self.folder.pictures / name: folder / name for name in self._names()}
         for picture, place in placed.items():
@@ -193,7 +193,7 @@ def record_of(
 
 
 def textures_folder(target: Path) -> Path:
-    """``duck.source.usdc`` -> ``duck.textures``, beside it."""
+    """``duck.source.usdc`` -> ``duck.textures``, next to it."""
     return target.with_name(f"{target.stem.removesuffix('.source')}.textures")
 
 
@@ -409,11 +409,11 @@ def write_material(
         reader = _shader(stage, path.AppendChild("colors"), "UsdPrimvarReader_float3")
         reader.CreateInput("varname", Types.String).Set("displayColor")
         _connect(surface, "diffuseColor", reader, "result", Types.Float3)
-    if material.slots:
+    if material.material_parts:
         reader = _shader(stage, path.AppendChild(ST), "UsdPrimvarReader_float2")
         reader.CreateInput("varname", Types.String).Set(ST)
         reader.CreateOutput("result", Types.Float2)
-        for slot in material.slots:
+        for slot in material.material_parts:
             _texture(stage, path, surface, reader, slot, place(slot.picture))
     return made
 

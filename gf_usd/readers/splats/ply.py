@@ -36,7 +36,7 @@ from gf_usd.readers.mesh.data import REPAIR, refuse_pointer
 from gf_usd.readers.mesh.ply import Element, Ragged, Table, header, read_body
 
 HEAD = 65536  # bytes in which the header of a splat file ends
-# What 3DGS and its heirs write beside labels.
+# What 3DGS and its heirs write next to labels.
 KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_\d|f_rest_\d+|opacity|scale_\d|rot_\d|packed_\w+")
 WHOLE = 2.0**31  # labels are as large as USD's int at most
 

@@ -236,7 +236,7 @@ def colors(
     indices = of_face[corners.faces]
     uvs: Floats | None = None
     materials: list[SurfaceMaterial] = []
-    slots = np.full(len(bound) + 1, -1)  # the last is for faces without a material
+    material_parts = np.full(len(bound) + 1, -1)  # the last is for faces without a material
     for i, look in enumerate(bound):
         mine = indices == i
         if look.color_primvar and mine.any():
@@ -250,12 +250,12 @@ def colors(
         if look.place is not None and mine.any():
             uvs = np.zeros((*corners.triangles.shape, 2)) if uvs is None else uvs
             uvs[mine] = _texture_coordinates(prim, look, corners, time, notes)[mine]
-        slots[i] = len(materials)
+        material_parts[i] = len(materials)
         materials.append(look.material)
     return Colors(
         colors=display,
         uvs=uvs,
-        indices=slots[indices] if materials else None,
+        indices=material_parts[indices] if materials else None,
         materials=tuple(materials),
     )
 

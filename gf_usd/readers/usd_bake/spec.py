@@ -8,12 +8,12 @@ from pathlib import Path
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
-from gf_usd.core.stage import PrimBake, StagePhysics, StageWords
+from gf_usd.core.stage import PrimBake, StagePhysics, StageSpec
 
 
 def read_words(
     asset: Asset, file: Path, prims: Sequence[str], *, rest: float | None, elastic: bool
-) -> tuple[Asset, StageWords]:
+) -> tuple[Asset, StageSpec]:
     """The asset without what its stage keeps out of a bake, and what the stage says of the rest.
 
     file : the asset's USD file; prims : what was asked for by name, which goes before the stage;
@@ -42,7 +42,7 @@ def read_words(
     )
     physics = read_motion(asset, file, rest=rest, times=(), elastic=elastic)
     left = {s.path for s in asset.surfaces}
-    return asset, StageWords(
+    return asset, StageSpec(
         bakes={path: bake for path, bake in bakes.items() if path in left},
         physics=physics,
         painted=read_painted(file, asset.facts, asset.surfaces, rest=rest) if elastic else {},

@@ -16,7 +16,14 @@ from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import WATER, BodyPhysics, MaterialWords, SubsetMaterial, Triple, read_words
+from gf_usd.core.stage import (
+    WATER,
+    BodyPhysics,
+    PhysicsMaterialSpec,
+    SubsetMaterial,
+    Triple,
+    read_words,
+)
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading
@@ -64,7 +71,7 @@ def read_body(
     density = _density(prim, owner, here, facts.units)
     what = role(prim, time)
     velocity, spin = _rigid_velocity(owner, what, here)
-    words = materials.bound(prim) if materials else MaterialWords()
+    words = materials.bound(prim) if materials else PhysicsMaterialSpec()
     return BodyPhysics(
         path=str(prim.GetPath()),
         role=what,
@@ -180,9 +187,9 @@ class PhysicsMaterials:
         self._facts = facts
         self._time = time
         self._notes = notes
-        self._words: dict[Sdf.Path, MaterialWords] = {}
+        self._words: dict[Sdf.Path, PhysicsMaterialSpec] = {}
 
-    def bound(self, prim: Usd.Prim) -> MaterialWords:
+    def bound(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
         """What the material says that is bound to a prim (or above it, or by a collection) for
         physics, else for all purposes.
 
@@ -190,13 +197,13 @@ class PhysicsMaterials:
         """
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(PURPOSE)
         if not material:
-            return MaterialWords()
+            return PhysicsMaterialSpec()
         path = material.GetPath()
         if path not in self._words:
             self._words[path] = self._read(material.GetPrim())
         return self._words[path]
 
-    def whole(self, words: MaterialWords, density: float | None = None) -> Material | None:
+    def whole(self, words: PhysicsMaterialSpec, density: float | None = None) -> Material | None:
         """The material that the words make; None where they say nothing of elasticity.
 
         density : [kg/m^3] that goes before the material's, so that it needs none of its own.
@@ -205,7 +212,7 @@ class PhysicsMaterials:
             self._notes.add(f"no density is stated: {WATER:g} kg/m^3 is assumed", words.path)
         return words.whole()
 
-    def _read(self, prim: Usd.Prim) -> MaterialWords:
+    def _read(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
         def value(name: str) -> Any:
             return authored(prim, name, self._time)
 
@@ -242,7 +249,7 @@ def read_subsets(
     for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
         prim = subset.GetPrim()
         words = materials.bound(prim)
-        if words.path == whole.path or words == MaterialWords(path=words.path):
+        if words.path == whole.path or words == PhysicsMaterialSpec(path=words.path):
             continue  # the mesh's own, or a look without a word of physics
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(

@@ -107,7 +107,7 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     made = elastic(E=VERTICAL_E, nu=NU, density=VERTICAL_DENSITY, law="neoHookean")
     s = settings(device, frames=FRAMES + 1, fps=FRAMES / END)
     corner = np.array([[x, -1.0, z] for x in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    solver = TotalLagrangian(body, [made], s, riders={"corner": corner})
+    solver = TotalLagrangian(body, [made], s, embedded={"corner": corner})
     # Weight at the particles, brought to the nodes: those at the plane hang on both halves.
     pull = np.zeros((len(body), 3))
     pull[:, 1] = solver.body.m * np.where(body.X[:, 1] < 0.0, -G, G)
@@ -115,7 +115,7 @@ def stretch(cells: int, device: str) -> tuple[float, float]:
     times, tips = [], []
     for frame in solver.frames():
         times.append(frame.time)
-        tips.append(float((frame.riders["corner"].x - corner)[:, 1].mean()))
+        tips.append(float((frame.embedded["corner"].x - corner)[:, 1].mean()))
     return lowest(np.array(times), np.array(tips))
 
 

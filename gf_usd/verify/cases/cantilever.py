@@ -61,7 +61,7 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
     tip = np.array([[1.0, 0.5 * beam.thickness, 0.5 * h]])
     solver = TotalLagrangian(
         body, [elastic(E=E, nu=0.0, density=DENSITY)], s, pins=[clamp(0, 0.0)],
-        riders={"tip": tip},
+        embedded={"tip": tip},
     )  # fmt: skip
     # Spread over the end face, and brought to the nodes by the rows of its points.
     nodes = solver.body.stencil
@@ -78,7 +78,7 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
             solver.advance(index, solver.coarse)
             plane.keep()
         before = load
-        moved = (solver.read(index).riders["tip"].x - tip)[0]
+        moved = (solver.read(index).embedded["tip"].x - tip)[0]
         out.append((-float(moved[1]), -float(moved[0])))
     return out
 
@@ -105,7 +105,7 @@ class Plane:
 def elastica(
     beam: Beam, loads: Sequence[float], bound: float, why: str
 ) -> Callable[[str], Iterator[Measure]]:
-    """Deflection and shortening beside those of the elastica."""
+    """Deflection and shortening next to those of the elastica."""
 
     def run(device: str) -> Iterator[Measure]:
         seen = bend(beam, loads, device)

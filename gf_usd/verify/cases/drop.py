@@ -41,10 +41,10 @@ def drop(particles: int, device: str) -> Squash:
         contact_rate=RATE,
     )  # fmt: skip
     skin = sphere()
-    solver = TotalLagrangian(body, [made], s, samples=samples, riders={"skin": skin.points})
+    solver = TotalLagrangian(body, [made], s, samples=samples, embedded={"skin": skin.points})
     heights, spreads, sigmas = [], [], []
     for frame in solver.frames():
-        heights.append(np.ptp(frame.riders["skin"].x[:, 1]))
+        heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
         spreads.append(frame.particles.x[:, 1].std())
         sigmas.append(strains(frame.particles.F)[0][:, 0].mean())
     return Squash(

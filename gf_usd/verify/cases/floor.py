@@ -68,11 +68,11 @@ def impact(name: str, radius: float, particles: int, device: str) -> float:
         filter_rate=FILTER_RATE / T, lift=(0.0, 4.0 * radius, 0.0),
     )  # fmt: skip
     solver = TotalLagrangian(
-        body, [look(name, body)], s, samples=samples, riders={"skin": sphere(radius).points}
+        body, [look(name, body)], s, samples=samples, embedded={"skin": sphere(radius).points}
     )
     deepest = 0.0
     for frame in solver.frames():
-        vertex = -float(frame.riders["skin"].x[:, 1].min())
+        vertex = -float(frame.embedded["skin"].x[:, 1].min())
         deepest = max(deepest, frame.health.penetration, vertex)
     return deepest / body.spacing
 

@@ -95,7 +95,7 @@ def locking(
         for nu, value in zip(ratios[1:], errors[1:]):
             yield Measure(
                 name=f"locking.{nu:g}", value=value - errors[0], target=0.0, bound=0.015,
-                why="how much stiffer than at nu = 0, each beside its own reference: measured .8 %"
+                why="how much stiffer than at nu = 0, each next to its own reference: measured .8 %"
                 " at nu = .49 whatever the grid, part of it the standard's own error of .3 %",
             )  # fmt: skip
         yield Measure(

@@ -95,7 +95,7 @@ def turn(device: str) -> Iterator[Measure]:
     body, _ = ball(500)
     skin = sphere()
     solver = TotalLagrangian(
-        body, [look("rubber", body)], settings(device), riders={"skin": skin.points}
+        body, [look("rubber", body)], settings(device), embedded={"skin": skin.points}
     )
     put(solver, solver.body.stencil.node_X @ (QUARTER - np.eye(3)).T)
     frame = next(iter(solver.frames()))
@@ -105,7 +105,7 @@ def turn(device: str) -> Iterator[Measure]:
         " are rounded to 6e-8 of a radius and F to 1e-7 r / h"
     )
     idw = make_skin("idw", skin.points, body.X)
-    for name, pose in (("embed", frame.riders["skin"]), ("idw", idw.pose(frame.particles))):
+    for name, pose in (("embed", frame.embedded["skin"]), ("idw", idw.pose(frame.particles))):
         yield Measure(
             name=name, value=float(np.abs(pose.x - exact).max()), target=0.0, bound=1e-6,
             unit="r", why=why,

@@ -40,10 +40,10 @@ def drop(solver: str, particles: int, device: str) -> Drop:
     )  # fmt: skip
     made = [look("rubber", body)]
     skin = sphere()
-    run = make_solver(s, body, made, samples=samples, riders={"skin": skin.points})
+    run = make_solver(s, body, made, samples=samples, embedded={"skin": skin.points})
     heights, sigmas, centers, energies = [], [], [], []
     for frame in run.frames():
-        heights.append(np.ptp(frame.riders["skin"].x[:, 1]))
+        heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
         sigmas.append(strains(frame.particles.F)[0][:, 0].mean())
         centers.append(frame.health.center[1])
         energies.append(energy(frame.health))

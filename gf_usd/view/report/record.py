@@ -1,4 +1,4 @@
-"""What a bake said of itself: its report beside the root layer, or the root layer alone."""
+"""What a bake said of itself: its report next to the root layer, or the root layer alone."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ class Record:
 
 
 def report_path(root: Path) -> Path:
-    """``duck.rubber.usda`` -> ``duck.rubber.report.json``, beside it."""
+    """``duck.rubber.usda`` -> ``duck.rubber.report.json``, next to it."""
     return root.with_name(f"{root.stem}.report.json")
 
 
 def load_report(root: Path) -> tuple[dict[str, Any], str]:
-    """The report beside a root layer, or an empty one, and why it is empty."""
+    """The report next to a root layer, or an empty one, and why it is empty."""
     path = report_path(root)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return {}, f"{path.name} is not beside the file"
+        return {}, f"{path.name} is not next to the file"
     except (OSError, ValueError) as error:
         return {}, f"{path.name} cannot be read ({error})"
     if not isinstance(data, dict) or not isinstance(data.get("bakes"), list):
@@ -66,7 +66,7 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
     bake = next((b for b in report.get("bakes", ()) if b.get("look") == recording.look), None)
     about = recording.about
     if bake is not None and about.get("inputHash") not in (None, report.get("input_sha256")):
-        bake, why_empty = None, "the report beside the file is of another bake"
+        bake, why_empty = None, "the report next to the file is of another bake"
     if bake is None:
         return _from_layer(recording, why_empty or "the report does not name this look")
     known = (

@@ -60,14 +60,14 @@ def build_report(
     Parameters
     ----------
     sources : one for each look.
-    report : what `report_record.load_report` found beside the root layer, and why it is empty.
+    report : what `report_record.load_report` found next to the root layer, and why it is empty.
     """
     recordings = [source.recording() for source in sources]
     records = [make_record(recording, report, why_empty) for recording in recordings]
     shots = []
     plotly = _plotly()
-    room = limits.size - len(plotly.encode("utf-8")) - 60_000 - 150_000 * len(sources)
-    motions, packed = _fit(sources, recordings, limits, room)
+    bytes_left = limits.size - len(plotly.encode("utf-8")) - 60_000 - 150_000 * len(sources)
+    motions, packed = _fit(sources, recordings, limits, bytes_left)
     for source, recording, motion in zip(sources, recordings, motions):
         chosen = moments(motion)
         codes = [motion.time_codes[frame] for frame, _ in chosen]
@@ -104,7 +104,7 @@ def build_report(
 
 
 def _fit(
-    sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, room: int
+    sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, bytes_left: int
 ) -> tuple[list[Motion], list[tuple[dict[str, dict[str, Any]], str]]]:
     """Thin the looks until their blobs have room together [bytes]."""
     now = limits
@@ -116,10 +116,10 @@ def _fit(
             motions.append(collect(recording, frames, now.vertices, now.vertices))
         packed = [pack(motion) for motion in motions]
         used = sum(len(blob) for _, blob in packed)
-        if used <= room or (now.vertices <= FEWEST and now.frames <= 2):
+        if used <= bytes_left or (now.vertices <= FEWEST and now.frames <= 2):
             return motions, packed
         # a little less than what would just fit, so that once more is enough
-        now = _less(motions, now, 0.93 * room / used)
+        now = _less(motions, now, 0.93 * bytes_left / used)
 
 
 def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:

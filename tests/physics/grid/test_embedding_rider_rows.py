@@ -8,7 +8,7 @@ from solids import ball, look, settings
 
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import embedding
-from gf_usd.physics.grid.embedding import pose, rider_rows
+from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
@@ -35,7 +35,7 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
     on = np.zeros(len(X), int)
     plain = solver.body.stencil.rows(X, on)
     monkeypatch.setattr(embedding, "CHUNK", chunk)
-    lean = rider_rows(solver.body.stencil, X, on)
+    lean = embedded_rows(solver.body.stencil, X, on)
     assert lean.spread is not None
     assert lean.W.nnz == 27 * len(X)
     assert lean.W.nnz < plain.W.nnz
@@ -55,6 +55,6 @@ def test_poses_are_those_of_the_rows_over_free_nodes(monkeypatch, pinned: bool, 
 def test_no_points_have_no_rows() -> None:
     body, _ = ball(400, radius=1.0)
     solver = TotalLagrangian(body, [look("rubber", body)], settings())
-    lean = rider_rows(solver.body.stencil, np.zeros((0, 3)), np.zeros(0, int))
+    lean = embedded_rows(solver.body.stencil, np.zeros((0, 3)), np.zeros(0, int))
     u = np.ones((lean.spread.shape[1], 3))
     assert pose(lean, u, u, np.zeros(3)).x.shape == (0, 3)

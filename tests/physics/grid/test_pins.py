@@ -12,7 +12,7 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin
-from gf_usd.physics.grid.pins import Holder, Motion, held_by, interpolation, mirror_points
+from gf_usd.physics.grid.pins import Motion, PinConstraint, interpolation, mirror_points, pinned_by
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 BAR = solid(cube((0.0, 0.0, 0.0), (1.0, 0.25, 0.25)))
@@ -43,14 +43,14 @@ def turn(angle: float) -> Floats:
 def test_a_box_holds_what_lies_in_it() -> None:
     pin = box("box:-1,-1,-1,0.5,2,2")
     X = np.array([[0.1, 0.1, 0.1], [0.6, 0.1, 0.1], [0.49, 1.9, 1.9], [-1.1, 0.0, 0.0]])
-    assert held_by([pin], X).pin.tolist() == [0, -1, 0, -1]
+    assert pinned_by([pin], X).pin.tolist() == [0, -1, 0, -1]
     np.testing.assert_allclose(pin.nearest(X[:1]), [[0.5, 0.1, 0.1]], atol=1e-12)
 
 
 def test_the_first_pin_that_holds_a_point_has_it() -> None:
     first, second = box("box:-1,-1,-1,0.3,2,2"), box("box:-1,-1,-1,0.6,2,2")
     X = np.array([[0.2, 0.1, 0.1], [0.5, 0.1, 0.1], [0.9, 0.1, 0.1]])
-    assert held_by([first, second], X).pin.tolist() == [0, 1, -1]
+    assert pinned_by([first, second], X).pin.tolist() == [0, 1, -1]
 
 
 def test_a_patch_holds_the_surface_and_what_is_outside_of_it() -> None:
@@ -62,13 +62,13 @@ def test_a_patch_holds_the_surface_and_what_is_outside_of_it() -> None:
     )  # fmt: skip
     pin = make_pin(region, BAR)
     X = np.array([[0.0, 0.1, 0.1], [-0.2, 0.1, 0.1], [0.01, 0.1, 0.1], [0.5, 0.3, 0.1]])
-    assert held_by([pin], X).pin.tolist() == [0, 0, -1, -1]
+    assert pinned_by([pin], X).pin.tolist() == [0, 0, -1, -1]
 
 
 def test_mirror_points_lie_across_the_boundary_and_deep_nodes_have_none() -> None:
     pin = box("box:-1,-1,-1,0,2,2")
     X = np.array([[-0.05, 0.1, 0.1], [-0.5, 0.1, 0.1], [0.2, 0.1, 0.1]])
-    mirror = mirror_points([pin], held_by([pin], X), X, 0.1)
+    mirror = mirror_points([pin], pinned_by([pin], X), X, 0.1)
     np.testing.assert_allclose(mirror[0], [0.05, 0.1, 0.1], atol=1e-12)
     assert np.isnan(mirror[1:]).all()
 
@@ -131,10 +131,10 @@ def test_a_pinned_bar_stretches_as_its_weight_says() -> None:
     s = settings(frames=60, gravity=(g, 0.0, 0.0), fps=24.0, drag=8.0)
     solver = TotalLagrangian(
         bar(2000), [soft()], s, pins=[box("box:-1,-1,-1,0,2,2")],
-        riders={"tip": np.array([[1.0, 0.125, 0.125]])},
+        embedded={"tip": np.array([[1.0, 0.125, 0.125]])},
     )  # fmt: skip
     *_, last = solver.frames()
-    u = last.riders["tip"].x[0, 0] - 1.0
+    u = last.embedded["tip"].x[0, 0] - 1.0
     assert u == pytest.approx(1000.0 * g / (2.0 * 1e5), rel=0.015)
 
 
@@ -182,13 +182,13 @@ def test_a_falling_body_without_pins_is_as_it_was() -> None:
     body = bar()
     s = settings(gravity=(0.0, -9.81, 0.0))
     free = TotalLagrangian(body, [look("rubber", body)], s)
-    assert free.body.holder is None
+    assert free.body.pin_constraint is None
     assert not free.body.stencil.held.any
     assert free.body.stencil.rows(body.X).W.shape[1] == free.body.stencil.free_count
 
 
 def test_a_holder_tells_moving_regions_from_still_ones() -> None:
     points = np.zeros((4, 3)) + np.eye(4, 3)
-    assert not Holder([box("box:-1,-1,-1,0,2,2")], bar().X).moving
+    assert not PinConstraint([box("box:-1,-1,-1,0,2,2")], bar().X).moving
     moved = np.stack([points, points + 1.0])
-    assert Holder([box("box:-1,-1,-1,0,2,2", moved, points)], bar().X).moving
+    assert PinConstraint([box("box:-1,-1,-1,0,2,2", moved, points)], bar().X).moving

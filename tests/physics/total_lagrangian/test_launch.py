@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gf_usd.physics.total_lagrangian import launch as crew
-from gf_usd.physics.total_lagrangian.launch import Crew
+from gf_usd.physics.total_lagrangian import launch as thread_count
+from gf_usd.physics.total_lagrangian.launch import ThreadCount
 
 
 class Machine:
@@ -16,8 +16,8 @@ class Machine:
         self.others = 0
         self.sizes: list[int] = []
 
-    def crew(self, threads: int, particles: int = 100_000) -> Crew:
-        made = Crew(
+    def thread_count(self, threads: int, particles: int = 100_000) -> ThreadCount:
+        made = ThreadCount(
             threads,
             particles,
             clock=lambda: self.wall,
@@ -28,7 +28,7 @@ class Machine:
         self.sizes.clear()
         return made
 
-    def launch(self, made: Crew, wall: float, cores: float, substeps: int = 10) -> None:
+    def launch(self, made: ThreadCount, wall: float, cores: float, substeps: int = 10) -> None:
         """One in which threads have so many cores to themselves."""
 
         def work(threads: int) -> None:
@@ -41,7 +41,7 @@ class Machine:
 
 def test_all_threads_take_part_while_each_has_a_core() -> None:
     machine = Machine()
-    team = machine.crew(4)
+    team = machine.thread_count(4)
     for _ in range(5):
         machine.launch(team, wall=0.05, cores=4.0)
     assert machine.sizes == [4] * 5
@@ -49,21 +49,21 @@ def test_all_threads_take_part_while_each_has_a_core() -> None:
 
 def test_as_many_as_there_are_cores_for_take_part_for_a_while() -> None:
     machine = Machine()
-    team = machine.crew(4)
-    for _ in range(crew.REST + 1):
+    team = machine.thread_count(4)
+    for _ in range(thread_count.REST + 1):
         machine.launch(team, wall=0.05, cores=2.0)
-    assert machine.sizes == [4] + [2] * (crew.REST - 1) + [4]
+    assert machine.sizes == [4] + [2] * (thread_count.REST - 1) + [4]
 
 
 def test_the_rest_grows_while_cores_are_lacking_and_ends_when_they_are_back() -> None:
     machine = Machine()
-    team = machine.crew(2)
-    for _ in range(3 * crew.REST + 2):
+    team = machine.thread_count(2)
+    for _ in range(3 * thread_count.REST + 2):
         machine.launch(team, wall=0.05, cores=1.0)
     tries = [k for k, size in enumerate(machine.sizes) if size == 2]
-    assert tries == [0, crew.REST, 3 * crew.REST]
+    assert tries == [0, thread_count.REST, 3 * thread_count.REST]
     machine.sizes.clear()
-    for _ in range(5 * crew.REST):
+    for _ in range(5 * thread_count.REST):
         machine.launch(team, wall=0.05, cores=2.0)
     assert machine.sizes[-1] == 2
 
@@ -71,9 +71,9 @@ def test_the_rest_grows_while_cores_are_lacking_and_ends_when_they_are_back() ->
 def test_work_beside_it_has_a_core_and_says_nothing_of_the_cores(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(crew, "cores", lambda: 4)
+    monkeypatch.setattr(thread_count, "cores", lambda: 4)
     machine = Machine()
-    team = machine.crew(4)
+    team = machine.thread_count(4)
     machine.others = 1
     for _ in range(3):
         machine.launch(team, wall=0.05, cores=1.0)
@@ -82,7 +82,7 @@ def test_work_beside_it_has_a_core_and_says_nothing_of_the_cores(
     machine.others = 0
     machine.launch(team, wall=0.05, cores=4.0)
     assert machine.sizes == [3, 3, 3, 1, 4]
-    few = machine.crew(2)
+    few = machine.thread_count(2)
     machine.others = 1
     machine.launch(few, wall=0.05, cores=4.0)
     assert machine.sizes == [2], "four cores are enough for both"
@@ -90,22 +90,22 @@ def test_work_beside_it_has_a_core_and_says_nothing_of_the_cores(
 
 def test_a_launch_too_short_to_be_timed_says_nothing() -> None:
     machine = Machine()
-    team = machine.crew(2)
-    machine.launch(team, wall=0.5 * crew.SHORT, cores=1.0)
-    machine.launch(team, wall=0.5 * crew.SHORT, cores=1.0)
+    team = machine.thread_count(2)
+    machine.launch(team, wall=0.5 * thread_count.SHORT, cores=1.0)
+    machine.launch(team, wall=0.5 * thread_count.SHORT, cores=1.0)
     assert machine.sizes == [2, 2]
 
 
 @pytest.mark.parametrize(("particles", "most"), [(120, 1), (4_000, 2), (10**6, 8)])
 def test_few_particles_ask_for_few_threads(particles: int, most: int) -> None:
-    assert Crew(8, particles).most == most
+    assert ThreadCount(8, particles).most == most
 
 
 def test_a_launch_takes_as_many_substeps_as_last_a_moment() -> None:
     machine = Machine()
-    team = machine.crew(2)
+    team = machine.thread_count(2)
     machine.launch(team, wall=0.05, cores=2.0, substeps=10)
-    assert team.fitting(1000) == pytest.approx(crew.MOMENT / 0.005, abs=1)
+    assert team.fitting(1000) == pytest.approx(thread_count.MOMENT / 0.005, abs=1)
     assert team.fitting(3) == 3
     machine.launch(team, wall=5.0, cores=2.0, substeps=1)
     assert team.fitting(1000) == 1

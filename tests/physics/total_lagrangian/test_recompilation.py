@@ -14,7 +14,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 def test_another_step_stiffness_and_count_compile_nothing() -> None:
     first = made(np.float32)
     first.advance(1, 2)
-    kernel = first.body.kernels.relay._primal
+    kernel = first.body.kernels.queued._primal
     before = len(kernel.compiled_kernels)
     assert before >= 1
     p = first.particles

@@ -96,10 +96,10 @@ def test_the_shape_correction_moves_towards_the_rest_shape_by_its_strength(alpha
     for strength in (0.0, alpha):
         # The motion of one frame is A X + b, times the time.
         solver = made(
-            procrustes=strength, riders={"r": rider}, velocity=lambda X: 1e5 * (X @ A.T + b)
+            procrustes=strength, embedded={"r": rider}, velocity=lambda X: 1e5 * (X @ A.T + b)
         )
         frame = list(solver.frames())[-1]
-        poses.append((frame.particles, frame.riders["r"], frame.health))
+        poses.append((frame.particles, frame.embedded["r"], frame.health))
     (plain, rode, before), (moved, rides, after) = poses
     X, m = body().X, body().V0 / body().V0.sum()
     mean, rest = m @ plain.x, m @ X
@@ -146,7 +146,7 @@ def test_a_body_that_is_pinned_has_no_shape_correction():
 def test_off_they_leave_no_trace():
     solver = made()
     assert solver.body.options == DEFAULT == options_of(settings())
-    for name in ("F0", "clip_room", "touched"):
+    for name in ("F0", "clip_buffer", "touched"):
         assert solver.state.arrays[name].shape == (1,)
     assert "F0" not in solver.state.save()
     passage = solver.advance(1, 2)

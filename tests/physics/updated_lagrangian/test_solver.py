@@ -145,12 +145,12 @@ def test_riders_come_with_every_frame():
     made = look("rubber", body, damping_time=0.0)
     points = np.array([[0.0, 1.0, 0.0], [0.5, 0.0, 0.2]])
     s = settings(frames=3, gravity=(0.0, -9.81, 0.0))
-    solver = UpdatedLagrangian(body, [made], s, riders={"a": points}, velocity=(1.0, 0.0, 0.0))
+    solver = UpdatedLagrangian(body, [made], s, embedded={"a": points}, velocity=(1.0, 0.0, 0.0))
     for frame in solver.frames():
         at = points + np.array([1.0, 0.0, 0.0]) * frame.time
         at[:, 1] -= 0.5 * 9.81 * frame.time**2
-        np.testing.assert_allclose(frame.riders["a"].x, at, atol=1e-5)
-        assert frame.riders["a"].F.shape == (2, 3, 3)
+        np.testing.assert_allclose(frame.embedded["a"].x, at, atol=1e-5)
+        assert frame.embedded["a"].F.shape == (2, 3, 3)
 
 
 def test_stress_is_read_where_asked_for():

@@ -33,11 +33,11 @@ def test_texture_options_and_names_with_spaces(tmp_path):
     (tmp_path / "my skin.png").write_bytes(png())
     text = "newmtl a\nmap_Kd -o 0.5 0.25 -s 2 3 1 -bm 2 -mm 0 1 C:\\art\\my skin.png\n"
     found, notes = read(tmp_path, text)
-    (slot,) = found["a"].slots
+    (slot,) = found["a"].material_parts
     assert slot.picture.path == tmp_path / "my skin.png"
     assert slot.uv_offset == (0.5, 0.25)
     assert slot.uv_scale == (2.0, 3.0)
-    assert notes == ("its texture C:\\art\\my skin.png was found beside the material file",)
+    assert notes == ("its texture C:\\art\\my skin.png was found next to the material file",)
 
 
 def test_a_library_whose_name_has_spaces_or_that_are_several(tmp_path):
@@ -56,7 +56,7 @@ def test_what_is_missing_is_said(tmp_path):
     assert "it names materials (a) but no material file: no colors" in convert(obj).notes
     found, notes = read(tmp_path, "newmtl b\nmap_Kd gone.png\nd 0.5\n", ("a", "b"))
     assert list(found) == ["b"]
-    assert found["b"].slots == ()
+    assert found["b"].material_parts == ()
     assert notes == (
         "material b: its texture gone.png does not exist: a constant color instead",
         "material b: transparency is not read: opaque",

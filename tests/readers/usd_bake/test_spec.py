@@ -27,19 +27,19 @@ def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
     tray = mesh("Tray", SLIDE, KINEMATIC, apis=[COLLISION, RIGID])
     seen = plan(mesh("One", at(0.0, 4.0)), TABLE, tray)
     assert soft(seen) == ["/One"]
-    assert [c.path for c in seen.encounters.colliders] == ["/Table", "/Tray"]
-    assert [c.moves for c in seen.encounters.colliders] == [False, True]
+    assert [c.path for c in seen.contact_setup.colliders] == ["/Table", "/Tray"]
+    assert [c.moves for c in seen.contact_setup.colliders] == [False, True]
     assert noted(seen, "</Table> is left as it is: it is a static collider: an obstacle")
     assert noted(seen, "</Tray> is left as it is: it is a kinematic collider: an obstacle")
     # SLIDE moves by two meters a time code: frames 0, 1 and 2 are at 1, 2 and 3.
-    np.testing.assert_allclose(seen.encounters.colliders[1].offset[:, 0], [0.0, 2.0, 4.0])
+    np.testing.assert_allclose(seen.contact_setup.colliders[1].offset[:, 0], [0.0, 2.0, 4.0])
 
 
 def test_what_is_turned_off_stays_as_it_is(plan) -> None:
     seen = plan(cubes(OFF))
     assert soft(seen) == ["/Two"]
     assert noted(seen, "the stage turns its bake off (gaussianFlesh:enabled)")
-    assert seen.encounters.colliders == ()
+    assert seen.contact_setup.colliders == ()
 
 
 def test_a_prim_asked_for_by_name_is_baked_all_the_same(plan) -> None:

@@ -43,7 +43,7 @@ ABOUT = {
 def test_the_report_beside_the_root_layer_is_read(tmp_path):
     root = tmp_path / "box.rubber.usda"
     assert report_path(root).name == "box.rubber.report.json"
-    assert load_report(root) == ({}, "box.rubber.report.json is not beside the file")
+    assert load_report(root) == ({}, "box.rubber.report.json is not next to the file")
     report_path(root).write_text("{", encoding="utf-8")
     assert "cannot be read" in load_report(root)[1]
     report_path(root).write_text("[1]", encoding="utf-8")
@@ -65,7 +65,7 @@ def test_a_report_of_this_bake_is_taken_whole():
 @pytest.mark.parametrize(
     ("report", "why", "words"),
     [
-        ({}, "x.json is not beside the file", "x.json is not beside the file"),
+        ({}, "x.json is not next to the file", "x.json is not next to the file"),
         (report_of(input_sha256="other"), "", "is of another bake"),
         (report_of(look="jelly"), "", "does not name this look"),
     ],

@@ -3,7 +3,14 @@
 import taichi as ti
 
 from gf_usd.physics.laws.simd3x3 import LANES, cofactor, determinant, double_dot
-from gf_usd.physics.total_lagrangian.limits import CAP, CLAMPED, CLIP_ROOM, HIGH, LOW, STRESS_CAPPED
+from gf_usd.physics.total_lagrangian.limits import (
+    CAP,
+    CLAMPED,
+    CLIP_BUFFER,
+    HIGH,
+    LOW,
+    STRESS_CAPPED,
+)
 
 
 @ti.func
@@ -25,25 +32,25 @@ def clip(body: ti.template(), b, F: ti.template(), counted: ti.template()):
     J = determinant(F, cofactor(F))
     beyond = ti.select((square > high * high) | (low * square > 2.0 * J), J * 0.0 + 1.0, J * 0.0)
     if beyond.max() > 0.0:
-        room = CLIP_ROOM * b
+        buffer = CLIP_BUFFER * b
         for a in ti.static(range(9)):
-            body.clip_room[room + a] = F[a]
-        body.clip_room[room + 9] = beyond
+            body.clip_buffer[buffer + a] = F[a]
+        body.clip_buffer[buffer + 9] = beyond
         # Lane by lane through memory: eight decompositions in line would take minutes to compile.
         for lane in range(LANES):
-            if body.clip_room[room + 9][lane] > 0.0:
+            if body.clip_buffer[buffer + 9][lane] > 0.0:
                 clip_lane(body, b, lane, low, high, counted)
         for a in ti.static(range(9)):
-            F[a] = body.clip_room[room + a]
+            F[a] = body.clip_buffer[buffer + a]
 
 
 @ti.func
 def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
-    """Clip the matrix that `clip_room` holds in one lane of batch b."""
+    """Clip the matrix that `clip_buffer` holds in one lane of batch b."""
     A = ti.Matrix.rows(
         [
             ti.Vector(
-                [body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] for c in ti.static(range(3))]
+                [body.clip_buffer[CLIP_BUFFER * b + 3 * a + c][lane] for c in ti.static(range(3))]
             )
             for a in ti.static(range(3))
         ]
@@ -54,7 +61,7 @@ def clip_lane(body: ti.template(), b, lane, low, high, counted: ti.template()):
             touch(body, b * LANES + lane, CLAMPED)
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
-                body.clip_room[CLIP_ROOM * b + 3 * a + c][lane] = B[a, c]
+                body.clip_buffer[CLIP_BUFFER * b + 3 * a + c][lane] = B[a, c]
 
 
 @ti.func

@@ -74,7 +74,7 @@ def pack_type(real, epoch: int):
 
     epoch : `runtime.epoch()`; Taichi forgets the type of a pack when it is started again.
     """
-    lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_room"),)
+    lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_buffer"),)
     reals = (
         *("u", "v", "inverse_mass", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
@@ -88,7 +88,7 @@ def pack_type(real, epoch: int):
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
-        *("touched", "links", "gate"),
+        *("touched", "links", "queue"),
     )
     vector = ti.types.vector(LANES, real)
     members = {name: ti.types.ndarray(dtype=vector, ndim=1) for name in lanes}
@@ -177,20 +177,20 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             follow(body, n, free, drift)
 
     @ti.kernel
-    def relay(
+    def queued(
         body: Body, groups: ti.i32, free: ti.i32, followers: ti.i32, active: ti.i32,
         threads: ti.i32, substeps: ti.i32, ends: ti.i32, every: ti.i32, phase: ti.i32, alpha: real,
         g: vec, up: vec, lift: real, dt: real, keep: real,
     ):  # fmt: skip
-        """So many substeps in one launch, whose threads draw tickets: see `relay_kernel`.
+        """So many substeps in one launch, whose threads take work items: see `kernels.work_queue`.
 
         every, phase : the filter acts where s + phase is a multiple of every; 0: never.
         """
-        clear(body.gate)
+        clear(body.queue)
         for z in range(threads * SPAN):
             if z % SPAN == 0:
                 before = 0
-                ticket = take(body.gate)
+                work_item = take(body.queue)
                 for s in range(substeps):
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
@@ -199,18 +199,18 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
                         count = size(stage.parts[0], groups, free, followers, active)
                         pieces = pieces_of(stage.parts[0], count, threads)
                         pieces *= due(stage, s, ends, every, phase)
-                        while ticket < before + pieces:
-                            wait(body.gate, before)
+                        while work_item < before + pieces:
+                            wait(body.queue, before)
                             for part in ti.static(stage.parts):
                                 many = size(part, groups, free, followers, active)
-                                first, behind = piece(many, ticket - before, pieces)
+                                first, behind = piece(many, work_item - before, pieces)
                                 for n in range(first, behind):
                                     act(
                                         part, body, n, free, free + followers, active, alpha, g,
                                         up, lift, dt, drift, keep,
                                     )  # fmt: skip
-                            finish(body.gate)
-                            ticket = take(body.gate)
+                            finish(body.queue)
+                            work_item = take(body.queue)
                         before += pieces
 
     @ti.kernel
@@ -257,4 +257,4 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
                 if z % STRIDE == 0:
                     group_von_mises(body, z // STRIDE, out, laws, ih, converged, options)
 
-    return SimpleNamespace(relay=relay, parallel=parallel, energy=energy, stress=stress)
+    return SimpleNamespace(queued=queued, parallel=parallel, energy=energy, stress=stress)

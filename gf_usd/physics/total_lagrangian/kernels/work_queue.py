@@ -1,15 +1,16 @@
-"""A launch shared out among threads by tickets.
+"""The work queue of a launch.
 
-A loop over Taichi's thread pool costs 30 to 65 us, what a substep of a thousand particles takes,
-and a substep is a handful of stages that must follow each other.  So a frame is one launch: its
-threads draw tickets, one for each piece of each stage, numbered through the launch.
+A loop over Taichi's thread pool costs 30 to 65 us, as long as a substep of a thousand particles,
+and a substep is a handful of stages that must follow each other.  So a frame is one launch, whose
+threads take work items from a queue: one for each piece of each stage, numbered through the launch.
 
-    ticket = next++
-    wait until done >= the number of tickets before the ticket's stage
+    item = next++
+    wait until done >= the number of items before the item's stage
     do the piece;  done++
 
-A ticket waits only for lower ones, and whoever holds one works at it, so nothing locks up: a single
-thread draws them all and never waits.  Pieces do not race; who drew what changes no bit.
+An item waits only for items with lower numbers, all of which a thread has taken, so there is no
+deadlock: a single thread takes them all and never waits.  Pieces do not race, so the result does
+not depend on which thread takes which item.
 """
 
 import taichi as ti
@@ -21,32 +22,32 @@ PIECES = 4  # of a stage for each thread: small enough that the last one is soon
 
 
 @ti.func
-def clear(gate: ti.template()):
-    """Before a launch draws its first ticket."""
-    gate[0] = 0
-    gate[APART] = 0
+def clear(queue: ti.template()):
+    """Reset the queue before a launch."""
+    queue[0] = 0
+    queue[APART] = 0
 
 
 @ti.func
-def take(gate: ti.template()):
-    """The next ticket."""
-    return ti.atomic_add(gate[0], 1)
+def take(queue: ti.template()):
+    """Take the next work item."""
+    return ti.atomic_add(queue[0], 1)
 
 
 @ti.func
-def wait(gate: ti.template(), before):
+def wait(queue: ti.template(), before):
     """Until so many pieces are done, and what they wrote can be read.
 
     The counter is read by adding nothing to it: a plain load may be taken out of the loop.
     """
-    while ti.atomic_add(gate[APART], 0) < before:
+    while ti.atomic_add(queue[APART], 0) < before:
         pass
 
 
 @ti.func
-def finish(gate: ti.template()):
+def finish(queue: ti.template()):
     """A piece is done."""
-    ti.atomic_add(gate[APART], 1)
+    ti.atomic_add(queue[APART], 1)
 
 
 @ti.func
