@@ -6,10 +6,10 @@ cut into launches, and among threads, changes no bit.
 
 How many threads share a launch, and how many substeps it takes.
 
-Threads of a launch wait for each other without sleeping (`kernels.work_queue`): quickest where each has a
-core, slow where one waits for a core that another program uses.  So the time that threads ran is
-compared with the time that passed, and where cores were lacking fewer threads share the launches
-that follow.  No result depends on it.
+Threads of a launch wait for each other without sleeping (`kernels.work_queue`).  This is fastest if
+every thread has a core, and slow if a thread waits for a core that another program uses.  So the
+CPU time of the threads is compared with the wall time, and if cores were lacking, fewer threads
+share the following launches.  No result depends on it.
 """
 
 from __future__ import annotations
