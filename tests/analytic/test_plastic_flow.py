@@ -138,13 +138,13 @@ def test_energy_that_flow_takes_is_its_plastic_work(family):
         press.strain(uniaxial(a, YIELD + HARD * a))
         lost.append(press.health.plastic_dissipation)
     assert min(lost) >= 0.0
-    # int (sigma_y + H a) da, less what hardening stores, which no spring gives back; steps of .001
-    # overshoot the yield surface by 3/2 mu .001 of 200 Pa, 3 %, half of which counts.
+    # int (sigma_y + H a) da: what hardening takes no spring gives back.  Steps of .001 leave the
+    # strain's own size, .1 % of it.
     work = YIELD * 0.06 + 0.5 * HARD * 0.06**2
-    assert sum(lost) == pytest.approx(volume * work, rel=0.04)
+    assert sum(lost) == pytest.approx(volume * work, rel=2e-3)
     unloaded = press.strain(uniaxial(0.06, 0.0))
     np.testing.assert_allclose(unloaded, 0.0, atol=1e-6)
-    assert press.health.plastic_dissipation < 1e-3 * sum(lost)  # the last half step of loading
+    assert press.health.plastic_dissipation == 0.0
     assert press.health.elastic < 1e-9 * sum(lost)
 
 
@@ -202,10 +202,10 @@ def test_energy_is_kept_but_for_what_flow_takes(family):
     seen = [frame.health for frame in solver.frames()]
     lost = np.cumsum([h.plastic_dissipation for h in seen])
     total = np.array([h.kinetic + h.elastic for h in seen]) + lost
-    assert lost[-1] > 0.2 * total[0], "it flows far"
+    assert lost[-1] > 5.0 * max(h.elastic for h in seen), "it flows far"
     assert np.diff(lost).min() >= 0.0
-    # Symplectic steps keep it to about (omega dt)^2, here 1e-3.
-    assert np.abs(total - total[0]).max() < 2e-3 * total[0]
+    # A substep strains it by .003: what the work leaves out is of that order of itself, either way.
+    assert np.abs(total - total[0]).max() < 1e-3 * lost[-1]
     assert plastic_strain(solver).max() > 0.05
     # What the report says is stored is what the kernels' forces are the gradient of.
     assert seen[-1].elastic == pytest.approx(elastic_energy(solver.body, solver.state), rel=1e-4)
