@@ -138,13 +138,13 @@ def test_energy_that_flow_takes_is_its_plastic_work(family):
         press.strain(uniaxial(a, YIELD + HARD * a))
         lost.append(press.health.plastic_dissipation)
     assert min(lost) >= 0.0
-    # int (sigma_y + H a) da, less what hardening stores, which no spring gives back; steps of .001
-    # overshoot the yield surface by 3/2 mu .001 of 200 Pa, 3 %, half of which counts.
+    # int (sigma_y + H a) da: what hardening takes no spring gives back.  Steps of .001 leave the
+    # strain's own size, .1 % of it.
     work = YIELD * 0.06 + 0.5 * HARD * 0.06**2
-    assert sum(lost) == pytest.approx(volume * work, rel=0.04)
+    assert sum(lost) == pytest.approx(volume * work, rel=2e-3)
     unloaded = press.strain(uniaxial(0.06, 0.0))
     np.testing.assert_allclose(unloaded, 0.0, atol=1e-6)
-    assert press.health.plastic_dissipation < 1e-3 * sum(lost)  # the last half step of loading
+    assert press.health.plastic_dissipation == 0.0
     assert press.health.elastic < 1e-9 * sum(lost)
 
 
@@ -178,19 +178,33 @@ def test_to_turn_a_bent_body_is_no_flow(family):
     assert stress.min() > before.max() > 0.0
 
 
-def thrown(family: str, frames: int = 8, **more: Any) -> Solver:
+def thrown(family: str, frames: int = 8, options: Any = None, **more: Any) -> Solver:
     """A block that its own motion strains far beyond yield."""
     body = block((0.0, 0.0, 0.0), (4, 3, 3), 0.25)
-    said = settings("cpu", frames=frames, substeps=60)
+    said = settings("cpu", frames=frames, substeps=60, **(options or {}))
     return made(family, body, (soft(**more),), said, velocity=lambda X: X @ RATE.T)
 
 
-def test_kernel_families_agree():
+OPTIONS = {"clamp": (0.985, 1.015), "stress_cap": 250.0, "stress": True}
+
+
+@pytest.mark.parametrize(
+    ("options", "more"),
+    [({}, {}), ({"stress": True}, {"damping_time": 1e-3}), (OPTIONS, {"damping_time": 1e-3}),
+     ({"wls": True}, {})],
+    ids=["plain", "damped", "limited", "wls"],
+)  # fmt: skip
+def test_kernel_families_agree(options, more):
     # Kernels of one equation round apart: 420 substeps by some 1e-7 each, of values of order 1.
     seen = []
     for family in ("simd", "scalar"):
-        solver = thrown(family)
-        seen.append((list(solver.frames())[-1].particles.F, plastic_strain(solver)))
+        solver = thrown(family, options=options, **more)
+        frames = list(solver.frames())
+        if "clamp" in options:
+            assert min(frames[-1].health.clamped, frames[-1].health.stress_capped) > 0
+        if "stress" in options:
+            assert frames[-1].stress.max() > 150.0
+        seen.append((frames[-1].particles.F, plastic_strain(solver)))
     assert seen[0][1].max() > 0.05
     for one, other in zip(*seen):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=2e-5)
@@ -202,13 +216,32 @@ def test_energy_is_kept_but_for_what_flow_takes(family):
     seen = [frame.health for frame in solver.frames()]
     lost = np.cumsum([h.plastic_dissipation for h in seen])
     total = np.array([h.kinetic + h.elastic for h in seen]) + lost
-    assert lost[-1] > 0.2 * total[0], "it flows far"
+    assert lost[-1] > 5.0 * max(h.elastic for h in seen), "it flows far"
     assert np.diff(lost).min() >= 0.0
-    # Symplectic steps keep it to about (omega dt)^2, here 1e-3.
-    assert np.abs(total - total[0]).max() < 2e-3 * total[0]
+    # A substep strains it by .003: what the work leaves out is of that order of itself, either way.
+    assert np.abs(total - total[0]).max() < 1e-3 * lost[-1]
     assert plastic_strain(solver).max() > 0.05
     # What the report says is stored is what the kernels' forces are the gradient of.
     assert seen[-1].elastic == pytest.approx(elastic_energy(solver.body, solver.state), rel=1e-4)
+
+
+@pytest.mark.parametrize("damping_time", [0.0, 1e-3])
+def test_both_solvers_flow_alike(damping_time):
+    """While strains are small, one is discretized as the other."""
+    seen = []
+    for family in ("simd", "ul"):
+        solver = thrown(family, frames=3, damping_time=damping_time)
+        frames = list(solver.frames())
+        seen.append((plastic_strain(solver).mean(), frames[-1].health.elastic))
+    assert seen[0][0] > 0.05
+    # The grids of the two drift apart by the strain itself, here 0.2, and so by some per cent.
+    assert seen[1] == pytest.approx(seen[0], rel=0.1)
+
+
+def test_limits_act_on_the_elastic_gradient_in_the_world_too():
+    frames = list(thrown("ul", options=OPTIONS, damping_time=1e-3).frames())
+    assert min(frames[-1].health.clamped, frames[-1].health.stress_capped) > 0
+    assert frames[-1].health.max_stretch > 1.2, "the body flows beyond the clamp of F_e"
 
 
 def test_a_high_yield_stress_makes_it_elastic():

@@ -7,7 +7,9 @@ a batch have the same.
 
 A law that flows has an elastic gradient of its own, F = F_e F_p [Simo 1992]: the stress is that of
 F_e, and before each evaluation F_e and the internal variables a return to what is admissible.  The
-flow dissipates psi(trial F_e) - psi(F_e).
+flow dissipates P(F_e) : (trial F_e - F_e), the work of the stress that remains.  psi(trial F_e) -
+psi(F_e) is more by the half of C dF^2 that an explicit step overshoots: with it a block thrown far
+beyond yield seemed to gain 3.5 % of what it dissipated, with the work 0.05 % (measured).
 """
 
 import taichi as ti
@@ -58,8 +60,7 @@ def piola(laws: ti.template(), which, F, q, converged):
 def flowed(laws: ti.template(), which, F, q, a, dt, converged):
     """The admissible elastic gradients and internal variables that trial ones return to in dt [s].
 
-    And the energy density [J/m^3] that each lane lost: never negative, as its rounding may be where
-    the flow is least.
+    And the energy density [J/m^3] that each lane lost; its rounding, below 0, counts as nothing.
     """
     E = F
     A = a
@@ -73,11 +74,11 @@ def flowed(laws: ti.template(), which, F, q, a, dt, converged):
                 G, b = law.flow(F, q, a, dt)
                 choose(E, mine, G)
                 choose(A, mine, b)
-                D = difference(E, F)
+                D = difference(F, E)
                 moved = mine * double_dot(D, D)
                 if moved.max() > 0.0:
-                    drop = law.psi(F, q, converged) - law.psi(E, q, converged)
-                    loss = ti.select(moved > 0.0, ti.max(drop, 0.0), loss)
+                    work = double_dot(law.pk1(E, q, converged), D)
+                    loss = ti.select(moved > 0.0, ti.max(work, 0.0), loss)
     return E, A, loss
 
 

@@ -129,7 +129,7 @@ def stress_group(
             # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), objective.
             D = gradient(rate, s, h)
             if ti.static(laws.flows):
-                D = product(D, Pi)
+                assign(D, product(D, Pi))
             k = body.viscosity[b] * (0.25 * ih)
             add_viscous(P, k, F, D)
         if ti.static(options.capped):
