@@ -86,7 +86,7 @@ def preview(
             " the asset's own colors."
         ),
     ] = "none",
-    color: Annotated[str | None, typer.Option(hidden=True)] = None,
+    old_color: Annotated[str | None, typer.Option("--colour", hidden=True)] = None,
     limits: Annotated[
         str | None,
         typer.Option(
@@ -98,9 +98,9 @@ def preview(
     ] = None,
 ) -> None:
     """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
-    if color is not None:  # until 1.0
-        typer.echo("note: --color is now --color", err=True)
-        color = color
+    if old_color is not None:  # until 1.0
+        typer.echo("note: --colour is now --color", err=True)
+        color = old_color
     quantity = None if color == "none" else color
     options = read_options(
         output or Path(f"{stage.stem}.png"),

@@ -33,7 +33,7 @@ def place(
 ) -> dict[str, Any]:
     """Where and why the simulation failed, as the report's key `failed` has it.
 
-    riders : (prim path, reason) of surfaces that are not filled.
+    embedded : (prim path, reason) of surfaces that are not filled.
 
     particle, prim and rest_position (stage units) are None where the fault has no place.
     """

@@ -45,7 +45,7 @@ CROWD = 4.0 * STIFFER
 
 
 class BodyContact:
-    """The contact samples of a body that has encounters, and the planes they face.
+    """The contact samples of a body that meets others, and the planes they face.
 
     It lasts as long as its body: what of it is state is saved and loaded.
     """

@@ -234,7 +234,7 @@ def build_stencil(
     X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
     corner where cells meet, so that strata of the sampling lattice fall whole into cells.
     free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
-    holder : the pins.   body : (N,) the body of each particle; None: all are one.
+    pin_constraint : the pins.   body : (N,) the body of each particle; None: all are one.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
     shift = apart(X, body, h)

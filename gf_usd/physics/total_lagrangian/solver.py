@@ -39,12 +39,12 @@ class TotalLagrangian(Solver):
     ----------
     particles, materials, settings : see `core`; materials of any mix of laws.
     samples : surface points that feel the floor; None or no floor: no contact.
-    riders : named points (n, 3) [m] that ride along; their poses come with every frame.
+    embedded : named points (n, 3) [m] that ride along; their poses come with every frame.
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
         of these, one a body.
     pins : regions whose motion is given.
-    encounters : what the bodies meet besides the floor.
-    rider_body : the body that a named set of points rides on; the first where it is not named.
+    contact_setup : what the bodies meet besides the floor.
+    embedded_body : the body that a named set of points rides on; the first where it is not named.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
     plain : one thread a particle in place of eight cells side by side; None: on a GPU.
