@@ -178,7 +178,7 @@ class SplatDeformer:
         ]
 
     def poses(self, embedded: Mapping[str, Pose], time_code: float) -> dict[str, SplatPose]:
-        """The Gaussians at one sample, by prim path; embedded are the poses of all embedded points."""
+        """The Gaussians at one sample, by prim path, from the poses of the embedded points."""
         self._embedded = embedded
         for path, track in self._tracks.items():
             to_local = self._spaces[path].from_world(time_code)[:3, :3].T / self._unit

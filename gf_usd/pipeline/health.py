@@ -122,7 +122,7 @@ class HealthLog:
             {
                 "time_code": self._settings.time_code(i),
                 **{name: value for name, value in vars(f).items() if value is not None},
-                "center": f.center,  # until 1.0
+                "centre": f.center,  # until 1.0
                 "energy": total[i],
                 "energy_gain": gains[i],
             }

@@ -137,7 +137,7 @@ class Inspection:
                     "against": s.against,
                     "holes": [
                         {"edges": h.edges, "size": h.size, "center": _plain(h.center),
-                         "center": _plain(h.center),  # until 1.0
+                         "centre": _plain(h.center),  # until 1.0
                          "share": h.share}
                         for h in s.holes
                     ],
@@ -196,7 +196,7 @@ def _part(part: Part) -> dict[str, Any]:
         "shell": part.shell,
         "kind": part.kind,
         "center": _plain(part.center),
-        "center": _plain(part.center),  # until 1.0
+        "centre": _plain(part.center),  # until 1.0
         "size": part.size,
         "thickness": part.thickness,
         "particles": part.particles,

@@ -47,7 +47,7 @@ class Body:
     rows: Rows  # of the particles on the nodes
     embedded: Mapping[str, Rows]  # of each set of points that rides along
     pin_constraint: PinConstraint | None  # the pins
-    held: Mapping[str, PinnedPoints]  # which embedded points a pin holds, and under "" which particles
+    held: Mapping[str, PinnedPoints]  # embedded points that a pin holds; "": particles
     contact: FloorContact | None
     contact_setup: ContactSetup | None  # what the bodies meet besides the floor; None: nothing
     start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
@@ -70,7 +70,7 @@ class Body:
         return (*anchored, "history") if self.law.set.flows else anchored
 
     def constrained(self, name: str, rows: Rows, free: Pose, index: int, offset: Floats) -> Pose:
-        """The pose of embedded points (or "", the particles) at a frame, with what pins hold in its place.
+        """The pose of embedded points (or "", the particles) at a frame, as pins prescribe it.
 
         rows, free : of the embedded points; offset : (3,) [m] of the moving frame.
         """

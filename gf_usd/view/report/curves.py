@@ -39,7 +39,7 @@ def _height(motion: Motion, record: Record) -> Plot:
     known = motion.curves
     center = [
         None
-        if (c := frame.get("center", frame.get("center"))) is None
+        if (c := frame.get("center", frame.get("centre"))) is None
         else sum(a * b for a, b in zip(c, up))
         for frame in record.frames
     ]
