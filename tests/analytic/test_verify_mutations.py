@@ -55,7 +55,9 @@ FAULTS = {
         "physics/laws/corotated.py", "m = 2.0 * q[0]", "m = q[0]", "law-corotated"
     ),
     "gravity upward": Fault(
-        "physics/total_lagrangian/kernels/nodes.py", "body.inverse_mass[node] + g", "body.inverse_mass[node] - g",
+        "physics/total_lagrangian/kernels/nodes.py",
+        "body.inverse_mass[node] + g",
+        "body.inverse_mass[node] - g",
         "free-fall",
     ),
     "a whole drift at the end of a frame": Fault(
@@ -77,7 +79,9 @@ FAULTS = {
         "momentum",
     ),
     "no body force": Fault(
-        "physics/total_lagrangian/kernels/nodes.py", "a[d] += body.acceleration[3 * node + d]", "a[d] += 0.0",
+        "physics/total_lagrangian/kernels/nodes.py",
+        "a[d] += body.acceleration[3 * node + d]",
+        "a[d] += 0.0",
         "cantilever",
     ),
 }  # fmt: skip
