@@ -231,11 +231,12 @@ def test_both_solvers_flow_alike(damping_time):
     seen = []
     for family in ("simd", "ul"):
         solver = thrown(family, frames=3, damping_time=damping_time)
-        frames = list(solver.frames())
-        seen.append((plastic_strain(solver).mean(), frames[-1].health.elastic))
+        lost = sum(frame.health.plastic_dissipation for frame in solver.frames())
+        seen.append((plastic_strain(solver).mean(), lost))
     assert seen[0][0] > 0.05
-    # The grids of the two drift apart by the strain itself, here 0.2, and so by some per cent.
-    assert seen[1] == pytest.approx(seen[0], rel=0.1)
+    # The grid of one goes with the body, which is strained by 0.3, and its particles meet others
+    # on it: some per cent.
+    assert seen[1] == pytest.approx(seen[0], rel=0.05)
 
 
 def test_limits_act_on_the_elastic_gradient_in_the_world_too():

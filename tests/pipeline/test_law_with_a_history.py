@@ -63,8 +63,14 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
     clay: Path, tmp_path: Path, solver: str
 ) -> None:
     out = tmp_path / "out"
-    result = gf_usd.bake(
-        str(SPHERE), material=str(clay), output=f"{out}/", particles=300, frames=12, solver=solver
+    gf_usd.bake(
+        str(SPHERE),
+        material=str(clay),
+        output=f"{out}/",
+        particles=300,
+        frames=12,
+        solver=solver,
+        drop="0.01r",
     )
     report = json.loads(next(out.glob("*.report.json")).read_text())
     assert report["materials"][0]["yield_stress"] == pytest.approx(2000.0)
@@ -74,7 +80,6 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
     assert min(per_frame) >= 0.0
     assert total == pytest.approx(sum(per_frame))
     assert total > 0.0
-    assert result.looks
     labels = [line.label for line in health_rows(look["health"])]
     assert "Energy lost to flow" in labels
     assert material_labels()["yield_stress"] == ("Yield stress", "Pa")
@@ -93,7 +98,8 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
     assert not list(value_range(cache))
     attribute = prim.GetAttribute("gaussianFlesh:yieldStress")
     attribute.Set(-1.0)
-    assert [f.prim for f in value_range(cache)] == [str(prim.GetPath())]
+    (finding,) = value_range(cache)
+    assert "yieldStress has a value outside [0, inf]: -1" in finding.message
 
 
 def test_particles_have_values_of_their_own_and_defaults() -> None:

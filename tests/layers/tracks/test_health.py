@@ -17,7 +17,7 @@ from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import review
 from gf_usd.layers.root import write_root
-from gf_usd.layers.tracks.health import FRAME, PREFIX, TOTAL, author_totals
+from gf_usd.layers.tracks.health import FLOW, FRAME, PREFIX, TOTAL, author_totals
 from gf_usd.layers.variants import BakedVariant
 from gf_usd.pipeline.health import HealthLog
 from gf_usd.system import usd_schema
@@ -83,7 +83,8 @@ def test_tables_and_schema_say_the_same() -> None:
         spec.name.removeprefix(PREFIX): (spec.typeName, spec.variability)
         for spec in definitions.GetPrimAtPath(f"/{usd_schema.HEALTH_API}").properties
     }
-    ours = {name: (kind, Sdf.VariabilityVarying) for name, (kind, _, _) in FRAME.items()}
+    frame = FRAME | FLOW
+    ours = {name: (kind, Sdf.VariabilityVarying) for name, (kind, _, _) in frame.items()}
     for name, (kind, _, _) in TOTAL.items():
         ours[f"total:{name}"] = (kind, Sdf.VariabilityUniform)
     ours["warnings"] = (Sdf.ValueTypeNames.StringArray, Sdf.VariabilityUniform)
@@ -92,10 +93,13 @@ def test_tables_and_schema_say_the_same() -> None:
 
 
 def test_tables_read_what_there_is(tmp_path: Path) -> None:
-    known = totals(info_of(PLAIN.asset(tmp_path)), HEALTH)
+    flowed = replace(HEALTH, plastic_dissipation=1.0)
+    known = totals(info_of(PLAIN.asset(tmp_path)), flowed)
     assert {key for _, key, _ in TOTAL.values()} <= set(known)
-    assert {field for _, field, _ in FRAME.values()} <= set(Health.__dataclass_fields__)
-    left = set(Health.__dataclass_fields__) - {field for _, field, _ in FRAME.values()}
+    assert "plastic_dissipation_J" not in totals(info_of(PLAIN.asset(tmp_path)), HEALTH)
+    fields = {field for _, field, _ in (FRAME | FLOW).values()}
+    assert fields <= set(Health.__dataclass_fields__)
+    left = set(Health.__dataclass_fields__) - fields
     assert left == {"mass"}, "the particles have their masses"
 
 
