@@ -34,7 +34,10 @@ HEALTH = {
     "dissipated_J", "work_of_pins_J", "injected_J", "momentum_end", "angular_momentum_end",
     "free_flight_frames", "momentum_drift", "angular_momentum_drift",
 }  # fmt: skip
-FRAME = {"time_code", *Health.__dataclass_fields__, "energy", "energy_gain"}
+# no law flows; "centre" until 1.0
+FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
+    "plastic_dissipation"
+}
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}
 
 # A block of 20 x 20 x 30 cm, two meters above the floor; centimeters, Z up, 48 frames a second.

@@ -120,7 +120,7 @@ def test_particles_have_values_of_their_own_and_defaults() -> None:
 
 
 def test_the_schema_gets_its_token_and_attributes() -> None:
-    import generate_schema
+    from tools import generate_schema
 
     layer = generate_schema.with_laws(generate_schema.LIBRARY / "schema.usda")
     material, particles = (

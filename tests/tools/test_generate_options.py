@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import generate_options
 import pytest
+
+from tools import generate_options
 
 
 def test_the_tables_of_the_guide_are_up_to_date() -> None:

@@ -133,7 +133,7 @@ def test_every_key_of_a_summary_has_words():
 
 def test_every_setting_has_words():
     assert {field.name for field in fields(Settings)} <= set(SETTINGS)
-    assert {field.name for field in fields(Material)} - {"name"} <= set(MATERIAL)
+    assert {field.name for field in fields(Material)} - {"name", "parameters"} <= set(MATERIAL)
 
 
 def test_warnings_of_this_look_are_taken():
