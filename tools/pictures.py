@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parent.parent
 DUCK = ROOT / "samples" / "duck.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
-LOOKS = ("rubber", "metal", "jelly")
+DIMENSIONLESS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
 LARGEST_FILM = 2_000_000
@@ -136,7 +136,7 @@ def main() -> None:
             film(out / "drop.gif", Path(temporary))
         if "duck" not in made:
             return
-        baked = {look: bake(look, Path(temporary)) for look in LOOKS}
+        baked = {look: bake(look, Path(temporary)) for look in DIMENSIONLESS}
         stage, (start, squash, rebound) = baked["rubber"]
         shot = [draw(stage, frame, (480, 480)) for frame in (start, squash, rebound)]
         strip(shot, out / "duck.png")

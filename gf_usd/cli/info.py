@@ -30,10 +30,10 @@ def materials(
     Looks are scale-free: moduli are in units of rho g0 r and times in T = sqrt(r / g0), with r the
     radius of a ball of the body's volume and g0 = 9.81 m/s^2, so that every size squashes alike.
     """
-    from gf_usd.core.materials import LAWS, LOOKS, PHYSICAL
+    from gf_usd.core.materials import DIMENSIONLESS, LAWS, PHYSICAL
 
     if as_json:
-        looks = [asdict(look) for look in LOOKS.values()]
+        looks = [asdict(look) for look in DIMENSIONLESS.values()]
         physical = [asdict(p) for p in PHYSICAL.values()]
         out = {"looks": looks, "physical": physical, "laws": list(LAWS)}
         typer.echo(json.dumps(out, indent=1))
@@ -43,7 +43,7 @@ def materials(
     console = Console(markup=False, highlight=False)
     looks = (
         (m.name, m.mu, m.lam, m.density, m.damping, m.friction, m.restitution)
-        for m in LOOKS.values()
+        for m in DIMENSIONLESS.values()
     )
     console.print(
         _table(
@@ -52,7 +52,7 @@ def materials(
         )
     )  # fmt: skip
     console.print()
-    for look in LOOKS.values():
+    for look in DIMENSIONLESS.values():
         console.print(f"{look.name}: {look.note}")
     console.print()
     physical = (

@@ -105,7 +105,7 @@ SHOT_LENGTH = 13.6  # [T] the paper's 260 frames at 60 fps for r = 1 m
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class DimensionlessPreset:
     """A dimensionless preset."""
 
     name: str
@@ -139,18 +139,18 @@ def time_scale(radius: float) -> float:
     return float(np.sqrt(radius / G0))
 
 
-LOOKS: dict[str, Look] = {
+DIMENSIONLESS: dict[str, DimensionlessPreset] = {
     look.name: look
     for look in (
-        Look(
+        DimensionlessPreset(
             name="rubber", mu=26.1, lam=13.1, density=1100.0, damping=0.002, friction=0.8,
             restitution=0.85, law="corotated", note="squashes by a third and bounces",
         ),
-        Look(
+        DimensionlessPreset(
             name="metal", mu=196.0, lam=980.0, density=7800.0, damping=0.0005, friction=0.8,
             restitution=0.85, law="corotated", note="hardly bends, rings and bounces",
         ),
-        Look(
+        DimensionlessPreset(
             name="jelly", mu=0.653, lam=3.27, density=1000.0, damping=0.02, friction=0.8,
             restitution=0.85, law="neoHookean", note="spreads on the floor and wobbles back",
         ),
@@ -226,7 +226,7 @@ PHYSICAL: dict[str, Physical] = {
     )
 }  # fmt: skip
 
-Preset = Look | Physical
+Preset = DimensionlessPreset | Physical
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ class Fixed:
 
 def presets() -> dict[str, Preset]:
     """Every preset by name, looks first."""
-    return {**LOOKS, **PHYSICAL}
+    return {**DIMENSIONLESS, **PHYSICAL}
 
 
 def find_preset(name: str) -> Preset:

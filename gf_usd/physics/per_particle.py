@@ -282,7 +282,7 @@ F32_2, F32_3 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (2, 3))
 
 # (10, 15) what each direction gives to each coefficient above degree 0
 GIVES = np.ascontiguousarray(np.concatenate(INVERSES, axis=0).T, np.float32)
-LOOKS = np.ascontiguousarray(DIRECTIONS, np.float32)
+VIEW_DIRECTIONS = np.ascontiguousarray(DIRECTIONS, np.float32)
 
 
 def rotated(harmonics: NDArray[np.float32], rotations: Floats) -> NDArray[np.float32]:
@@ -294,7 +294,7 @@ def rotated(harmonics: NDArray[np.float32], rotations: Floats) -> NDArray[np.flo
     out = np.zeros(harmonics.shape, np.float32)
     out[:, 0] = harmonics[:, 0]
     turn = np.ascontiguousarray(rotations, np.float32)
-    _turn(np.ascontiguousarray(harmonics, np.float32), turn, LOOKS, GIVES, out,
+    _turn(np.ascontiguousarray(harmonics, np.float32), turn, VIEW_DIRECTIONS, GIVES, out,
           round(harmonics.shape[1] ** 0.5) - 1)  # fmt: skip
     return out
 

@@ -16,7 +16,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
-from gf_usd.core.materials import Look, Material, find_preset, lame, law_parameters
+from gf_usd.core.materials import DimensionlessPreset, Material, find_preset, lame, law_parameters
 from gf_usd.core.stage import StageSpec, SubsetMaterial
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.regions import Region
@@ -175,7 +175,7 @@ def _authored(
     stated = part.subset.words.density if part.subset else None
     if stated is None and body is not None:
         stated = body.words.density if body.density is None else body.density
-    if stated is not None and isinstance(base, Look):
+    if stated is not None and isinstance(base, DimensionlessPreset):
         base = replace(base, density=stated)  # a look's moduli go with its density
     made = finish(base, radius)
     if body is None:

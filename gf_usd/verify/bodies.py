@@ -14,7 +14,7 @@ import trimesh
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
-from gf_usd.core.materials import LOOKS, Material
+from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling import JITTER, sample_solid, sample_surface
@@ -107,7 +107,7 @@ def clamp(axis: int, at: float) -> Pin:
 
 def look(name: str, body: Particles, **changes: Any) -> Material:
     """A preset on a body; changes replace fields of the material."""
-    made = LOOKS[name].material(body.radius)
+    made = DIMENSIONLESS[name].material(body.radius)
     return Material(**{**vars(made), **changes})
 
 

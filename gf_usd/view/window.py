@@ -31,7 +31,7 @@ from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.report.surface import make_skin, sample, spread
 
 SIZE = (1280, 800)  # pixels of the window
-LOOKS = 48  # frames of a longer motion that the camera is fitted to
+SAMPLED_FRAMES = 48  # frames of a longer motion that the camera is fitted to
 PAPER = (0.93, 0.94, 0.96)
 LINES = (0.76, 0.78, 0.81)
 IDLE = 0.004  # [s] between looks at the clock: shorter than a frame of any screen
@@ -135,7 +135,7 @@ class Window:
         """Box [m] of all that is shown, over the motion."""
         codes = self._recording.time_codes
         boxes = []
-        for frame in self._source.frames([codes[i] for i in spread(len(codes), LOOKS)]):
+        for frame in self._source.frames([codes[i] for i in spread(len(codes), SAMPLED_FRAMES)]):
             cloud = [] if frame.positions is None else [frame.positions]
             points = np.concatenate([*frame.meshes, *cloud])
             boxes.append((points.min(axis=0), points.max(axis=0)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import gf_usd as package
-from gf_usd.core.materials import LAWS, LOOKS, PHYSICAL, presets
+from gf_usd.core.materials import DIMENSIONLESS, LAWS, PHYSICAL, presets
 
 
 def numbers(row: str) -> list[float]:
@@ -21,7 +21,7 @@ def test_every_preset_is_listed_with_its_numbers_and_source(gf_usd) -> None:
     done = gf_usd("materials")
     assert (done.status, done.err) == (0, "")
     rows = {line.split()[0]: line for line in done.out.splitlines() if line.strip()}
-    for m in LOOKS.values():
+    for m in DIMENSIONLESS.values():
         values = [m.mu, m.lam, m.density, m.damping, m.friction, m.restitution]
         assert numbers(rows[m.name]) == pytest.approx(values, rel=1e-3)
         assert f"{m.name}: {m.note}" in done.out
@@ -55,7 +55,7 @@ def test_json(gf_usd) -> None:
     done = gf_usd("materials", "--json")
     assert (done.status, done.err) == (0, "")
     assert json.loads(done.out) == {
-        "looks": [asdict(look) for look in LOOKS.values()],
+        "looks": [asdict(look) for look in DIMENSIONLESS.values()],
         "physical": [asdict(p) for p in PHYSICAL.values()],
         "laws": list(LAWS),
     }

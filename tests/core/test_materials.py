@@ -9,8 +9,8 @@ import pytest
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.materials import (
+    DIMENSIONLESS,
     LAWS,
-    LOOKS,
     PHYSICAL,
     Fixed,
     Material,
@@ -26,7 +26,7 @@ CHOICES = (
     " foam"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
-each_look = pytest.mark.parametrize("look", LOOKS.values(), ids=lambda look: look.name)
+each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
 each_preset = pytest.mark.parametrize("preset", presets().values(), ids=lambda p: p.name)
 
 
@@ -52,11 +52,11 @@ def test_a_wave_crosses_the_body_in_the_same_part_of_its_time(look) -> None:
 
 def test_looks_in_known_numbers() -> None:
     # docs/physics.md: rubber's nu comes out as .17; mu = 26.1 of rho g0 r = 10791 Pa at one meter.
-    rubber = LOOKS["rubber"].material(1.0)
+    rubber = DIMENSIONLESS["rubber"].material(1.0)
     assert rubber.poissons_ratio == pytest.approx(0.167, abs=0.0005)
     assert rubber.mu == pytest.approx(26.1 * 1100.0 * 9.81)
-    assert LOOKS["metal"].material(1.0).mu > 7.0 * rubber.mu
-    assert LOOKS["jelly"].material(1.0).mu < rubber.mu / 30.0
+    assert DIMENSIONLESS["metal"].material(1.0).mu > 7.0 * rubber.mu
+    assert DIMENSIONLESS["jelly"].material(1.0).mu < rubber.mu / 30.0
 
 
 @pytest.mark.parametrize(("young", "nu"), [(1e6, 0.0), (2e5, 0.3), (1e4, 0.47), (1.0, -0.2)])
@@ -99,7 +99,7 @@ def test_a_law_replaces_the_preset_s_own_and_nothing_else(preset, law: str) -> N
 
 
 def test_a_material_that_is_given_stays_as_it_is() -> None:
-    given = LOOKS["jelly"].material(1.0)
+    given = DIMENSIONLESS["jelly"].material(1.0)
     assert Fixed(given).name == "jelly"
     assert Fixed(given).material(7.0) == given
     assert Fixed(given).material(7.0, "corotated").law == "corotated"

@@ -14,7 +14,7 @@ from gf_usd.core.frames import (
     Settings,
     SurfaceSamples,  # fmt: skip
 )
-from gf_usd.core.materials import LOOKS, Material
+from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.mesh import signed_volume, weld
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling import sample_solid, sample_surface
@@ -96,7 +96,7 @@ def ball(particles: int, radius: float = 1.0, seed: int = 0) -> tuple[Particles,
 
 def look(name: str, particles: Particles, **changes: Any) -> Material:
     """A preset on a body; changes replace fields of the material."""
-    made = LOOKS[name].material(particles.radius)
+    made = DIMENSIONLESS[name].material(particles.radius)
     return Material(**{**made.__dict__, **changes})
 
 

@@ -8,7 +8,7 @@ from physics_stages import bound, mesh, prim
 from planned import SOFT, at, cubes, mass, noted, plan_fixture, table  # noqa: F401
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LOOKS
+from gf_usd.core.materials import DIMENSIONLESS
 
 MASS = "PhysicsMassAPI"
 JELLY, METAL = ('token gaussianFlesh:material = "jelly"', 'token gaussianFlesh:material = "metal"')
@@ -38,7 +38,7 @@ def test_each_body_has_the_material_that_it_asks_for(plan) -> None:
     assert of[0].youngs_modulus == pytest.approx(2e5)
     assert of[0].density == pytest.approx(900)
     assert [m.name for m in of[1:]] == ["rubber", "jelly"]
-    assert [m.law for m in of[1:]] == [LOOKS["rubber"].law, LOOKS["jelly"].law]
+    assert [m.law for m in of[1:]] == [DIMENSIONLESS["rubber"].law, DIMENSIONLESS["jelly"].law]
 
 
 def test_one_name_for_all_names_the_look(plan) -> None:
@@ -91,7 +91,7 @@ def test_material_on_the_command_line_goes_before_the_stage(plan) -> None:
     said = material() + cubes(bound("/Soft"), METAL, "float physics:mass = 50", apis=(MASS,))
     seen = plan(said, material="jelly")
     assert {m.name for m in table(seen)} == {"jelly"}
-    assert mass(seen, 0) == pytest.approx(LOOKS["jelly"].density, rel=0.02)
+    assert mass(seen, 0) == pytest.approx(DIMENSIONLESS["jelly"].density, rel=0.02)
     both = plan(said, material="jelly,metal")
     assert [m.name for m in both.materials] == ["jelly", "metal"]
 

@@ -9,7 +9,7 @@ from solids import settings
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import G0, LOOKS
+from gf_usd.core.materials import DIMENSIONLESS, G0
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import NONE
 from gf_usd.prepare.paper import notes, of_material
@@ -67,7 +67,7 @@ def test_sensible_options_pass() -> None:
 
 
 def made(look: str = "rubber", solver: str = "tl", **options: Any) -> Settings:
-    material = LOOKS[look].material(RADIUS)
+    material = DIMENSIONLESS[look].material(RADIUS)
     request = Request(solver=solver, **options)
     return of_material(
         settings(solver=solver), material, RADIUS, paper=request.preset == "paper",
@@ -97,8 +97,8 @@ def test_the_paper_has_them_all(look: str, alpha: float) -> None:
     wls, procrustes, clamp, cap = of(made(look, preset="paper"))
     assert (wls, procrustes, clamp) == (True, alpha, (0.2, 5.0))
     # tau = 100 where rubber has mu = 40, on any body: the ratio is the paper's.
-    unit = LOOKS[look].density * G0 * RADIUS
-    assert cap / unit == pytest.approx(100.0 / 40.0 * LOOKS["rubber"].mu, rel=2e-3)
+    unit = DIMENSIONLESS[look].density * G0 * RADIUS
+    assert cap / unit == pytest.approx(100.0 / 40.0 * DIMENSIONLESS["rubber"].mu, rel=2e-3)
 
 
 def test_what_is_asked_for_overrides_the_preset() -> None:

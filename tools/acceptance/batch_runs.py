@@ -18,7 +18,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ("deformed_sphere.usda", "duck.usda", "sphere.usda")
-LOOKS = ("rubber", "metal", "jelly")
+DIMENSIONLESS = ("rubber", "metal", "jelly")
 CORRUPT = "corrupt.usda"
 PATIENCE = 60.0  # [s] for something that should happen soon
 
@@ -98,7 +98,7 @@ def manifest(folder: Path, seeds: int, corrupt: int) -> Path:
     whole = (ROOT / "samples" / "duck.usda").read_bytes()
     (folder / CORRUPT).write_bytes(whole[: len(whole) // 2])
     files = ", ".join(f'"{ROOT / "samples" / name}"' for name in SAMPLES)
-    looks = ", ".join(f'"{look}"' for look in LOOKS)
+    looks = ", ".join(f'"{look}"' for look in DIMENSIONLESS)
     path = folder / "night.toml"
     path.write_text(
         f"[settings]\nparticles = 120\nframes = 4\n\n"

@@ -18,7 +18,7 @@ import numpy as np
 
 from gf_usd.core.asset import Asset, StageFacts
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import LOOKS
+from gf_usd.core.materials import DIMENSIONLESS
 from gf_usd.core.stage import ContactSetup
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.bodies import find_bodies
@@ -56,7 +56,7 @@ def row(count: int) -> TotalLagrangian:
     )  # fmt: skip
     return TotalLagrangian(
         replace(particles, body=of[particles.surface]),
-        [LOOKS["rubber"].material(1.0)],
+        [DIMENSIONLESS["rubber"].material(1.0)],
         settings,
         samples=sample_surface(solid, particles.spacing, 0, of),
         velocity=[(SPEED * (1 - 2 * (k % 2)), 0.0, 0.0) for k in range(count)],

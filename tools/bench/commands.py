@@ -17,7 +17,7 @@ from tools.bench.tables import median
 ROOT = Path(__file__).resolve().parents[2]
 DUCK = ROOT / "samples" / "duck.usda"
 SPHERE = ROOT / "samples" / "sphere.usda"
-LOOKS = ("rubber", "metal", "jelly")
+DIMENSIONLESS = ("rubber", "metal", "jelly")
 
 
 def process(command: Sequence[str], environment: dict[str, str]) -> tuple[float, float, float]:
@@ -70,7 +70,7 @@ def command_table(runs: int, seconds: float) -> list[str]:
         rows = [
             ("`gf-usd --help`", [*program, "--help"], warm),
             ("`gf-usd bake sphere.usda --preset paper`", [*sphere, "--preset", "paper"], warm),
-            *((f"`gf-usd bake duck.usda --material {m}`", [*duck, m], warm) for m in LOOKS),
+            *((f"`gf-usd bake duck.usda --material {m}`", [*duck, m], warm) for m in DIMENSIONLESS),
             ("`gf-usd bake duck.usda`, kernels not compiled yet", [*duck, "rubber"], fresh),
         ]
         for name, command, environment in rows:
@@ -82,7 +82,7 @@ def command_table(runs: int, seconds: float) -> list[str]:
                 paces.append(pace())
             measured.append((name, took, paces))
             print(f"  {name}: {[round(cpu, 2) for _, cpu, _ in took]}", file=sys.stderr, flush=True)
-        facts = [dry_run(duck, look, told) for look in LOOKS]
+        facts = [dry_run(duck, look, told) for look in DIMENSIONLESS]
     best = min(one for _, _, paces in measured for one in paces)
     for name, took, paces in measured:
         if not took:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.core.materials import LOOKS
+from gf_usd.core.materials import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian import launch, solver
 from gf_usd.system.taichi_runtime import cores
 from tools.bench.tables import Sample, median
@@ -47,7 +47,7 @@ def twist(X: Floats) -> Floats:
 def solver_speed(n: int, threads: int, runs: int) -> tuple[int, Sample]:
     """Particles, and seconds per particle-substep of rubber in free flight, frames read out."""
     particles = ball(n)
-    rubber = LOOKS["rubber"].material(particles.radius)
+    rubber = DIMENSIONLESS["rubber"].material(particles.radius)
 
     def made(fps: float, count: int) -> solver.TotalLagrangian:
         settings = Settings(

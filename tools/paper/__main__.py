@@ -27,7 +27,7 @@ from tools.paper.page import page
 from tools.paper.runs import Series, run
 
 ROOT = Path(__file__).resolve().parents[2]
-LOOKS = ("rubber", "metal", "jelly")
+DIMENSIONLESS = ("rubber", "metal", "jelly")
 ALPHAS = (0.0, 0.02, 0.04)
 SHAPE = {"rubber": 0.02, "metal": 0.0, "jelly": 0.0}  # the paper's Procrustes strength
 PRODUCTION_PARTICLES = 2000
@@ -44,7 +44,7 @@ def jobs(seeds: Sequence[int], *, quick: bool) -> list[Job]:
     own["particles"] = 300 if quick else PRODUCTION_PARTICLES
     found: list[Job] = []
     for seed in seeds:
-        for look in LOOKS:
+        for look in DIMENSIONLESS:
             plain = {"material": look, "seed": seed}
             base = {**plain, "procrustes": SHAPE[look], **length}
             found.append(("table 1", look, base))
@@ -98,7 +98,7 @@ def pictures(folder: Path, *, quick: bool) -> None:
     samples = ROOT / "samples"
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(scratch)
-        looks = LOOKS[:1] if quick else LOOKS
+        looks = DIMENSIONLESS[:1] if quick else DIMENSIONLESS
         sphere = samples / "sphere.usda"
         side_by_side([peak_picture(sphere, k, here) for k in looks], folder / "figure1.jpg")
         if quick:

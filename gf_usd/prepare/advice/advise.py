@@ -115,7 +115,7 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
 
 def described() -> dict[str, str]:
     """Every preset in words."""
-    looks = {look.name: look.note for look in materials.LOOKS.values()}
+    looks = {look.name: look.note for look in materials.DIMENSIONLESS.values()}
     return looks | {
         p.name: f"E = {p.youngs_modulus:.2g} Pa, {p.density:g} kg/m^3; {p.source}"
         for p in materials.PHYSICAL.values()

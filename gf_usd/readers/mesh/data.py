@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it becomes USD: polygons, their nodes and their looks.
+"""What a mesh file holds, before it becomes USD: polygons, their nodes and their shading.
 
 Lengths are in the file's own unit, colors linear Rec. 709, texture coordinates with v = 0 at the
 bottom of the picture.  Matrices act on row vectors: x_parent = x M.
@@ -51,7 +51,7 @@ class Slot:
 
 @dataclass(frozen=True, kw_only=True)
 class FileMaterial:
-    """A look; what is not said stays at UsdPreviewSurface's own value."""
+    """A shading material; what is not said stays at UsdPreviewSurface's own value."""
 
     name: str
     values: Mapping[str, float | tuple[float, float, float]] = field(default_factory=dict)

@@ -32,9 +32,9 @@ MAGIC = b"glTF"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 DRACO = "KHR_draco_mesh_compression"
 # Extensions without which a file may ask not to be read, and which change no shape that is read
-# here (looks of materials apart).
+# here (shading of materials apart).
 UNDERSTOOD = {"KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp", DRACO}
-LOOKS = "KHR_materials_"
+MATERIAL_EXTENSIONS = "KHR_materials_"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +159,11 @@ def _unpack(path: Path, data: bytes) -> tuple[bytes, bytes]:
 
 def _require_understood(path: Path, tree: dict[str, Any]) -> None:
     required = tree.get("extensionsRequired", [])
-    strange = [name for name in required if name not in UNDERSTOOD and not name.startswith(LOOKS)]
+    strange = [
+        name
+        for name in required
+        if name not in UNDERSTOOD and not name.startswith(MATERIAL_EXTENSIONS)
+    ]
     if strange:
         raise InputError(
             f"{path} can only be read with the extension {strange[0]}",

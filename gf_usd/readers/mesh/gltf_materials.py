@@ -43,7 +43,7 @@ class GltfMaterials:
         return tuple(self._images.files)
 
     def index(self, number: int | None, colored: bool) -> int:
-        """Into `used`: the look of a primitive; -1 for one that says nothing."""
+        """Into `used`: the shading of a primitive; -1 for one that says nothing."""
         if number is None and not colored:
             return -1
         row = {} if number is None else self._gltf.row("materials", number)

@@ -16,7 +16,9 @@ from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import LeftAlone, Placement
 
-LOOKS = 48  # times at which a longer motion is looked at, evenly spread, first and last included
+SAMPLED_TIMES = (
+    48  # times at which a longer motion is looked at, evenly spread, first and last included
+)
 POINTS = ("points", "positions", "positionsh")
 
 
@@ -52,7 +54,7 @@ def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float
     """The box [m] of the prims' points over up to 48 of the times; None where there are none."""
     chosen: list[float | None] = [None]
     if times:
-        spread = np.linspace(0, len(times) - 1, min(LOOKS, len(times)))
+        spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
         chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
     boxes: list[Floats] = []
     for code in chosen:

@@ -21,7 +21,7 @@ from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.mesh import Reading, read_surface
-from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     ANIMATED,
@@ -183,7 +183,7 @@ class BakedMotion:
             meters_per_unit=self._facts.units.length,
             xforms=xforms,
             skins=Skins(time, xforms, self._notes),
-            looks=Looks(time, self._notes),
+            shadings=ShadingReader(time, self._notes),
             notes=self._notes,
         )
         self._meshes: list[Usd.Prim] = []

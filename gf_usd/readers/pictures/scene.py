@@ -37,7 +37,7 @@ from gf_usd.readers.pictures.recording import displays_in
 from gf_usd.readers.pictures.values import Values
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, read_surface
-from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
     ANIMATED,
@@ -206,7 +206,7 @@ class PictureStage:
             meters_per_unit=self._facts.units.length,
             xforms=xforms,
             skins=Skins(time, xforms, notes),
-            looks=Looks(time, notes, self._textures),
+            shadings=ShadingReader(time, notes, self._textures),
             notes=notes,
         )
 

@@ -24,7 +24,7 @@ STRESS = "gaussianFlesh:vonMisesStress"
 MEASURES = {"strain": "largest |stretch - 1|", "stress": "von Mises"}
 UNITS = {"strain": "", "stress": "Pa"}
 MOST = 99.0  # [%] of the particles that the range holds in every frame
-LOOKS = 48  # times at which a longer motion is looked at
+SAMPLED_TIMES = 48  # times at which a longer motion is looked at
 NEIGHBORS = 8  # particles that a mesh vertex takes its value from
 
 
@@ -121,7 +121,7 @@ class Values:
         From 0 to what 99 % of the particles stay below in every frame, so that one particle gone
         wild does not make all others look alike.
         """
-        spread = np.linspace(0, len(times) - 1, min(LOOKS, len(times)))
+        spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
         codes = [Usd.TimeCode(times[i]) for i in np.unique(np.round(spread).astype(int))]
         seen = [
             np.concatenate([self._read(carrier, code) for carrier in self._carriers])

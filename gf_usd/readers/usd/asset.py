@@ -13,7 +13,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading, read_surface
 from gf_usd.readers.usd.select import Selection, instances_above, select
-from gf_usd.readers.usd.shading import Looks
+from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured, read_captured
 from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading, stage_facts
@@ -65,7 +65,7 @@ def _surfaces(
         meters_per_unit=facts.units.length,
         xforms=xforms,
         skins=Skins(time, xforms, notes),
-        looks=Looks(time, notes),
+        shadings=ShadingReader(time, notes),
         notes=notes,
     )
     surfaces: list[Surface] = []

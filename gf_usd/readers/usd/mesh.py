@@ -18,7 +18,7 @@ from gf_usd.core.mesh import triangulate
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.primvars import Corners
-from gf_usd.readers.usd.shading import Looks, colors
+from gf_usd.readers.usd.shading import ShadingReader, colors
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
 
@@ -32,7 +32,7 @@ class Reading:
     meters_per_unit: float
     xforms: UsdGeom.XformCache
     skins: Skins
-    looks: Looks
+    shadings: ShadingReader
     notes: Notes
 
 
@@ -76,7 +76,7 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     normals = read_normals(
         prim, place, points, where, polygons.counts, polygons.indices, reading.time, reading.notes
     )
-    look = colors(prim, where, reading.looks, reading.time, reading.notes)
+    shading = colors(prim, where, reading.shadings, reading.time, reading.notes)
     return Surface(
         path=str(prim.GetPath()),
         type_name=str(prim.GetTypeName()),
@@ -88,10 +88,10 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         normals=normals.values,
         normals_interpolation=normals.interpolation,
         normal_points=normals.carriers,
-        triangle_colors=look.colors,
-        triangle_uvs=look.uvs,
-        triangle_materials=look.indices,
-        materials=look.materials,
+        triangle_colors=shading.colors,
+        triangle_uvs=shading.uvs,
+        triangle_materials=shading.indices,
+        materials=shading.materials,
         skinned=place.skinned,
     )
 

@@ -1,4 +1,4 @@
-"""The diffuse look of bound materials: a constant, a texture or a primvar of the mesh.
+"""The diffuse color of bound materials: a constant, a texture or a primvar of the mesh.
 
 The colors of a mesh: displayColor, bound materials, texture coordinates.
 """
@@ -35,7 +35,7 @@ class TexturePlace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class BoundShading:
     """A material, and what it needs of the mesh it is bound to."""
 
     material: SurfaceMaterial
@@ -44,7 +44,7 @@ class Look:
     understood: bool = True  # False: another shading language; the color is only a stand-in
 
 
-class Looks:
+class ShadingReader:
     """Materials of a stage at one time, each read once.
 
     `textures` may be shared by several times of one stage, so that a file is decoded once.
@@ -58,11 +58,11 @@ class Looks:
     ) -> None:
         self._time = time
         self._notes = notes
-        self._looks: dict[Sdf.Path, Look] = {}
+        self._found: dict[Sdf.Path, BoundShading] = {}
         self._textures = {} if textures is None else textures
 
-    def bound(self, prim: Usd.Prim) -> Look | None:
-        """The look bound to a mesh or subset, inherited and collection bindings included."""
+    def bound(self, prim: Usd.Prim) -> BoundShading | None:
+        """The shading bound to a mesh or subset, inherited and collection bindings included."""
         for purpose in (UsdShade.Tokens.preview, UsdShade.Tokens.full):
             material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
             if material:
@@ -70,35 +70,37 @@ class Looks:
         else:
             return None
         path = material.GetPath()
-        if path not in self._looks:
-            self._looks[path] = self._read(material)
-        return self._looks[path]
+        if path not in self._found:
+            self._found[path] = self._read(material)
+        return self._found[path]
 
-    def _read(self, material: UsdShade.Material) -> Look:
+    def _read(self, material: UsdShade.Material) -> BoundShading:
         path = str(material.GetPath())
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetShaderId() != "UsdPreviewSurface":
             kind = self._kind(material, shader)
             self._notes.add(f"{kind} is not read: displayColor or gray instead", path)
-            return Look(material=SurfaceMaterial(path=path, color=GRAY), understood=False)
+            return BoundShading(material=SurfaceMaterial(path=path, color=GRAY), understood=False)
         diffuse = shader.GetInput("diffuseColor")
         color = _color(self._value(diffuse), GRAY)
         source = self._source(diffuse)
         if source is None:
-            return Look(material=SurfaceMaterial(path=path, color=color))
+            return BoundShading(material=SurfaceMaterial(path=path, color=color))
         node, output = source
         if node.GetShaderId() == "UsdUVTexture":
             return self._textured(path, node, output, color)
         if node.GetShaderId() == "UsdPrimvarReader_float3":
             name = str(self._input(node, "varname") or "")
             color = _color(self._input(node, "fallback"), color)
-            return Look(material=SurfaceMaterial(path=path, color=color), color_primvar=name)
+            return BoundShading(
+                material=SurfaceMaterial(path=path, color=color), color_primvar=name
+            )
         self._notes.add(
             f"diffuseColor comes from {node.GetShaderId() or 'an unknown shader'}, which is not "
             "read: a constant color instead",
             path,
         )
-        return Look(material=SurfaceMaterial(path=path, color=color))
+        return BoundShading(material=SurfaceMaterial(path=path, color=color))
 
     def _kind(self, material: UsdShade.Material, shader: UsdShade.Shader) -> str:
         """Words for a surface shader that is not UsdPreviewSurface."""
@@ -110,7 +112,7 @@ class Looks:
 
     def _textured(
         self, path: str, node: UsdShade.Shader, output: str, color: tuple[float, float, float]
-    ) -> Look:
+    ) -> BoundShading:
         from gf_usd.readers.usd.texture import (
             Unreadable,
             load_texture,  # many assets have none
@@ -121,7 +123,7 @@ class Looks:
         asset = self._input(node, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
             self._notes.add("its texture names no file: a constant color instead", path)
-            return Look(material=constant)
+            return BoundShading(material=constant)
         options = {
             "space": str(self._input(node, "sourceColorSpace") or "auto"),
             "wraps": (str(self._input(node, "wrapS")), str(self._input(node, "wrapT"))),
@@ -135,9 +137,9 @@ class Looks:
                 self._textures[key] = load_texture(asset, **options)
         except Unreadable as error:
             self._notes.add(f"{error}: a constant color instead", path)
-            return Look(material=constant)
+            return BoundShading(material=constant)
         material = SurfaceMaterial(path=path, color=color, texture=self._textures[key])
-        return Look(material=material, place=self._place(path, node.GetInput("st")))
+        return BoundShading(material=material, place=self._place(path, node.GetInput("st")))
 
     def _place(self, path: str, st: UsdShade.Input) -> TexturePlace:
         """Follow `st` through UsdTransform2d nodes to the primvar."""
@@ -228,30 +230,30 @@ class Colors:
 
 
 def colors(
-    prim: Usd.Prim, corners: Corners, looks: Looks, time: Usd.TimeCode, notes: Notes
+    prim: Usd.Prim, corners: Corners, shadings: ShadingReader, time: Usd.TimeCode, notes: Notes
 ) -> Colors:
     """What colors each triangle of `prim`; None in each field where nothing is authored."""
     display = primvar_at_corners(prim, "displayColor", 3, corners, time, notes)
-    bound, of_face = _bindings(prim, corners.n_faces, looks, time, notes)
+    bound, of_face = _bindings(prim, corners.n_faces, shadings, time, notes)
     indices = of_face[corners.faces]
     uvs: Floats | None = None
     materials: list[SurfaceMaterial] = []
     material_parts = np.full(len(bound) + 1, -1)  # the last is for faces without a material
-    for i, look in enumerate(bound):
+    for i, shading in enumerate(bound):
         mine = indices == i
-        if look.color_primvar and mine.any():
-            named = primvar_at_corners(prim, look.color_primvar, 3, corners, time, notes)
+        if shading.color_primvar and mine.any():
+            named = primvar_at_corners(prim, shading.color_primvar, 3, corners, time, notes)
             if named is not None:
                 display = np.full(named.shape, 0.5) if display is None else display.copy()
                 display[mine] = named[mine]
                 continue
-        if not look.understood and display is not None:
+        if not shading.understood and display is not None:
             continue
-        if look.place is not None and mine.any():
+        if shading.place is not None and mine.any():
             uvs = np.zeros((*corners.triangles.shape, 2)) if uvs is None else uvs
-            uvs[mine] = _texture_coordinates(prim, look, corners, time, notes)[mine]
+            uvs[mine] = _texture_coordinates(prim, shading, corners, time, notes)[mine]
         material_parts[i] = len(materials)
-        materials.append(look.material)
+        materials.append(shading.material)
     return Colors(
         colors=display,
         uvs=uvs,
@@ -261,10 +263,10 @@ def colors(
 
 
 def _texture_coordinates(
-    prim: Usd.Prim, look: Look, corners: Corners, time: Usd.TimeCode, notes: Notes
+    prim: Usd.Prim, shading: BoundShading, corners: Corners, time: Usd.TimeCode, notes: Notes
 ) -> Floats:
-    """(T, 3, 2) where the look's texture is read."""
-    place = look.place
+    """(T, 3, 2) where the texture of a shading is read."""
+    place = shading.place
     assert place is not None
     found = None
     if place.primvar:
@@ -272,7 +274,7 @@ def _texture_coordinates(
         if found is None:
             notes.add(
                 f"has no usable primvar {place.primvar}, which the texture of "
-                f"{look.material.path} reads: one place of the texture instead",
+                f"{shading.material.path} reads: one place of the texture instead",
                 str(prim.GetPath()),
             )
     if found is None:
@@ -281,19 +283,19 @@ def _texture_coordinates(
 
 
 def _bindings(
-    prim: Usd.Prim, n_faces: int, looks: Looks, time: Usd.TimeCode, notes: Notes
-) -> tuple[list[Look], Ints]:
-    """The looks bound to a mesh or its subsets, and the one of each face (P,); -1 none."""
-    found: list[Look] = []
+    prim: Usd.Prim, n_faces: int, shadings: ShadingReader, time: Usd.TimeCode, notes: Notes
+) -> tuple[list[BoundShading], Ints]:
+    """The shadings bound to a mesh or its subsets, and the one of each face (P,); -1 none."""
+    found: list[BoundShading] = []
     of_face = np.full(n_faces, -1)
 
-    def bind(look: Look | None, faces: Ints | slice) -> None:
-        if look is not None:
-            if look not in found:
-                found.append(look)
-            of_face[faces] = found.index(look)
+    def bind(shading: BoundShading | None, faces: Ints | slice) -> None:
+        if shading is not None:
+            if shading not in found:
+                found.append(shading)
+            of_face[faces] = found.index(shading)
 
-    bind(looks.bound(prim), slice(None))
+    bind(shadings.bound(prim), slice(None))
     if prim.IsA(UsdGeom.Mesh):
         for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
             if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
@@ -307,5 +309,5 @@ def _bindings(
                     f"{n_faces} faces: ignored",
                     str(subset.GetPath()),
                 )
-            bind(looks.bound(subset.GetPrim()), faces[inside])
+            bind(shadings.bound(subset.GetPrim()), faces[inside])
     return found, of_face

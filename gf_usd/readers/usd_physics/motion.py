@@ -1,4 +1,4 @@
-"""Where a prim of the stage is over time, read for physics: no looks, no textures."""
+"""Where a prim of the stage is over time, read for physics: without shading or textures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import Reading, posed_points
-from gf_usd.readers.usd.shading import Look, Looks
+from gf_usd.readers.usd.shading import BoundShading, ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.splats import is_captured
 
@@ -24,10 +24,10 @@ SHAPE = (
 )  # fmt: skip
 
 
-class NoLooks(Looks):
+class NoShading(ShadingReader):
     """Nothing is bound to anything: a shape is read without its colors."""
 
-    def bound(self, prim: Usd.Prim) -> Look | None:
+    def bound(self, prim: Usd.Prim) -> BoundShading | None:
         """None."""
         return None
 
@@ -41,7 +41,7 @@ def bare_reading(facts: StageFacts, time: Usd.TimeCode) -> Reading:
         meters_per_unit=facts.units.length,
         xforms=xforms,
         skins=Skins(time, xforms, notes),
-        looks=NoLooks(time, notes),
+        shadings=NoShading(time, notes),
         notes=notes,
     )
 

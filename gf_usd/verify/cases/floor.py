@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import FILTER_RATE, G0, LOOKS, time_scale
+from gf_usd.core.materials import DIMENSIONLESS, FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, cloud, elastic, look, settings, sphere
 from gf_usd.verify.case import RELATIVE, Case, Measure
@@ -96,7 +96,7 @@ def penetration(
 
     def run(device: str) -> Iterator[Measure]:
         for radius in radii:
-            for name in LOOKS:
+            for name in DIMENSIONLESS:
                 yield Measure(
                     name=f"impact.{name}.{radius:g}m",
                     value=impact(name, radius, particles, device), target=0.0, bound=1.0,
@@ -131,6 +131,6 @@ CASES = (
         " contact samples go below the floor, in spacings of the particles, at every size.",
         source="docs/physics.md: contact with the floor",
         quick=penetration((1.0,), 250, ("rubber",)),
-        full=penetration((0.025, 1.0, 5.0), 1000, tuple(LOOKS)),
+        full=penetration((0.025, 1.0, 5.0), 1000, tuple(DIMENSIONLESS)),
     ),
 )

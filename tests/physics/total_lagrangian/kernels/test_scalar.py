@@ -9,7 +9,7 @@ import pytest
 from launching import WAYS, launched
 from solids import ball, look, settings
 
-from gf_usd.core.materials import LOOKS
+from gf_usd.core.materials import DIMENSIONLESS
 from gf_usd.physics.grid.reference import OFFSETS, weights
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -114,7 +114,7 @@ def filtered(stencil, v, m):
 def test_one_substep_is_the_sum_that_numpy_makes(plain):
     """v + alpha (B v - m v)/m, then + dt f/m: eq. 1 to 3 in float64, every node free."""
     body, _ = ball(400)
-    rubber = LOOKS["rubber"].material(body.radius)
+    rubber = DIMENSIONLESS["rubber"].material(body.radius)
     rubber = replace(rubber, damping_time=0.01)
     s = settings(fps=1e4, frames=2, substeps=1, filter_rate=np.inf, followers=False)
     solver = TotalLagrangian(body, [rubber], s, real=np.float64, plain=plain)
