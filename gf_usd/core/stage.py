@@ -108,7 +108,7 @@ class Collider:
     linear: Floats  # (F, 3, 3); F = 1: it stays where it is at rest
     offset: Floats  # (F, 3) [m]
     deformed: Floats | None = None  # (F, V, 3) [m] at each frame, of points that move by themselves
-    words: PhysicsMaterialSpec = field(default_factory=PhysicsMaterialSpec)  # friction, restitution
+    spec: PhysicsMaterialSpec = field(default_factory=PhysicsMaterialSpec)  # friction, restitution
     approximation: str = "none"  # of UsdPhysics, as authored
     role: str = "static"  # static | kinematic | dynamic: what UsdPhysics would do with it
 
@@ -146,12 +146,12 @@ class SubsetMaterial:
 
     path: str  # of the GeomSubset
     faces: Ints  # (n,) sorted, into Surface.face_counts
-    words: PhysicsMaterialSpec
+    spec: PhysicsMaterialSpec
     material: Material | None  # None: says nothing of elasticity
 
     def resolve(self, base: Material, density: float | None = None) -> Material:
         """The material of these faces; arguments as in `BodyPhysics.resolve`."""
-        made = self.material or self.words.over(base)
+        made = self.material or self.spec.over(base)
         return made if density is None else replace(made, density=density)
 
 
@@ -170,7 +170,7 @@ class BodyPhysics:
     angular_velocity: Triple | None = None  # [rad/s]
     center: Triple | None = None  # [m] of mass, as authored; None: that of the volume
     moving: Floats | None = None  # (V, 3) [m/s of playback] of the animation that ends at rest
-    words: PhysicsMaterialSpec = field(
+    spec: PhysicsMaterialSpec = field(
         default_factory=PhysicsMaterialSpec
     )  # of the bound physics material
     material: Material | None = None  # None: nothing is said of elasticity
@@ -182,7 +182,7 @@ class BodyPhysics:
         An elastic material of the stage stands alone (`material`); of one that is not, density,
         friction and restitution go over those of `base`.  The mass is not in it.
         """
-        made = self.material or self.words.over(base)
+        made = self.material or self.spec.over(base)
         return made if self.density is None else replace(made, density=self.density)
 
     def initial_velocities(self, points: Floats, center: Floats) -> NDArray[np.float64] | None:
@@ -350,7 +350,7 @@ Authored = Callable[[str], Any]  # attribute name -> its authored value, None wh
 Assume = Callable[[str], None]  # told, in words, what had to be assumed
 
 
-def read_words(
+def read_material_spec(
     authored: Authored,
     path: str,
     units: StageUnits,

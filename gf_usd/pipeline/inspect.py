@@ -236,17 +236,17 @@ def inspect(
     source = Path(path)
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
         found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
-    asset, words = found.asset, found.words
-    seen = examine(asset, mend(asset, request, words)[2] if repair else ())
+    asset, spec = found.asset, found.spec
+    seen = examine(asset, mend(asset, request, spec)[2] if repair else ())
     files = outputs(source, [preset.name for preset in found.presets], None)
     try:
         plan, solid = fill(
-            asset, request, found.presets, law, files, found.file, words=words, repair=repair,
+            asset, request, found.presets, law, files, found.file, spec=spec, repair=repair,
             known=seen.diagnoses,
         )  # fmt: skip
     except InputError as refusal:
         warnings = [implausible_size(asset)]
-        if not repair and would_fill(mend(asset, request, words)[1]):
+        if not repair and would_fill(mend(asset, request, spec)[1]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     seen = replace(seen, plan=plan, cost=Prepared(plan=plan).cost)

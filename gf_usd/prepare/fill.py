@@ -54,13 +54,13 @@ def fill(
     files: Outputs,
     file: Path,
     *,
-    words: StageSpec,
+    spec: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
 
-    file : its USD form; words : what its stage says.
+    file : its USD form; spec : what its stage says.
     known : what `diagnose` said of its surfaces, if it was asked already.
     """
     from gf_usd.core.mesh import signed_volume
@@ -73,19 +73,19 @@ def fill(
     mended: tuple[str, ...] = ()
     filled = asset
     if repair:
-        asset, filled, repairs = mend(asset, request, words)
+        asset, filled, repairs = mend(asset, request, spec)
         mended = notes(repairs)
     solid = build_solid(filled, repaired=repair)
     if not repair:
         by_path = {seen.path: seen for seen in known}
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
-    request, stated = _with_stage(request, words, asset)
+    request, stated = _with_stage(request, spec, asset)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     closed = zip(solid.surfaces, solid.triangles, strict=True)
     asked = _resolution(
-        request, words, unit,
+        request, spec, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
     )  # fmt: skip
     particles = sample_solid(
@@ -96,7 +96,7 @@ def fill(
         uniform=paper,
         up=asset.facts.up_axis,
     )
-    owners = {path: body.owner for path, body in words.bodies.items()}
+    owners = {path: body.owner for path, body in spec.bodies.items()}
     bodies, particles = plan_bodies(
         asset, solid, particles, owners, combine=request.combine or paper or request.solver == "ul"
     )
@@ -117,12 +117,12 @@ def fill(
     settings = resolve(request, asset.facts, radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
-    physics = words.physics
+    physics = spec.physics
     if physics.colliders:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
-    parts = body_materials.material_parts(solid, words, request.regions)
+    parts = body_materials.material_parts(solid, spec, request.regions)
     slot = body_materials.part_of_particles(solid, particles, parts)
     of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
     slot = body_materials.in_regions(slot, particles, parts, of)
@@ -135,11 +135,11 @@ def fill(
     tables, index = [], particles.material
     for preset in presets:
         table, index = body_materials.table(
-            preset, parts, slot, particles, solid, bodies, words, finish
+            preset, parts, slot, particles, solid, bodies, spec, finish
         )
         tables.append(tuple(replace(m, law=law or m.law) for m in table))
     particles, own = with_own_values(
-        replace(particles, material=index), tables[0], slot, parts, solid, bodies, words,
+        replace(particles, material=index), tables[0], slot, parts, solid, bodies, spec,
         (request.blend_width or 0.0) * unit,
     )  # fmt: skip
     made = tuple(
@@ -158,7 +158,7 @@ def fill(
     choices, split = _chosen(request, files, settings, asset, len(particles))
     embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
-    advice = tuple(words.advice[s.path] for s in solid.surfaces) if words.advice else ()
+    advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     plan = Plan(
         asset=asset,
@@ -176,7 +176,7 @@ def fill(
         choices=choices,
         bodies=bodies,
         contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
-        velocity=tuple(start_velocities(asset, bodies, words.bodies, settings.time_scale)),
+        velocity=tuple(start_velocities(asset, bodies, spec.bodies, settings.time_scale)),
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
@@ -188,12 +188,10 @@ def fill(
     return plan, solid
 
 
-def _with_stage(
-    request: Request, words: StageSpec, asset: Asset
-) -> tuple[Request, tuple[str, ...]]:
+def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request, tuple[str, ...]]:
     """The request with what the stage says where it says nothing, and notes on that."""
     notes = []
-    path, physics = asset.facts.path, words.physics
+    path, physics = asset.facts.path, spec.physics
     more: dict[str, Any] = {}
     if request.gravity is None and physics.gravity is not None:
         more["gravity"] = ",".join(repr(g) for g in physics.gravity)
@@ -215,7 +213,7 @@ def _with_stage(
             )
     for name in ("seed", "solver"):
         if getattr(request, name) is None:
-            said = one_said(name, [(p, getattr(b, name)) for p, b in words.bakes.items()], path)
+            said = one_said(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
             if said is not None:
                 more[name] = said
                 notes.append(f"{name} is {said}, as the stage asks for")
@@ -287,11 +285,11 @@ def _stated_values(request: Request) -> dict[str, float]:
 
 
 def _resolution(
-    request: Request, words: StageSpec, unit: float, volumes: Callable[[], Mapping[str, float]]
+    request: Request, spec: StageSpec, unit: float, volumes: Callable[[], Mapping[str, float]]
 ) -> Resolution:
     """See `resolution`; unit : [m] of the stage's."""
     spacing = request.spacing * unit if request.spacing else None
-    return resolution(request.particles, spacing, words, volumes, paper=request.preset == "paper")
+    return resolution(request.particles, spacing, spec, volumes, paper=request.preset == "paper")
 
 
 PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
@@ -328,7 +326,7 @@ def implausible_size(asset: Asset) -> str:
 
 
 def mend(
-    asset: Asset, request: Request, words: StageSpec
+    asset: Asset, request: Request, spec: StageSpec
 ) -> tuple[Asset, Asset, tuple[Repairs, ...]]:
     """The asset mended, the same with its sheets thickened for the fill, and what was done.
 
@@ -340,7 +338,7 @@ def mend(
 
     mended, repairs = repair_asset(asset)
     asked = _resolution(
-        request, words, asset.facts.units.length,
+        request, spec, asset.facts.units.length,
         lambda: {s.path: abs(signed_volume(s.points, s.triangles)) for s in mended.surfaces},
     )  # fmt: skip
     filled, repairs = thicken_asset(

@@ -46,12 +46,12 @@ class Authored:
 
 
 def material_parts(
-    solid: Solid, words: StageSpec, regions: Sequence[Region] = ()
+    solid: Solid, spec: StageSpec, regions: Sequence[Region] = ()
 ) -> list[MaterialPart]:
     """The parts, first the surfaces in their order, last those in regions."""
     found = [MaterialPart(surface=k) for k in range(len(solid.surfaces))]
     for k, surface in enumerate(solid.surfaces):
-        body = words.bodies.get(surface.path)
+        body = spec.bodies.get(surface.path)
         found += [MaterialPart(surface=k, subset=one) for one in (body.subsets if body else ())]
     return found + [
         MaterialPart(surface=k, region=r) for r in regions for k in range(len(solid.surfaces))
@@ -98,14 +98,14 @@ def part_of_triangles(solid: Solid, parts: Sequence[MaterialPart]) -> list[Ints]
     return out
 
 
-def variant_name(words: StageSpec, surfaces: Sequence[Surface]) -> str:
+def variant_name(spec: StageSpec, surfaces: Sequence[Surface]) -> str:
     """What the stage's own materials are called together."""
-    names = set().union(*(_own_names(surface, words) for surface in surfaces))
+    names = set().union(*(_own_names(surface, spec) for surface in surfaces))
     return names.pop() if len(names) == 1 else AUTHORED
 
 
-def _own_names(surface: Surface, words: StageSpec) -> set[str]:
-    bake, body = words.bakes.get(surface.path), words.bodies.get(surface.path)
+def _own_names(surface: Surface, spec: StageSpec) -> set[str]:
+    bake, body = spec.bakes.get(surface.path), spec.bodies.get(surface.path)
     own = bake.material if bake is not None and bake.material else ""
     if not own and body is not None and body.material:
         own = body.material.name
@@ -114,7 +114,7 @@ def _own_names(surface: Surface, words: StageSpec) -> set[str]:
     if not subsets or len(np.unique(np.concatenate([s.faces for s in subsets]))) < len(
         surface.face_counts
     ):
-        names.add(own or (AUTHORED if surface.path in words.painted else "rubber"))
+        names.add(own or (AUTHORED if surface.path in spec.painted else "rubber"))
     return names
 
 
@@ -125,7 +125,7 @@ def table(
     particles: Particles,
     solid: Solid,
     bodies: BodyPlan,
-    words: StageSpec,
+    spec: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> tuple[tuple[Material, ...], Ints]:
     """The materials of a look, and (N,) which of them each particle has.
@@ -141,11 +141,11 @@ def table(
         if part.region is not None:
             made.append(finish(find_preset(part.region.material), radius))
         elif isinstance(look, Authored):
-            made.append(_authored(surface.path, part, radius, words, finish))
+            made.append(_authored(surface.path, part, radius, spec, finish))
         else:
             made.append(finish(look, radius))
     if isinstance(look, Authored):
-        made = _with_masses(made, parts, slot, particles, solid, words)
+        made = _with_masses(made, parts, slot, particles, solid, spec)
     kept: list[Material] = []
     index = np.zeros(len(made), np.int64)
     used = np.bincount(slot, minlength=len(made)) > 0
@@ -163,18 +163,18 @@ def _authored(
     path: str,
     part: MaterialPart,
     radius: float,
-    words: StageSpec,
+    spec: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> Material:
-    bake, body = words.bakes.get(path), words.bodies.get(path)
+    bake, body = spec.bakes.get(path), spec.bodies.get(path)
     if part.subset is None and bake is not None and bake.material:
         return finish(find_preset(bake.material), radius)
-    advice = words.advice.get(path)
+    advice = spec.advice.get(path)
     name = advice.material if advice is not None and advice.by != "stage" else "rubber"
     base: Any = find_preset(bake.material if bake is not None and bake.material else name)
-    stated = part.subset.words.density if part.subset else None
+    stated = part.subset.spec.density if part.subset else None
     if stated is None and body is not None:
-        stated = body.words.density if body.density is None else body.density
+        stated = body.spec.density if body.density is None else body.density
     if stated is not None and isinstance(base, DimensionlessPreset):
         base = replace(base, density=stated)  # a look's moduli go with its density
     made = finish(base, radius)
@@ -191,14 +191,14 @@ def _with_masses(
     slot: Ints,
     particles: Particles,
     solid: Solid,
-    words: StageSpec,
+    spec: StageSpec,
 ) -> list[Material]:
     """Densities such that what states a mass has it; moduli stay."""
     volume = np.bincount(slot, particles.V0, minlength=len(made))
     groups: dict[str, list[int]] = {}
     mass: dict[str, float] = {}
     for k, part in enumerate(parts):
-        body = words.bodies.get(solid.surfaces[part.surface].path)
+        body = spec.bodies.get(solid.surfaces[part.surface].path)
         if body is not None and body.mass is not None:
             groups.setdefault(body.mass_of, []).append(k)
             mass[body.mass_of] = body.mass
@@ -219,14 +219,14 @@ def _alike(one: Material, other: Material) -> bool:
     return bool(np.allclose(a, b, rtol=SAME, atol=0.0))
 
 
-def stated_spacing(words: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
+def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
     """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
 
     volumes : [m^3] of each surface, by prim path.
     """
     asked: dict[str, float] = {}
     groups: dict[str, tuple[int, float]] = {}
-    for path, bake in words.bakes.items():
+    for path, bake in spec.bakes.items():
         if bake.spacing is not None:
             asked[path] = bake.spacing
         elif bake.particles is not None:
@@ -250,7 +250,7 @@ def with_own_values(
     parts: Sequence[MaterialPart],
     solid: Solid,
     bodies: BodyPlan,
-    words: StageSpec,
+    spec: StageSpec,
     width: float,
 ) -> tuple[Particles, tuple[str, ...]]:
     """The particles with values of their own, where they have any, and notes on that.
@@ -263,11 +263,11 @@ def with_own_values(
         values = blended(particles, materials, slot, parts, solid, bodies, width)
         if values is None:
             notes.append("--blend-width changes nothing: no body has two materials")
-    if words.painted:
-        values = painted(particles, values or of_materials(particles, materials), solid, words)
+    if spec.painted:
+        values = painted(particles, values or of_materials(particles, materials), solid, spec)
     if values is None:
         return particles, tuple(notes)
-    particles = replace(particles, own=_with_blended_masses(values, particles, solid, words))
+    particles = replace(particles, own=_with_blended_masses(values, particles, solid, spec))
     seen = summary(particles, materials)
     low, high = seen["youngs_modulus"]
     least, most = seen["density"]
@@ -337,7 +337,7 @@ def _faces_of(
 
 
 def painted(
-    particles: Particles, values: dict[str, Floats], solid: Solid, words: StageSpec
+    particles: Particles, values: dict[str, Floats], solid: Solid, spec: StageSpec
 ) -> dict[str, Floats]:
     """The values with what is painted on the nearest point of the surface in their place.
 
@@ -355,7 +355,7 @@ def painted(
     touched = np.zeros(len(particles), bool)
     for k, surface in enumerate(solid.surfaces):
         mine = np.flatnonzero(at.surface == k)
-        said = words.painted.get(surface.path, {})
+        said = spec.painted.get(surface.path, {})
         corners = surface.triangle_corners[at.triangle[mine]]
         for name, column in (("youngs_modulus", young), ("poissons_ratio", nu)):
             if name in said:
@@ -376,14 +376,14 @@ def painted(
 
 
 def _with_blended_masses(
-    values: dict[str, Floats], particles: Particles, solid: Solid, words: StageSpec
+    values: dict[str, Floats], particles: Particles, solid: Solid, spec: StageSpec
 ) -> dict[str, Floats]:
     """Densities such that what states a mass has it all the same."""
     density = values["density"].copy()
     owner = np.full(len(solid.surfaces), "", object)
     mass: dict[str, float] = {}
     for k, surface in enumerate(solid.surfaces):
-        body = words.bodies.get(surface.path)
+        body = spec.bodies.get(surface.path)
         if body is not None and body.mass is not None:
             owner[k] = body.mass_of or surface.path
             mass[owner[k]] = body.mass

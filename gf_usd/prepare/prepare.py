@@ -34,7 +34,7 @@ from gf_usd.prepare.outputs import (
 )
 from gf_usd.prepare.plan import Plan, command_line
 from gf_usd.readers.isolated import Reading, Source
-from gf_usd.readers.usd_bake.spec import read_words
+from gf_usd.readers.usd_bake.spec import read_stage_spec
 from gf_usd.system.sandbox import Limits
 from gf_usd.system.taichi_runtime import init_taichi
 
@@ -80,7 +80,7 @@ def prepare(
     files, seen_source = _with_layer(targets, found.converted)
     asset = found.asset
     plan, _ = fill(
-        asset, request, found.presets, law, files, found.file, words=found.words, repair=repair
+        asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
     )
     lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
@@ -151,7 +151,7 @@ class SourceAsset:
     """An asset that was read, and what it is to be made of."""
 
     asset: Asset
-    words: StageSpec  # what its stage says
+    spec: StageSpec  # what its stage says
     presets: Sequence[Any]  # one for each variant
     file: Path  # its USD form
     converted: MeshSource | None  # of an asset that is not USD
@@ -170,22 +170,22 @@ def read_stage(
 
     presets : that were asked for; none: the stage says what it is made of, or it is rubber.
     """
-    asset, words, converted = _hulled(read.asset), read.words, read.converted
+    asset, spec, converted = _hulled(read.asset), read.spec, read.converted
     usd = converted is None
-    if words is None:
-        words = StageSpec()
+    if spec is None:
+        spec = StageSpec()
         if usd:
-            asset, words = read_words(
+            asset, spec = read_stage_spec(
                 asset, source, prims, rest=request.start, elastic=_elastic(presets)
             )
     if presets and isinstance(presets[0], Auto):
-        words = advise(asset, source, words, presets[0], usd=usd, rest=request.start, draw=draw)
+        spec = advise(asset, source, spec, presets[0], usd=usd, rest=request.start, draw=draw)
         presets = [Authored(presets[0].name)]
     elif not presets:
-        named = variant_name(words, asset.surfaces) if words.says_material else "rubber"
+        named = variant_name(spec, asset.surfaces) if spec.says_material else "rubber"
         presets = [Authored(named)]
     return SourceAsset(
-        asset=asset, words=words, presets=presets, converted=converted,
+        asset=asset, spec=spec, presets=presets, converted=converted,
         file=source if converted is None else converted.layer,
     )  # fmt: skip
 

@@ -199,7 +199,7 @@ class Resolution:
 def resolution(
     particles: int | None,
     spacing: float | None,
-    words: StageSpec,
+    spec: StageSpec,
     volumes: Callable[[], Mapping[str, float]],
     *,
     paper: bool,
@@ -210,6 +210,6 @@ def resolution(
     """
     note = ""
     if spacing is None and particles is None and not paper:
-        spacing, note = materials.stated_spacing(words, volumes())
+        spacing, note = materials.stated_spacing(spec, volumes())
     particles = particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES)
     return Resolution(spacing=spacing, particles=particles, note=note)

@@ -22,7 +22,7 @@ class Source:
     """All that a bake reads of a file before it fills it."""
 
     asset: Asset
-    words: StageSpec | None  # what its stage says; None: a mesh file, or not asked for yet
+    spec: StageSpec | None  # what its stage says; None: a mesh file, or not asked for yet
     converted: MeshSource | None = None  # of a mesh file
 
 
@@ -31,7 +31,7 @@ class Sent:
     """A `Source` as a child sends it."""
 
     asset: Asset
-    words: StageSpec | None
+    spec: StageSpec | None
     folder: Path | None  # with the USD form of a mesh file
     record: dict[str, str]
     notes: tuple[str, ...]
@@ -57,7 +57,7 @@ class Reading:
 
             folder = Folder(sent.folder, self._isolated.scratch)
             converted = MeshSource(self._path, folder, sent.record, sent.notes, sent.sources)
-        return Source(asset=sent.asset, words=sent.words, converted=converted)
+        return Source(asset=sent.asset, spec=sent.spec, converted=converted)
 
     def __enter__(self) -> Reading:
         return self
@@ -72,7 +72,7 @@ def send(path: Path, options: dict[str, Any]) -> Sent:
     made = read.converted
     return Sent(
         asset=read.asset,
-        words=read.words,
+        spec=read.spec,
         folder=None if made is None else made.folder.release(),
         record={} if made is None else made.record,
         notes=() if made is None else made.notes,
@@ -91,22 +91,22 @@ def read_untrusted(
 ) -> Source:
     """All that a bake reads of a file before it fills it.
 
-    The options are those of `read_asset` and `read_words`.  Raises InputError as these do.
+    The options are those of `read_asset` and `read_stage_spec`.  Raises InputError as these do.
     """
     from gf_usd.readers import convert, read_asset
 
     converted = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if converted is not None:
         asset = converted.asset(prims=tuple(prims), time_code=time_code)
-        return Source(asset=asset, words=None, converted=converted)
+        return Source(asset=asset, spec=None, converted=converted)
     # registers itself before any stage opens
-    from gf_usd.readers.usd_bake.spec import read_words
+    from gf_usd.readers.usd_bake.spec import read_stage_spec
     from gf_usd.system import usd_schema  # noqa: F401
 
     asset = read_asset(
         path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis, time_code=time_code
     )
     if asset.splats:  # they get surfaces first, of which the stage is then asked
-        return Source(asset=asset, words=None)
-    asset, words = read_words(asset, path, prims, rest=time_code, elastic=elastic)
-    return Source(asset=asset, words=words)
+        return Source(asset=asset, spec=None)
+    asset, spec = read_stage_spec(asset, path, prims, rest=time_code, elastic=elastic)
+    return Source(asset=asset, spec=spec)

@@ -74,7 +74,7 @@ def obstacle(
         triangles=np.asarray(triangles),
         linear=np.tile(np.eye(3), (len(offset), 1, 1)),
         offset=offset,
-        words=PhysicsMaterialSpec(dynamic_friction=friction, restitution=restitution),
+        spec=PhysicsMaterialSpec(dynamic_friction=friction, restitution=restitution),
     )
 
 

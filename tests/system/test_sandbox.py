@@ -284,7 +284,7 @@ def test_what_a_child_returns_is_what_is_read_here(tmp_path: Path, suffix: str) 
     exchange.write(theirs.asset, first)
     exchange.write(ours.asset, second)
     assert first.getvalue() == second.getvalue()
-    assert (theirs.words is None) == (suffix == ".obj")
+    assert (theirs.spec is None) == (suffix == ".obj")
     if theirs.converted is not None and ours.converted is not None:
         assert theirs.converted.record == ours.converted.record
         assert theirs.converted.notes == ours.converted.notes

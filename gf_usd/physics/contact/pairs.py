@@ -171,7 +171,7 @@ class BodyContact:
         values = pair_values(
             self.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
-            [(c.words.friction, c.words.restitution) for c in self.contact_setup.colliders],
+            [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
         )  # fmt: skip
         self._k = values["stiffness"]
         self.injected += self._stored(self.planes.depth(x, 0.0)) - before

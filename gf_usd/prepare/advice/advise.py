@@ -58,7 +58,7 @@ def parse_auto(material: str | None, preset: str | None) -> Auto | None:
 def advise(
     asset: Asset,
     file: Path,
-    words: StageSpec,
+    spec: StageSpec,
     auto: Auto,
     *,
     usd: bool,
@@ -72,7 +72,7 @@ def advise(
 
     Raises BakeError where an advisor fails or answers wrongly.
     """
-    stated = {s.path: one for s in asset.surfaces if (one := _stated(s.path, words)) is not None}
+    stated = {s.path: one for s in asset.surfaces if (one := _stated(s.path, spec)) is not None}
     open_ = [s for s in asset.surfaces if s.path not in stated]
     if usd:
         from gf_usd.readers.usd_bake.settings import read_subjects
@@ -82,16 +82,16 @@ def advise(
         subjects = tuple(Subject(path=s.path, looks=_looks(s)) for s in open_)
     advised = _ask(asset, subjects, auto, draw) if subjects else ()
     by_path = {**stated, **{one.path: one for one in advised}}
-    return replace(words, advice={s.path: by_path[s.path] for s in asset.surfaces})
+    return replace(spec, advice={s.path: by_path[s.path] for s in asset.surfaces})
 
 
-def _stated(path: str, words: StageSpec) -> Advice | None:
-    bake, body = words.bakes.get(path), words.bodies.get(path)
+def _stated(path: str, spec: StageSpec) -> Advice | None:
+    bake, body = spec.bakes.get(path), spec.bodies.get(path)
     if bake is not None and bake.material:
         reason = "the stage names it (gaussianFlesh:material)"
         return Advice(path=path, material=bake.material, confidence=1.0, reason=reason, by="stage")
     if body is not None and body.material is not None:
-        reason = f"its physics material <{body.words.path}> states a Young's modulus"
+        reason = f"its physics material <{body.spec.path}> states a Young's modulus"
         name = body.material.name
         return Advice(path=path, material=name, confidence=1.0, reason=reason, by="stage")
     return None

@@ -12,7 +12,7 @@ from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import Authored, read_words, states_modulus
+from gf_usd.core.stage import Authored, read_material_spec, states_modulus
 from gf_usd.core.units import StageUnits
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 
@@ -85,11 +85,11 @@ def _authored(prim: Usd.Prim) -> Authored:
 
 def _material(path: Path, prim: Usd.Prim, units: StageUnits) -> Material:
     where = f"{path}: <{prim.GetPath()}>"
-    words = read_words(_authored(prim), str(prim.GetPath()), units, where=where)
-    if words.poissons_ratio is None:
+    spec = read_material_spec(_authored(prim), str(prim.GetPath()), units, where=where)
+    if spec.poissons_ratio is None:
         raise InputError(f"{where} has no Poisson's ratio", "author physics:poissonsRatio")
-    if words.density is None:
+    if spec.density is None:
         raise InputError(f"{where} has no density", "author physics:density")
-    material = words.whole()
+    material = spec.whole()
     assert material is not None  # both moduli are there
     return material

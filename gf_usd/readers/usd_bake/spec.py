@@ -11,7 +11,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.stage import PrimBake, StagePhysics, StageSpec
 
 
-def read_words(
+def read_stage_spec(
     asset: Asset, file: Path, prims: Sequence[str], *, rest: float | None, elastic: bool
 ) -> tuple[Asset, StageSpec]:
     """The asset without what its stage keeps out of a bake, and what the stage says of the rest.

@@ -22,7 +22,7 @@ from gf_usd.core.stage import (
     PhysicsMaterialSpec,
     SubsetMaterial,
     Triple,
-    read_words,
+    read_material_spec,
 )
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -71,7 +71,7 @@ def read_body(
     density = _density(prim, owner, here, facts.units)
     what = role(prim, time)
     velocity, spin = _rigid_velocity(owner, what, here)
-    words = materials.bound(prim) if materials else PhysicsMaterialSpec()
+    spec = materials.bound(prim) if materials else PhysicsMaterialSpec()
     return BodyPhysics(
         path=str(prim.GetPath()),
         role=what,
@@ -85,8 +85,8 @@ def read_body(
         angular_velocity=spin,
         center=_center(owner or prim, here),
         moving=velocity_at_rest(prim, readings, rest, step, notes),
-        words=words,
-        material=materials.whole(words, density) if materials else None,
+        spec=spec,
+        material=materials.whole(spec, density) if materials else None,
         subsets=read_subsets(prim, facts, time, materials, density, notes) if materials else (),
     )
 
@@ -203,21 +203,21 @@ class PhysicsMaterials:
             self._words[path] = self._read(material.GetPrim())
         return self._words[path]
 
-    def whole(self, words: PhysicsMaterialSpec, density: float | None = None) -> Material | None:
+    def whole(self, spec: PhysicsMaterialSpec, density: float | None = None) -> Material | None:
         """The material that the words make; None where they say nothing of elasticity.
 
         density : [kg/m^3] that goes before the material's, so that it needs none of its own.
         """
-        if words.elastic and words.density is None and density is None:
-            self._notes.add(f"no density is stated: {WATER:g} kg/m^3 is assumed", words.path)
-        return words.whole()
+        if spec.elastic and spec.density is None and density is None:
+            self._notes.add(f"no density is stated: {WATER:g} kg/m^3 is assumed", spec.path)
+        return spec.whole()
 
     def _read(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
         def value(name: str) -> Any:
             return authored(prim, name, self._time)
 
         where = str(prim.GetPath())
-        return read_words(
+        return read_material_spec(
             value,
             where,
             self._facts.units,
@@ -248,8 +248,8 @@ def read_subsets(
     found = []
     for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
         prim = subset.GetPrim()
-        words = materials.bound(prim)
-        if words.path == whole.path or words == PhysicsMaterialSpec(path=words.path):
+        spec = materials.bound(prim)
+        if spec.path == whole.path or spec == PhysicsMaterialSpec(path=spec.path):
             continue  # the mesh's own, or a look without a word of physics
         if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face:
             notes.add(
@@ -262,11 +262,9 @@ def read_subsets(
             faces = faces[~taken[faces]]
         taken[faces] = True
         if len(faces):
-            material = materials.whole(words, density)
+            material = materials.whole(spec, density)
             found.append(
-                SubsetMaterial(
-                    path=str(prim.GetPath()), faces=faces, words=words, material=material
-                )
+                SubsetMaterial(path=str(prim.GetPath()), faces=faces, spec=spec, material=material)
             )
     return tuple(found)
 

@@ -92,7 +92,7 @@ def read_colliders(
                 linear=linear,
                 offset=offset,
                 deformed=deformed,
-                words=materials.bound(shape.prim),
+                spec=materials.bound(shape.prim),
                 approximation=shape.approximation,
                 role=what,
             )

@@ -68,7 +68,7 @@ def test_the_bound_material_in_si(said) -> None:
     assert made.youngs_modulus == pytest.approx(1e3, rel=REL)
     assert made.density == pytest.approx(2000.0, rel=REL)
     assert (made.name, made.law, made.poissons_ratio) == ("Soft", "corotated", 0.25)
-    assert (made.friction, made.damping_time, body.words.static_friction) == (0.5, 0.25, 0.75)
+    assert (made.friction, made.damping_time, body.spec.static_friction) == (0.5, 0.25, 0.75)
     assert body.resolve(BASE) == made
 
 
@@ -104,7 +104,7 @@ def test_newtons_damping_is_a_viscosity(said) -> None:
         assert made.damping_time == pytest.approx(50 / 1e4)
     ours = "float gaussianFlesh:dampingTime = 0.25"
     (body,) = said(material("Soft", DENSE, *SOFT, viscous, ours), duck(bound("/Soft"))).bodies
-    assert body.words.damping_time == 0.25
+    assert body.spec.damping_time == 0.25
 
 
 def test_what_is_assumed_is_said(said) -> None:
@@ -146,7 +146,7 @@ def test_the_physics_purpose_goes_before_all_purposes_and_above_before_nothing(s
 
     def path(*lines: str) -> str:
         (body,) = said(stage, *lines, body="/Pond/Duck").bodies
-        return body.words.path
+        return body.spec.path
 
     def pond(inside: str, *lines: str) -> str:
         return prim("Xform", "Pond", *lines, inside, apis=BINDING)
@@ -161,7 +161,7 @@ def test_the_physics_purpose_goes_before_all_purposes_and_above_before_nothing(s
 def test_a_look_says_nothing_of_physics(said) -> None:
     paint = prim("Material", "Paint", "token outputs:surface")
     (body,) = said(paint, duck(bound("/Paint", ""))).bodies
-    assert (body.words.path, body.material) == ("/Paint", None)
+    assert (body.spec.path, body.material) == ("/Paint", None)
     assert body.resolve(BASE) == BASE
 
 
@@ -169,14 +169,14 @@ def test_a_binding_that_composition_brings(said, tmp_path: Path) -> None:
     stage = material("Soft", DENSE, *SOFT) + material("Hard", DENSE, *HARD)
     style = f'class "Style" (prepend apiSchemas = ["{BINDING[0]}"]) {{\n{bound("/Soft")}\n}}\n'
     (body,) = said(stage, style, mesh("Duck", meta="inherits = </Style>")).bodies
-    assert body.words.path == "/Soft"
+    assert body.spec.path == "/Soft"
 
     (tmp_path / "ref.usda").write_text(
         head() + prim("Xform", "Duck", material("Own", DENSE, *SOFT), duck(bound("/Duck/Own")))
     )
     there = prim("Xform", "There", meta="prepend references = @ref.usda@</Duck>")
     (body,) = said(there, body="/There/Duck").bodies
-    assert body.words.path == "/There/Own"
+    assert body.spec.path == "/There/Own"
 
     sets = """
     variantSet "feel" = {
@@ -191,7 +191,7 @@ def test_a_binding_that_composition_brings(said, tmp_path: Path) -> None:
     for feel, expected in (("soft", "/Soft"), ("hard", "/Hard")):
         meta = f'variants = {{ string feel = "{feel}" }}\nprepend variantSets = "feel"'
         (body,) = said(stage, mesh("Duck", sets, apis=BINDING, meta=meta)).bodies
-        assert body.words.path == expected
+        assert body.spec.path == expected
 
 
 @pytest.mark.parametrize(

@@ -257,8 +257,8 @@ def test_friction_and_restitution_come_from_the_bound_material(said) -> None:
         return only(said(material, prim("Cube", "Ground", *lines, apis=apis)))
 
     for purpose in ("physics", ""):
-        words = ground(bound("/Ice", purpose)).words
-        assert (words.static_friction, words.dynamic_friction) == (0.25, 0.125)
-        assert (words.path, words.restitution, words.friction) == ("/Ice", 0.5, 0.125)
-    words = ground().words
-    assert (words.path, words.friction, words.restitution) == ("", None, None)
+        spec = ground(bound("/Ice", purpose)).spec
+        assert (spec.static_friction, spec.dynamic_friction) == (0.25, 0.125)
+        assert (spec.path, spec.restitution, spec.friction) == ("/Ice", 0.5, 0.125)
+    spec = ground().spec
+    assert (spec.path, spec.friction, spec.restitution) == ("", None, None)
