@@ -1,4 +1,4 @@
-"""Where every job of a batch stands, from the events it is told.
+"""The status of every job of a batch, from its events.
 
 What a batch came to: its file, what to do again, and how to ask for that.
 """

@@ -1,4 +1,4 @@
-"""What a batch is asked for: a TOML or JSON file, or assets on the command line.
+"""The manifest of a batch: a TOML or JSON file, or assets on the command line.
 
 The options that a manifest may give: those of `gf_usd.bake`, each of its type.
 """

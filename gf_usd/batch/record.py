@@ -1,4 +1,4 @@
-"""What is known of a job's result, in a file next to it: ``NAME.job.json``.
+"""The record of a job, in a file next to its result: ``NAME.job.json``.
 
 When two bakes would be the same: the same inputs, options, program and schema.
 

@@ -1,4 +1,4 @@
-"""What ``batch`` says while it runs: a table, lines, JSON, or the words of Open Job Description."""
+"""Output of ``batch`` while it runs: a table, lines, JSON, or Open Job Description messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``bake`` says: the plan, the progress, the summary."""
+"""Output of ``bake``: the plan, the progress, the summary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happens in a bake as JSON, one object a line: ``--events``; docs/farm.md lists them."""
+"""Events of a bake as JSON, one object per line: ``--events``; docs/farm.md lists them."""
 
 from __future__ import annotations
 

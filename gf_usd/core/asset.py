@@ -1,4 +1,4 @@
-"""What colors a surface: the diffuse look of a material that is bound to it.
+"""An asset: surfaces, their shading materials, captured Gaussians, and facts of the stage.
 
 Where a bake begins and how its time codes run, where the source leaves it open.
 

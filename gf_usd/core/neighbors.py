@@ -1,4 +1,4 @@
-"""What is near each other, and what hangs together: SciPy's searches where they are worth it.
+"""Nearest neighbors, connected components and derivatives at scattered points.
 
 Importing `scipy.sparse` takes 0.2 CPU seconds, its graphs and `scipy.spatial` 0.15 more, as long as
 a small body takes to be read, filled and set up.  So they are imported where they are used, and

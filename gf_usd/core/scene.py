@@ -1,4 +1,4 @@
-"""What a picture is made of: plain arrays between the code that reads and the code that draws.
+"""A scene to draw: plain arrays between the code that reads and the code that draws.
 
 Lengths are meters in the world frame of the stage, quaternions (w, x, y, z), colors linear
 Rec. 709 unless a field says otherwise.  Everything here is immutable and knows neither USD nor

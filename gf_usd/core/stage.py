@@ -1,4 +1,4 @@
-"""What a stage says of physics and of its own bake: gravity, obstacles, bodies, settings.
+"""The physics and bake settings of a stage: gravity, obstacles, bodies, materials, pins.
 
 SI, world frame of the source, row per point: as in `gf_usd.core.frames`.  A prim path names where a
 value comes from; None: the stage says nothing.

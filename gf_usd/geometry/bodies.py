@@ -1,4 +1,4 @@
-"""Which surfaces make one body: those that overlap or touch at rest.
+"""Bodies: surfaces that overlap or touch at rest belong to one.
 
 What is modeled of parts, a duck with its beak, falls as one, and so does what a physics body of the
 stage holds together.  What lies apart are bodies of their own, that meet only by contact.

@@ -1,4 +1,4 @@
-"""What is right and wrong with a mesh as a boundary of something solid.
+"""Diagnosis of a mesh as the boundary of a solid.
 
 Faces are counted as authored; everything else is measured on the welded triangles that the fill
 uses.  Lengths are in meters.

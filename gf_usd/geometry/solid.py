@@ -1,4 +1,4 @@
-"""Which surfaces bound a solid, and where its inside is.
+"""A solid: the surfaces that bound it, and the test for points inside.
 
 A point is inside where the generalized winding number of a closed surface exceeds one half
 (Jacobson, Kavan and Sorkine-Hornung 2013), taken surface by surface and regardless of sign: shells

@@ -1,4 +1,4 @@
-"""Which way triangles face: patches that agree with themselves, and what lies inside what.
+"""Orientation of triangles: consistent patches, and which shell lies inside which.
 
 The edges of a triangle mesh, and the loops that its boundary makes.
 

@@ -1,4 +1,4 @@
-"""What the writers share: the source stage, the time line, and where the particle prims live.
+"""Shared by the writers: the source stage, the time line, and the place of the particle prims.
 
 NumPy arrays as USD's own.
 """

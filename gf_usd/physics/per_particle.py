@@ -1,4 +1,4 @@
-"""What a frame asks of every particle, as kernels: rotation, stretches, Gaussian, radiance.
+"""Per-particle kernels of a frame: rotation, stretches, Gaussian, radiance.
 
 A particle stays in registers and threads share the particles; with arrays in NumPy each of some two
 hundred operations would walk through memory, on one core.  In double precision, but for the

@@ -1,4 +1,4 @@
-"""What a bake will cost, whether the machine can bear it, and whether it still can meanwhile.
+"""Cost of a bake: the estimate, the check against the machine, and the guard while it runs.
 
 Costs were measured in CPU seconds on two cores of an x86-64 server, with the duck and balls, 300 to
 100k particles, 1 kPa to 10 MPa, looks and physical presets: within a factor of two.  Memory is that

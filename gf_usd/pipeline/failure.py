@@ -1,4 +1,4 @@
-"""What is left of a bake whose simulation could not go on, and the words that say so."""
+"""The files and the message of a bake whose simulation failed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a whole bake says of itself: one line per question a person asks of it.
+"""Health of a whole bake: one number per question, and warnings about them.
 
 The keys of `HealthLog.summary` are documented in docs/guide.md, and those that are attributes of
 GaussianFleshHealthAPI in docs/schema.md.

@@ -1,4 +1,4 @@
-"""What an inspection found: plain data, and the JSON that ``gf-usd inspect --json`` prints.
+"""Inspection of an asset: plain data, and the JSON that ``gf-usd inspect --json`` prints.
 
 Keys of the JSON; lengths in meters unless a name says otherwise, None where it does not apply:
 

@@ -1,4 +1,4 @@
-"""What a bake returns: its files, its health and its report."""
+"""The result of a bake: its files, its health and its report."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What was asked and what the asset says become a Plan; nothing runs and nothing is written."""
+"""The options and the asset become a Plan; nothing is simulated and nothing is written."""

@@ -1,4 +1,4 @@
-"""Which surfaces fall as one body, and what the bodies of a bake meet."""
+"""The bodies of a bake: surfaces that fall as one, and the contacts they can have."""
 
 from __future__ import annotations
 

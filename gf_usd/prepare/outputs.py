@@ -1,4 +1,4 @@
-"""Where a bake writes, and whether it may.
+"""Output files of a bake, and the check that they may be written.
 
 A sequence of splat files, one for each frame: what viewers of Gaussians play.
 """

@@ -1,4 +1,4 @@
-"""What `--pin` asks for, as pins: a box, or what a prim of the asset bounds."""
+"""Pins from `--pin`: a box, or the volume that a prim of the asset bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has a preset of its own within an asset: boxes and labels, as one list of regions.
+"""Regions of an asset with presets of their own: boxes and labels.
 
 Materials by region: `--material-box metal:x0,y0,z0,x1,y1,z1`, a preset for what is in a box.
 

@@ -1,4 +1,4 @@
-"""Which samples are simulated, and which of them are written.
+"""Settings of a bake: the samples that are simulated and written, and the resolution.
 
 Frames are counted from 0, the body at rest where it was put, at the time code `Settings.start`.
 The simulation runs from there to the last frame that is written.  With n samples per frame the

@@ -1,4 +1,4 @@
-"""What a reader assumed, repaired or left alone, said once each."""
+"""Notes of a reader: assumptions, repairs and omissions, each once."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What the machine gives: atomic files, locks, memory, processes, Taichi, the USD schema."""
+"""Services of the system: atomic files, locks, memory, processes, Taichi, the USD schema."""

@@ -1,4 +1,4 @@
-"""Which program bakes: its source, its schema, and the libraries that take part."""
+"""Fingerprint of the program that bakes: its source, its schema, and its libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case is, and what it measures.
+"""A verification case and its measurements.
 
 Reading orders and frequencies off figures.
 """

@@ -1,4 +1,4 @@
-"""What a rule is, and what it may say."""
+"""A rule of ``gf-usd check`` and its findings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a bake says of its health in its layers, as GaussianFleshHealthAPI.
+"""Health of a bake as attributes of its layers (GaussianFleshHealthAPI).
 
 The numbers of single frames are time samples in the cache; the totals stand in the root layer,
 inside the bake's variant, so that they show without the payload and go when another look is chosen.

@@ -1,4 +1,4 @@
-"""Which bodies and obstacles are near each other, and for how long that holds.
+"""Broad phase: bodies and obstacles that are near each other, and for how long they are.
 
 A pair whose boxes are apart is left alone until they could have come together.
 """

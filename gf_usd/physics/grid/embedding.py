@@ -1,4 +1,4 @@
-"""What rides on the body: poses of points, deformed normals, deformed Gaussians.
+"""Embedded points: their poses, deformed normals and deformation gradients.
 
 Rows of the many points of a mesh or a capture that rides on a body, in little memory.
 

@@ -1,4 +1,4 @@
-"""How a law is called: the one place for the kernels of every solver.
+"""Evaluation of constitutive laws, shared by the kernels of every solver.
 
 A kernel hands over lane vectors, wherever it keeps them: F, the values q of
 `registry.particle_laws` and, of a body of several laws, `which` of them a lane has.  A law is

@@ -1,4 +1,4 @@
-"""What is read off a Total Lagrangian body: energies and stress.
+"""Energies and stress of a Total Lagrangian body.
 
 What a frame says of its own health.
 """

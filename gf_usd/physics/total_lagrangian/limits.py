@@ -1,4 +1,4 @@
-"""Which of the paper's options a body runs with, and how often they acted.
+"""The paper's options of a body, and how often they acted.
 
     clamp   singular values of the F that the stress is taken of, clipped        (section 3.2)
     cap     |P| cut to a largest value, |P| = sqrt(P : P) (Frobenius)            (section 3.2)

@@ -1,4 +1,4 @@
-"""What a substep consists of, in order: stages that wait for each other, and their parts.
+"""The stages of a substep, in order, and their parts.
 
 The parts of a stage do not wait for each other, and neither do the items of a part: they write to
 what is their own.  `kernels` says what a part does with an item.

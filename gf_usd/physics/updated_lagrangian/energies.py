@@ -1,4 +1,4 @@
-"""What a frame of the Updated Lagrangian solver says of its own health.
+"""Energies and health of a frame of the Updated Lagrangian solver.
 
 How fast waves run through a strained body as the world's grid sees them.
 

@@ -1,4 +1,4 @@
-"""What single nodes, samples and particles do in a substep of the Updated Lagrangian solver."""
+"""Updates of nodes, samples and particles in a substep of the Updated Lagrangian solver."""
 
 import taichi as ti
 

@@ -1,4 +1,4 @@
-"""What one cell does in a substep of the Updated Lagrangian solver: to the grid, and back.
+"""Transfers of one cell in a substep of the Updated Lagrangian solver: P2G and G2P.
 
 To the grid, with the Kirchhoff stress tau = P F^T and world gradients (GaussianFlesh section 4.4):
 

@@ -1,4 +1,4 @@
-"""What a prim is likely made of: by its names and labels, or by an advisor that is asked.
+"""Advice on materials: from the names and labels of a prim, or from an advisor.
 
 Plain data; `names` has the rule, `words` its word lists, `advisors` the
 plug-ins.

@@ -1,1 +1,1 @@
-"""What may be asked of a bake: one table of options, and what was asked out of it."""
+"""The table of options of a bake, and the request made from it."""

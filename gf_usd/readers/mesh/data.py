@@ -1,4 +1,4 @@
-"""What a mesh file holds, before it becomes USD: polygons, their nodes and their shading.
+"""Contents of a mesh file before it becomes USD: polygons, their nodes and their shading.
 
 Lengths are in the file's own unit, colors linear Rec. 709, texture coordinates with v = 0 at the
 bottom of the picture.  Matrices act on row vectors: x_parent = x M.

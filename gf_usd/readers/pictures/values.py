@@ -1,4 +1,4 @@
-"""What colors a picture of a bake: strain or stress of its particles, and of meshes by them.
+"""Values that color a picture: strain or stress of particles, and of meshes from them.
 
 How much particles are stretched: from deformation gradients, or from their motion alone.
 """

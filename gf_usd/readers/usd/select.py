@@ -1,4 +1,4 @@
-"""Which prims of a stage are geometry to make soft, and why the others are left alone.
+"""Selection of the prims to make soft, and the reasons for leaving out the others.
 
 Instances that a bake would free, and whether they can be.
 

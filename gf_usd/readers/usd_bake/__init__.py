@@ -1,1 +1,1 @@
-"""What a USD stage says about its own bake: settings, painted values, regions and materials."""
+"""Bake settings in a USD stage: options, painted values, regions and materials."""

@@ -1,4 +1,4 @@
-"""What a stage says of its own bake and of physics, read for the prims that are made soft."""
+"""The bake settings and physics of a stage, read for the prims that are made soft."""
 
 from __future__ import annotations
 

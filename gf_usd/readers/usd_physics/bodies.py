@@ -1,4 +1,4 @@
-"""What UsdPhysics says of a prim that is baked: mass, density, first velocities, material.
+"""UsdPhysics of a baked prim: mass, density, initial velocities, material.
 
 Physics materials as bound: what they say of a prim.
 

@@ -1,4 +1,4 @@
-"""Where a prim of the stage is over time, read for physics: without shading or textures."""
+"""The motion of a prim, read for physics, without shading or textures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stage says of physics: gravity, obstacles, and the bodies that are baked.
+"""UsdPhysics of a stage: gravity, obstacles, and the bodies that are baked.
 
 Pairs that pass through each other: filtered pairs and collision groups of UsdPhysics.
 

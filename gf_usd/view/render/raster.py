@@ -1,5 +1,5 @@
 # pyright: reportInvalidTypeForm=false, reportGeneralTypeIssues=false
-"""Which surface each sample sees, and how far each light sees.
+"""Rasterization: the surface that each sample sees, and the depth that each light sees.
 
 Both questions are depth buffers.  A minimum does not depend on the order in which threads reach
 it, so every picture is bit-identical from run to run and across thread counts.

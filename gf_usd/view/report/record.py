@@ -1,4 +1,4 @@
-"""What a bake said of itself: its report next to the root layer, or the root layer alone."""
+"""The record of a bake: its report next to the root layer, or the root layer alone."""
 
 from __future__ import annotations
 

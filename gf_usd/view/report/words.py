@@ -1,4 +1,4 @@
-"""What the numbers of a bake mean, in plain words."""
+"""Labels and descriptions of the numbers in a report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the paper's options do to eight particles inside a substep: see `options`."""
+"""Stretch clamp and stress cap of eight particles inside a substep."""
 
 import taichi as ti
 

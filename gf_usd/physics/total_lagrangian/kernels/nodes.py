@@ -1,4 +1,4 @@
-"""What one node does in a substep: sum its cells' blocks in a fixed order, and move.
+"""Update of one node in a substep: sum its cells' blocks in a fixed order, and move.
 
 No atomics, so the result does not depend on the number of threads.  Some nodes follow the free
 ones (see `followers`, `holds`): they pass their sums on, and take their motion back.

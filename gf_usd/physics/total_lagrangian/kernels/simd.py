@@ -1,4 +1,4 @@
-"""What a group of eight cells does in a substep: stress (eq. 2) and the APIC filter (eq. 1 and 3).
+"""Update of eight cells in a substep: stress (eq. 2) and the APIC filter (eq. 1 and 3).
 
 A group writes to a block of its own, 27 nodes x 3 for each cell, so groups never race.
 
