@@ -105,7 +105,7 @@ def bake(
     max_hours : refuse a bake whose estimate is longer.
     resume : go on from the checkpoints of this bake, if it ended early; see the guide.
     slice : full value clips after which it ends, to be resumed.
-    limits : `sandbox.Limits` of a child process that reads the asset first; None: no such trial.
+    limits : `sandbox.Limits` of a child process that reads the asset; None: this process reads it.
     progress : called after each frame with (frames done, frames in all).
     options : the fields of `Request`: particles, spacing [stage units], frames, fps,
         start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,

@@ -49,9 +49,8 @@ class _Writer:
     def __init__(self) -> None:
         self.arrays: list[np.ndarray] = []
         self.objects: list[tuple[str, str, dict[str, Any]]] = []  # module, name, fields
-        self._seen: dict[
-            int, tuple[Any, dict[str, int]]
-        ] = {}  # holds the object: its id is its own
+        # with the object itself, whose id is its own only as long as it is held
+        self._seen: dict[int, tuple[Any, dict[str, int]]] = {}
 
     def encode(self, value: Any) -> Any:
         """JSON for a value: plain ones as they are, the rest as {kind: content}."""

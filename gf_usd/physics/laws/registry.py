@@ -105,6 +105,11 @@ class LawSet:
         return GRADIENT + self.internals + 1 if self.flows else 0
 
 
+def convergence(real: type) -> float:
+    """Change of a rotation that ends its iteration, in a precision of the kernels."""
+    return 1e-7 if real is np.float32 else 1e-15
+
+
 @cache
 def law_set(specs: tuple[LawSpec, ...]) -> LawSet:
     """The same object for the same rows, so that kernels are compiled once for it."""

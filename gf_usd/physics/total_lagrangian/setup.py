@@ -19,7 +19,7 @@ from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, pinned_by
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
-from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
+from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import QUEUE
@@ -60,8 +60,8 @@ class Body:
 
     @property
     def converged(self) -> float:
-        """Change of a rotation that ends its iteration."""
-        return 1e-7 if self.real is np.float32 else 1e-15
+        """See `convergence`."""
+        return convergence(self.real)
 
     @property
     def internal(self) -> tuple[str, ...]:

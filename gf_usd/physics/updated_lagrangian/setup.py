@@ -15,7 +15,7 @@ from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.contact.floor import FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
-from gf_usd.physics.laws.registry import ParticleLaws, particle_laws
+from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
 from gf_usd.physics.total_lagrangian.setup import (
     CELL_PER_LATTICE,
@@ -52,8 +52,8 @@ class Body:
 
     @property
     def converged(self) -> float:
-        """Change of a rotation that ends its iteration."""
-        return 1e-7 if self.real is np.float32 else 1e-15
+        """See `convergence`."""
+        return convergence(self.real)
 
 
 def build_body(

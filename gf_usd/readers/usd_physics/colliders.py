@@ -194,7 +194,6 @@ def _name(prim: Usd.Prim) -> str:
 
 
 APPROXIMATION = "physics:approximation"
-MESH_COLLISION = "PhysicsMeshCollisionAPI"
 KNOWN = (
     "none", "convexDecomposition", "convexHull", "boundingSphere", "boundingCube",
     "meshSimplification",
