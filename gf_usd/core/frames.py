@@ -24,6 +24,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CellCopies:
+    """Cells of the grid that a solid fills, each once for every connected part of the solid in it.
+
+    Where limbs are near each other a cell has several copies, and so have nodes (docs/physics.md).
+    """
+
+    h: float  # [m] edge of a cell; cells start at `Particles.corner`
+    cell: Ints  # (K, 3) cell of each copy, counted from there
+    body: Ints  # (K,) as in Particles
+    links: Ints  # (E, 2) copies of cells with a common face, across which the solid is connected
+    of: Ints  # (N,) copy of each particle; some copies have none
+
+
+@dataclass(frozen=True, kw_only=True)
 class Particles:
     """Quadrature points of the solid and their rest Gaussians."""
 
@@ -41,6 +55,7 @@ class Particles:
     corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
+    copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
 
     def __len__(self) -> int:
         return len(self.X)
@@ -59,6 +74,7 @@ class SurfaceSamples:
     area: Floats  # (n,) [m^2] of surface that each stands for
     normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
     body: Ints | None = None  # (n,) as in Particles
+    cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
 
 @dataclass(frozen=True, kw_only=True)

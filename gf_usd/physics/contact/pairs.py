@@ -61,8 +61,12 @@ class BodyContact:
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
-            BodySkin(skin, body.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
-                     samples.X[m])
+            BodySkin(
+                skin,
+                body.stencil.rows(skin.points, np.full(len(skin.points), k), skin.cell_copy),
+                m,
+                samples.X[m],
+            )
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
         self.planes = nothing(len(samples.X))
