@@ -44,7 +44,7 @@ def plan_bodies(
 
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
     """
-    from gf_usd.geometry.bodies import find_bodies
+    from gf_usd.geometry.connected.bodies import find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
     of = find_bodies(solid, particles.spacing, owners=owned, combine=combine)
@@ -134,7 +134,7 @@ def keep_limbs_apart(
 
     riding : (n, 3) [m] points that ride, by prim path.
     """
-    from gf_usd.geometry.cells.copies import find_limbs
+    from gf_usd.geometry.connected.copies import find_limbs
 
     limbs = find_limbs(solid, filled.particles, bodies.of_surface)
     if limbs is None:

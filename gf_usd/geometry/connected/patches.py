@@ -20,7 +20,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
-from gf_usd.geometry.cells.pieces import cut
+from gf_usd.geometry.connected.pieces import cut
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.winding import Edges, winding_inside
 

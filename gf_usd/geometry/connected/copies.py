@@ -25,8 +25,8 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import CellCopies, Particles
 from gf_usd.core.neighbors import components, kd_tree, node_copies
-from gf_usd.geometry.bodies import TOUCHING, spread
-from gf_usd.geometry.cells.patches import Patches, Skins, find_patches, found
+from gf_usd.geometry.connected.bodies import TOUCHING, spread
+from gf_usd.geometry.connected.patches import Patches, Skins, find_patches, found
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import winding_inside
