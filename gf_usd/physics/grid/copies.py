@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,7 @@ class NodeCopies:
         A point on the face of a cell is in the cell of its copy.
         """
         own = self.cell[copy]
-        inside: NDArray[np.bool_] = (np.abs(cells - own - 1.0) <= 0.5 + SLACK).all(1)
+        inside: Any = (np.abs(cells - own - 1.0) <= 0.5 + SLACK).all(1)
         return np.where(inside[:, None], own, np.floor(cells - 0.5).astype(np.int64))
 
     def locate(self, base: Ints, copy: Ints) -> Ints:
