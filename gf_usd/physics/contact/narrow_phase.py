@@ -21,6 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
+from gf_usd.physics.contact.carriers import Triples, spin
 from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
 from gf_usd.physics.grid.reference import Rows
 
@@ -35,23 +36,30 @@ APART = 4.0  # [spacings] at rest, from where on a body meets itself
 # 0.41 spacings at most; with 1 by 0.52 (measured).
 STIFFER = 2.0
 CROWD = 24  # samples asked for around one that may meet its own body: most are its neighbors
-ARRAYS = ("partner", "obstacle", "normal", "point", "velocity")
+ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPlanes:
     """What each of n samples faces, in the world."""
 
-    partner: Ints  # (n,) the sample that carries the plane, NOBODY or OBSTACLE
+    partner: Ints  # (n,) the first of the samples that carry the plane, NOBODY or OBSTACLE
+    carriers: Ints  # (n, 3) all of them: see `carriers`
+    weights: Floats  # (n, 3) of the carriers
     obstacle: Ints  # (n,) which obstacle; -1: none
     normal: Floats  # (n, 3) unit, out of what is faced
-    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from the partner
+    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from sum w_k x_k of the carriers
     velocity: Floats  # (n, 3) [m/s] of an obstacle
+
+    @property
+    def carried(self) -> Ints:
+        """Samples whose plane is carried by a body."""
+        return np.flatnonzero(self.partner >= 0)
 
     @property
     def active(self) -> Ints:
         """Samples that face something or are faced."""
-        faced = self.partner[self.partner >= 0]
+        faced = self.carriers[self.carried].ravel()
         return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
 
     def forget(self, rows: Ints) -> None:
@@ -61,20 +69,33 @@ class ContactPlanes:
             getattr(self, name)[rows] = getattr(away, name)
 
     def lists(self) -> tuple[Ints, Ints]:
-        """(n + 1,) and (m,): for each sample those that face it, in order."""
-        who = np.flatnonzero(self.partner >= 0)
-        order = who[np.argsort(self.partner[who], kind="stable")]
-        start = np.searchsorted(self.partner[order], np.arange(len(self.partner) + 1))
-        return start, order
+        """(n + 1,) and (3 m,): for each sample the 3 s + k whose carrier k it is, in order."""
+        who = self.carried
+        entries = (3 * who[:, None] + np.arange(3)).ravel()
+        carriers = self.carriers[who].ravel()
+        order = np.argsort(carriers, kind="stable")
+        start = np.searchsorted(carriers[order], np.arange(len(self.partner) + 1))
+        return start, entries[order]
+
+    def ridden(self, values: Floats) -> Floats:
+        """sum_k w_k (n, 3) of what the carriers have of values (n, 3); 0 for obstacles."""
+        out, who = np.zeros_like(values), self.carried
+        out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
+        return out
+
+    def spin(self, x: Floats, v: Floats) -> Floats:
+        """(n, 3) [1/s] at which the carriers of each plane turn; 0 for obstacles."""
+        out, who = np.zeros_like(x), self.carried
+        if len(who):
+            out[who] = spin(x[self.carriers[who]], v[self.carriers[who]])
+        return out
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
-        who = self.partner[active]
-        q = self.point[active] + elapsed * self.velocity[active]
-        q += np.where((who >= 0)[:, None], x[np.maximum(who, 0)], 0.0)
+        q = self.point + self.ridden(x) + elapsed * self.velocity
         out = np.zeros(len(x))
-        out[active] = np.maximum(0.0, ((q - x[active]) * self.normal[active]).sum(1))
+        out[active] = np.maximum(0.0, ((q - x)[active] * self.normal[active]).sum(1))
         return out
 
 
@@ -82,11 +103,23 @@ def nothing(n: int) -> ContactPlanes:
     """n samples that face nothing."""
     return ContactPlanes(
         partner=np.full(n, NOBODY),
+        carriers=np.full((n, 3), NOBODY),
+        weights=np.zeros((n, 3)),
         obstacle=np.full(n, -1),
         normal=np.zeros((n, 3)),
         point=np.zeros((n, 3)),
         velocity=np.zeros((n, 3)),
     )
+
+
+def turned(planes: ContactPlanes, angle: Floats) -> ContactPlanes:
+    """The planes of bodies turned by small angles (n, 3) with what carries them."""
+    normal = planes.normal + np.cross(angle, planes.normal)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    point = planes.point + np.where(
+        (planes.partner >= 0)[:, None], np.cross(angle, planes.point), 0
+    )
+    return replace(planes, normal=normal / np.where(length > 0.0, length, 1.0), point=point)
 
 
 def eased(planes: ContactPlanes, deeper: Floats) -> ContactPlanes:
@@ -117,26 +150,30 @@ class ContactSearch:
         return int(self._gone.sum())
 
     def offer(
-        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, carried: Ints | None,
-        velocity: Floats | None = None, obstacle: int = -1,
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats,
+        carriers: Ints | None = None, weights: Floats | None = None,
+        *, velocity: Floats | None = None, obstacle: int = -1,
     ) -> None:  # fmt: skip
-        """Offer samples `rows` a plane each, carried by samples, or by an obstacle at a velocity.
+        """Offer samples `rows` (k,) a plane each, carried by samples, or by an obstacle.
 
-        gap : (k,) [m]; point : (k, 3) [m] on it.
+        gap : (k,) [m]; point : (k, 3) [m] on it; carriers, weights : (k, 3), see `BodySkin`; None:
+        an obstacle's, that moves with velocity (k, 3) [m/s].
         """
         likely = gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
         rows, f = rows[nearer], self.planes
         self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
-        f.obstacle[rows] = obstacle
-        if carried is None:
+        f.obstacle[rows], f.velocity[rows] = obstacle, 0.0
+        if carriers is None or weights is None:
             f.partner[rows], f.point[rows] = OBSTACLE, point[nearer]
-            f.velocity[rows] = 0.0 if velocity is None else velocity[nearer]
-        else:
-            who = carried[nearer]
-            f.partner[rows], f.point[rows] = who, point[nearer] - self.x[who]
-            f.velocity[rows] = 0.0
+            f.carriers[rows], f.weights[rows] = NOBODY, 0.0
+            if velocity is not None:
+                f.velocity[rows] = velocity[nearer]
+            return
+        who, w = carriers[nearer], weights[nearer]
+        f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
+        f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
 
 
 def facing_itself(
@@ -199,17 +236,17 @@ class BodySkin:
     def __init__(self, skin: Skin, rows: Rows, samples: Ints, X: Floats) -> None:
         self.skin, self.samples = skin, samples
         self._W = rows.W
-        self._tree = kd_tree(X)
+        self._triples = Triples(X)
         corners = skin.points[skin.triangles]
         center = corners.mean(1)
-        gap, self._cover = self._tree.query(center)
+        gap, self._cover = kd_tree(X).query(center)
         reach = np.linalg.norm(corners - center[:, None], axis=2).max(1)
         self._reach = SLACK * (gap + reach)
 
     def near(
         self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
-    ) -> tuple[Closest, Ints]:
-        """The surface as points X (m, 3) [m] see it, and the sample nearest to each place seen.
+    ) -> tuple[Closest, Floats]:
+        """The surface as points X (m, 3) [m] see it, and the places seen (k, 3) [m] at rest.
 
         known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
         asked of the whole surface.  x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m]
@@ -229,8 +266,17 @@ class BodySkin:
             whole = self.skin.points + offset + self._W @ u
             seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
         rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
-        _, nearest = self._tree.query(rest) if len(rest) else (None, np.zeros(0, np.int64))
-        return seen, self.samples[nearest]
+        return seen, rest
+
+    def carriers(self, places: Floats) -> tuple[Ints, Floats]:
+        """Contact samples (k, 3) and weights (k, 3) that carry places (k, 3) [m] at rest.
+
+        The weights sum to 1, the largest first: see `Triples`.
+        """
+        if len(places) == 0:
+            return np.zeros((0, 3), np.int64), np.zeros((0, 3))
+        at, weights = self._triples(places)
+        return self.samples[at], weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,14 +350,16 @@ NOBODY = -1
 OBSTACLE = -2
 
 # A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
-ROW = 30
+ROW = 42
 REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
-POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from x_b), n, v_q of an obstacle
+POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
 STIFFNESS, DAMPING, FRICTION, MASS = 24, 25, 26, 27
 DEPTH, WORK = 28, 29  # deepest [m] and work of an obstacle [J] since they were cleared
-# ... and its whole numbers in one of `links`: b; where its list starts; one entry of all lists.
-LINKS = 3
-PARTNER, START, PAIR_FACING = 0, 1, 2
+WEIGHT, REACTION = 30, 33  # w_k and f_k of the three carriers
+# ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
+# all lists.
+LINKS = 7
+PARTNER, START, PAIR_FACING = 0, 3, 4
 
 
 def pack_arrays(n: int) -> dict[str, Floats]:

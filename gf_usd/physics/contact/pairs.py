@@ -9,6 +9,7 @@ is moved back until that is little, and the rest is counted.  The overlap report
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from gf_usd.physics.contact.narrow_phase import (
     nothing,
     obstacles,
     pair_values,
+    turned,
 )
 from gf_usd.physics.grid.embedding import deform_normals
 from gf_usd.physics.total_lagrangian.setup import Body
@@ -65,7 +67,7 @@ class BodyContact:
                      samples.X[m])
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
-        self.planes = nothing(len(samples.X))
+        self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
         self.injected = 0.0  # [J] since `begin`
@@ -175,14 +177,15 @@ class BodyContact:
         )  # fmt: skip
         self._k = values["stiffness"]
         self.injected += self._stored(self.planes.depth(x, 0.0)) - before
-        self._upload(state, now, values, dt)
+        self._upload(state, now, values, dt, self.planes.spin(x, v) * dt * (1.0 if done else 0.5))
         return int(np.clip(hold / dt, 1, left))
 
     def _sliding(self, v: Floats) -> float:
         """[m/s] the fastest of the samples against what they face."""
         f = self.planes
-        theirs = np.where((f.partner >= 0)[:, None], v[np.maximum(f.partner, 0)], f.velocity)
-        speed = np.linalg.norm(v - theirs, axis=1)[f.partner != narrow_phase.NOBODY]
+        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[
+            f.partner != narrow_phase.NOBODY
+        ]
         return float(speed.max(initial=0.0))
 
     def _schedule(
@@ -223,10 +226,11 @@ class BodyContact:
         # What was inside at the last detection is there still; what begins to be may be at a fold.
         gap = self._gap[rows]
         known = np.where(gap < 0.0, gap - EASE * self._spacing, 0.0)
-        found, carrier = self._skins[other].near(
-            search.x[rows], known, theirs, nodes, offset, search.reach
-        )
-        search.offer(rows[found.rows], found.gap, found.normal, found.point, carrier)
+        skin = self._skins[other]
+        found, rest = skin.near(search.x[rows], known, theirs, nodes, offset, search.reach)
+        search.offer(
+            rows[found.rows], found.gap, found.normal, found.point, *skin.carriers(rest)
+        )  # fmt: skip
 
     def _face_itself(self, search: ContactSearch, body: int, nodes: Floats) -> None:
         members = self._members[body]
@@ -237,7 +241,7 @@ class BodyContact:
         normal[members] = deform_normals(self._normal[members], np.arange(len(members)), F)
         a, b = facing_itself(search.x, normal, self._X, members, search.reach, self._spacing)
         gap = np.einsum("na,na->n", search.x[a] - search.x[b], normal[b])
-        search.offer(a, gap, normal[b], search.x[b], b)
+        search.offer(a, gap, normal[b], search.x[b], *self._skins[body].carriers(self._X[b]))
 
     def _face_obstacle(
         self, search: ContactSearch, near: Sequence[int], which: int, frame: float, span: float
@@ -246,13 +250,16 @@ class BodyContact:
         plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
         found = plane.seen
         search.offer(
-            rows[found.rows], found.gap, found.normal, found.point, None, plane.velocity, which,
+            rows[found.rows], found.gap, found.normal, found.point,
+            velocity=plane.velocity, obstacle=which,
         )  # fmt: skip
 
     def _upload(
-        self, state: State, now: StateView, values: Mapping[str, Floats], dt: float
+        self, state: State, now: StateView, values: Mapping[str, Floats], dt: float, angle: Floats
     ) -> None:
-        f, constants = self.planes, self.contact.constants
+        # A substep moves the planes on before it takes its forces, those half of it later: bodies
+        # are there already but at the start of a frame.
+        f, constants = turned(self.planes, -angle), self.contact.constants
         pair = state.rows("pair", narrow_phase.ROW)
         pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
         pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
@@ -260,10 +267,11 @@ class BodyContact:
             c, rate = now.constants
             pair[:, narrow_phase.REST : narrow_phase.DRIFT] += constants @ (c + 0.5 * dt * rate)
             pair[:, narrow_phase.DRIFT : narrow_phase.PLACE] = constants @ rate
-        # The forces of a substep are those half of it later.
-        point = f.point + 0.5 * dt * f.velocity
+        point = f.point - 0.5 * dt * f.velocity
         point[f.partner == narrow_phase.OBSTACLE] -= now.offset
         pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
+        pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
+        pair[:, narrow_phase.REACTION :] = 0.0
         pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
             [point, f.normal, f.velocity]
         )
@@ -273,7 +281,21 @@ class BodyContact:
         )
         start, order = f.lists()
         links = np.full((len(start), narrow_phase.LINKS), narrow_phase.NOBODY)
-        links[:-1, narrow_phase.PARTNER], links[:, narrow_phase.START] = f.partner, start
-        links[: len(order), narrow_phase.PAIR_FACING] = order
+        links[:-1, : narrow_phase.START], links[:, narrow_phase.START] = f.carriers, start
+        links[:-1, narrow_phase.PARTNER] = f.partner
+        entries = np.zeros((len(start), 3), np.int64)
+        entries.flat[: len(order)] = order
+        links[:, narrow_phase.PAIR_FACING :] = entries
         state.put("pair", pair)
         state.put("links", links)
+
+    def follow(self, state: State, dt: float, closed: bool) -> None:
+        """Take the planes as substeps of dt [s] left them; closed : they ended a frame."""
+        pair, f = state.rows("pair", narrow_phase.ROW), self.planes
+        who = f.carried
+        normal, point = f.normal.copy(), f.point.copy()
+        normal[who] = pair[who, narrow_phase.NORMAL : narrow_phase.VELOCITY]
+        point[who] = pair[who, narrow_phase.POINT : narrow_phase.NORMAL]
+        x, v = self._motion(state.view())
+        step = 0.5 * dt if closed else dt  # that the bodies moved by since their last forces
+        self.planes = turned(replace(f, normal=normal, point=point), step * f.spin(x, v))

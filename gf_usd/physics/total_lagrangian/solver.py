@@ -117,6 +117,8 @@ class TotalLagrangian(Solver):
             active = max(active, self.active.select(state, watched))
             self.launches.run(state, chunk, dt, len(watched))
             left -= chunk
+            if pairs:
+                pairs.follow(state, dt, closed=left == 0)
         state.time += substeps * dt
         state.recenter()
         stats = self._stats(index, active)
