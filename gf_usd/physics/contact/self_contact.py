@@ -29,6 +29,8 @@ HOPS = 4  # edges of the sample mesh, from where on a body meets itself
 THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet each other
 SEE = 1.25  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
 SEEDS = 3  # samples facing one whose triangles are looked at
+STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
+ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
 PATCH = 48  # samples of a patch, about
 FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
@@ -160,12 +162,12 @@ class SelfContact:
         """See `Patches.judge`."""
         return self._patches.judge(x, v)
 
-    def imminent(self, x: Floats, v: Floats, span: float) -> bool:
-        """Whether anything may touch itself within a span [s]."""
+    def imminent(self, x: Floats, v: Floats, span: float, before: Floats, gap: Floats) -> bool:
+        """Whether anything may touch itself within a span [s]; before, gap : as of `find`."""
         near, hold = self.judge(x, v)
         if not near:
             return hold < span
-        found = self.find(x, 2.0 * SEE * self._spacing, x, np.full(len(x), -np.inf))
+        found = self.find(x, 2.0 * SEE * self._spacing, before, gap)
         theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
         closing = -((v[found.rows] - theirs) * found.normal).sum(1)
         left = found.gap - AHEAD * span * np.maximum(closing, 0.0)
@@ -239,7 +241,7 @@ class SelfContact:
         i, j = np.nonzero(t >= 0)
         at = t[i, j]
         s = rows[i]
-        keep = np.einsum("na,na->n", normal[s], face[at]) < 0.3
+        keep = np.einsum("na,na->n", normal[s], face[at]) < ASIDE
         corners = mesh.triangles[at]
         keep &= ~neighbors.near(s[:, None], corners).any(1)
         i, at, s, corners = i[keep], at[keep], s[keep], corners[keep]
@@ -257,6 +259,7 @@ class SelfContact:
         vertex = weights.max(1) > 1.0 - 1e-9
         share = np.where(vertex, angle[at, weights.argmax(1)], 1.0) * tie
         pseudo = np.add.reduceat(share[:, None] * face[at], start)
+        seen = np.add.reduceat(tie.astype(int), start)
         first = np.flatnonzero(tie)[np.searchsorted(np.flatnonzero(tie), start)]
         i, s, q, away = i[first], s[first], q[first], away[first]
         weights, corners, at = weights[first], corners[first], at[first]
@@ -265,8 +268,15 @@ class SelfContact:
         # On the rim of what is admitted the closest place may be beyond it.
         rim = (neighbors.rim(s[:, None], corners) & (weights > 0.0)).any(1)
         rim &= weights.min(1) <= 0.0
-        was = x_side(before, s, corners, weights)
-        believed = (now >= 0.0) | (was >= 0.0) | (gap[s] < 0.0)
+        # Where the sample does not face all that meets at an edge or a corner, what it faces ends
+        # there, and behind it is not inside.
+        free = (weights > 1e-9).sum(1)
+        degree = (mesh.around[corners[np.arange(len(s)), weights.argmax(1)]] >= 0).sum(1)
+        ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
+        rim |= ends & (now < 0.0)
+        came, height = self._came(before, s, corners, weights)
+        was = np.where(gap[s] < 0.0, gap[s], np.where(height >= 0.0, came, np.inf))
+        believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
         keep = (least < reach) & ~rim & believed
         pseudo /= np.maximum(np.linalg.norm(pseudo, axis=1, keepdims=True), 1e-30)
         on = least <= 1e-6 * self._spacing
@@ -278,14 +288,15 @@ class SelfContact:
             carriers=corners[keep], weights=weights[keep],
         )  # fmt: skip
 
-
-def x_side(x: Floats, s: Ints, corners: Ints, weights: Floats) -> Floats:
-    """[m] of samples s above the planes of their triangles (k, 3), in the direction outwards."""
-    a, b, c = np.moveaxis(x[corners], 1, 0)
-    n = np.cross(b - a, c - a)
-    length = np.linalg.norm(n, axis=1)
-    q = np.einsum("nk,nka->na", weights, x[corners])
-    return ((x[s] - q) * n).sum(1) / np.where(length > 0.0, length, 1.0)
+    @staticmethod
+    def _came(x: Floats, s: Ints, corners: Ints, weights: Floats) -> tuple[Floats, Floats]:
+        """[m] from samples s to places of triangles (k, 3), and how high they are above these."""
+        a, b, c = np.moveaxis(x[corners], 1, 0)
+        n = np.cross(b - a, c - a)
+        length = np.linalg.norm(n, axis=1)
+        away = x[s] - np.einsum("nk,nka->na", weights, x[corners])
+        height = (away * n).sum(1) / np.where(length > 0.0, length, 1.0)
+        return np.linalg.norm(away, axis=1), height
 
 
 def _nothing() -> Facing:
