@@ -31,6 +31,8 @@ SEE = 1.25  # [spacings] radius of the ball in which a sample looks ahead: it se
 SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
 ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
+TURN = 1.5  # [spacings] that a normal turned by a radian is as far as
+LOOKED = 12  # samples of which SEEDS are chosen
 PATCH = 48  # samples of a patch, about
 FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
@@ -213,14 +215,18 @@ class SelfContact:
         out = np.full((len(rows), SEEDS), -1)
         if len(rows) == 0:
             return out
-        pairs = kd_tree(x[rows]).sparse_distance_matrix(
-            kd_tree(x), reach + self._spacing, output_type="ndarray"
-        )
-        a, b = pairs["i"], pairs["j"]
+        # Facing is near in space and in minus the normal: what lies beside is as far as `wide`.
+        wide = TURN * self._spacing
+        at = kd_tree(np.hstack([x, wide * normal])).query(
+            np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(x)),
+            distance_upper_bound=np.hypot(reach, 2.0**0.5 * wide),
+        )[1].reshape(len(rows), -1)  # fmt: skip
+        a, j = np.nonzero(at < len(x))
+        b = at[a, j]
         facing = np.einsum("na,na->n", normal[rows[a]], normal[b]) < 0.0
-        a, b, distance = a[facing], b[facing], pairs["v"][facing]
-        far = ~neighbors.near(rows[a], b)
-        a, b, distance = a[far], b[far], distance[far]
+        facing[facing] = ~neighbors.near(rows[a[facing]], b[facing])
+        a, b = a[facing], b[facing]
+        distance = np.linalg.norm(x[rows[a]] - x[b], axis=1)
         order = np.lexsort((b, distance, a))
         a, b = a[order], b[order]
         rank = np.arange(len(a)) - np.searchsorted(a, a)
