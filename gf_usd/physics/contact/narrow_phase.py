@@ -30,11 +30,10 @@ TRAVEL = 0.5  # [spacings] that samples may move between two detections
 # [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first; the rest is for speeds that grow and for what the surface does between its samples.
 CLOSER = 1.5 * TRAVEL
-EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
 # Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
 # 0.41 spacings at most; with 1 by 0.52 (measured).
 STIFFER = 2.0
-ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity")
+ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +47,7 @@ class ContactPlanes:
     normal: Floats  # (n, 3) unit, out of what is faced
     point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from sum w_k x_k of the carriers
     velocity: Floats  # (n, 3) [m/s] of an obstacle
+    spring: Floats  # (n, 3) [m] xi of friction, along the plane
 
     @property
     def carried(self) -> Ints:
@@ -107,22 +107,32 @@ def nothing(n: int) -> ContactPlanes:
         normal=np.zeros((n, 3)),
         point=np.zeros((n, 3)),
         velocity=np.zeros((n, 3)),
+        spring=np.zeros((n, 3)),
     )
 
 
-def turned(planes: ContactPlanes, angle: Floats) -> ContactPlanes:
-    """The planes of bodies turned by small angles (n, 3) with what carries them."""
-    normal = planes.normal + np.cross(angle, planes.normal)
+def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPlanes:
+    """The planes as what carries them leaves them a short time [s] on; those of obstacles stay.
+
+    x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
+    slip of their samples.
+    """
+    p, spin = planes, planes.spin(x, v)
+    normal = p.normal + time * np.cross(spin, p.normal)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    point = planes.point + np.where(
-        (planes.partner >= 0)[:, None], np.cross(angle, planes.point), 0
-    )
-    return replace(planes, normal=normal / np.where(length > 0.0, length, 1.0), point=point)
+    normal = normal / np.where(length > 0.0, length, 1.0)
+    point = p.point + np.where((p.partner >= 0)[:, None], time * np.cross(spin, p.point), 0.0)
+    spring = p.spring.copy()
+    if (stuck := np.flatnonzero(spring.any(1))).size:
+        slip = v - p.ridden(v) - p.velocity - np.cross(spin, x - p.ridden(x))
+        spring[stuck] += time * (slip + np.cross(spin, spring))[stuck]
+        spring[stuck] = along(spring[stuck], normal[stuck])
+    return replace(p, normal=normal, point=point, spring=spring)
 
 
-def eased(planes: ContactPlanes, deeper: Floats) -> ContactPlanes:
-    """The planes moved back along their normals by deeper (n,) [m] >= 0."""
-    return replace(planes, point=planes.point - deeper[:, None] * planes.normal)
+def along(vectors: Floats, normal: Floats) -> Floats:
+    """(n, 3) what of vectors lies in the planes of unit normals."""
+    return vectors - (vectors * normal).sum(1, keepdims=True) * normal
 
 
 class ContactSearch:
@@ -330,12 +340,12 @@ NOBODY = -1
 OBSTACLE = -2
 
 # A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
-ROW = 42
+ROW = 44
 REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
 POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
-STIFFNESS, DAMPING, FRICTION, MASS = 24, 25, 26, 27
-DEPTH, WORK = 28, 29  # deepest [m] and work of an obstacle [J] since they were cleared
-WEIGHT, REACTION = 30, 33  # w_k and f_k of the three carriers
+STIFFNESS, DAMPING, FRICTION = 24, 25, 26
+DEPTH, WORK = 27, 28  # deepest [m] and work of an obstacle [J] since they were cleared
+SPRING, WEIGHT, REACTION = 29, 32, 35  # xi; w_k and f_k of the three carriers
 # ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
 # all lists.
 LINKS = 7

@@ -16,25 +16,25 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.materials import G0, time_scale
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
+from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.floor import damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
-    EASE,
     FACING,
     STIFFER,
     TRAVEL,
     BodySkin,
     ContactPlanes,
     ContactSearch,
-    eased,
+    moved,
     nothing,
     obstacles,
     pair_values,
-    turned,
 )
 from gf_usd.physics.contact.self_contact import SelfContact
 from gf_usd.physics.total_lagrangian.setup import Body
@@ -44,6 +44,10 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 # Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
 # each other strain them twice as fast as one that comes at a wall does.
 CROWD = 4.0 * STIFFER
+# Of m g0 r in T: what planes may give to a pair so that its samples come to be as deep as they
+# truly are.  At rest, where that matters, springs hold a ten-thousandth of m g0 r; in a whole bake
+# of ten T it is a thousandth.
+BUDGET = 1e-4
 
 
 class BodyContact:
@@ -59,7 +63,7 @@ class BodyContact:
         samples, skins = body.contact.samples, body.contact_setup.skins
         self._X = samples.X
         of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
-        self._members = [np.flatnonzero(of == k) for k in range(len(skins))]
+        self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
@@ -69,6 +73,8 @@ class BodyContact:
         ]  # fmt: skip
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
         self._x = samples.X  # [m] at the last detection
+        weight = body.particles.radius * G0 * float(body.m.sum())
+        self._budget = BUDGET * weight / time_scale(body.particles.radius)  # [W]
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
@@ -118,10 +124,20 @@ class BodyContact:
 
     def energy(self, now: StateView, time: float) -> float:
         """[J] in the springs of the planes last detected, at a time [s]."""
-        return self._stored(self.planes.depth(self._motion(now)[0], time - self._detected))
+        return self._stored(self._motion(now)[0], time).energy
 
-    def _stored(self, depth: Floats) -> float:
-        return float(0.5 * self._k @ depth**2)
+    def _stored(self, x: Floats, time: float) -> Stored:
+        depth = self.planes.depth(x, time - self._detected)
+        return Stored(
+            planes=self.planes, depth=depth, stiffness=self._k, pair=self._pairs(self.planes)
+        )
+
+    def _pairs(self, planes: ContactPlanes) -> Ints:
+        """(n,) which body of each sample and what it faces, as one number; -1: nothing."""
+        theirs = np.where(planes.partner >= 0, self._of[planes.partner], planes.obstacle)
+        theirs = theirs + np.where(planes.partner >= 0, len(self._obstacles), 0)
+        number = self._of * (len(self._obstacles) + len(self._members)) + theirs
+        return np.where(planes.partner == narrow_phase.NOBODY, -1, number)
 
     def imminent(self, now: StateView, time: float, still: Ints | None = None) -> bool:
         """Whether anything may touch before the next frame; bodies `still` (B,) do not move.
@@ -171,8 +187,7 @@ class BodyContact:
         time = state.time + elapsed
         x, v = self._motion(now)
         meet, hold = self._schedule(x, v, frame, left * dt)
-        old = self.planes.depth(x, time - self._detected)
-        before = self._stored(old)
+        old = self._stored(x, time)
         search = ContactSearch(
             x, (FACING + TRAVEL) * self._spacing, self._gap - CLOSER * self._spacing
         )
@@ -183,21 +198,29 @@ class BodyContact:
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
         hold = min(hold, self._face_themselves(search, v))
-        deeper = search.planes.depth(x, 0.0) - old
-        deeper[np.isinf(self._gap)] = 0.0
-        self.planes = eased(search.planes, np.maximum(0.0, deeper - EASE * self._spacing))
+        values = pair_values(
+            search.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
+            self.contact.restitution,
+            [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
+        )  # fmt: skip
+        new = Stored(
+            planes=search.planes,
+            depth=search.planes.depth(x, 0.0),
+            stiffness=values["stiffness"],
+            pair=self._pairs(search.planes),
+        )
+        if np.isfinite(self._gap).all():
+            budget = self._budget * (time - self._detected)
+            new = continued(old, new, ease=EASE * self._spacing, budget=budget)
+        self.planes, self._k = new.planes, new.stiffness
+        self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x
         self._overlap = max(self._overlap, -float(search.gap.min()))
         self.released = max(self.released, search.released)
         hold = min(hold, TRAVEL * self._spacing / max(self._sliding(v), 1e-30))
-        values = pair_values(
-            self.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
-            self.contact.restitution,
-            [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
-        )  # fmt: skip
-        self._k = values["stiffness"]
-        self.injected += self._stored(self.planes.depth(x, 0.0)) - before
-        self._upload(state, now, values, dt, self.planes.spin(x, v) * dt * (1.0 if done else 0.5))
+        # A substep moves the planes on before it takes its forces, those half of it later: bodies
+        # are there already but at the start of a frame.
+        self._upload(state, now, values, dt, moved(self.planes, x, v, -dt if done else -0.5 * dt))
         return int(np.clip(hold / dt, 1, left))
 
     def _sliding(self, v: Floats) -> float:
@@ -292,11 +315,14 @@ class BodyContact:
         )  # fmt: skip
 
     def _upload(
-        self, state: State, now: StateView, values: Mapping[str, Floats], dt: float, angle: Floats
+        self,
+        state: State,
+        now: StateView,
+        values: Mapping[str, Floats],
+        dt: float,
+        f: ContactPlanes,
     ) -> None:
-        # A substep moves the planes on before it takes its forces, those half of it later: bodies
-        # are there already but at the start of a frame.
-        f, constants = turned(self.planes, -angle), self.contact.constants
+        constants = self.contact.constants
         pair = state.rows("pair", narrow_phase.ROW)
         pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
         pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
@@ -307,6 +333,7 @@ class BodyContact:
         point = f.point - 0.5 * dt * f.velocity
         point[f.partner == narrow_phase.OBSTACLE] -= now.offset
         pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
+        pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
         pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
         pair[:, narrow_phase.REACTION :] = 0.0
         pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
@@ -314,7 +341,7 @@ class BodyContact:
         )
         damping = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])
         pair[:, narrow_phase.STIFFNESS : narrow_phase.DEPTH] = np.stack(
-            [values["stiffness"], damping, values["friction"], values["mass"]], 1
+            [values["stiffness"], damping, values["friction"]], 1
         )
         start, order = f.lists()
         links = np.full((len(start), narrow_phase.LINKS), narrow_phase.NOBODY)
@@ -333,6 +360,10 @@ class BodyContact:
         normal, point = f.normal.copy(), f.point.copy()
         normal[who] = pair[who, narrow_phase.NORMAL : narrow_phase.VELOCITY]
         point[who] = pair[who, narrow_phase.POINT : narrow_phase.NORMAL]
-        x, v = self._motion(state.view())
-        step = 0.5 * dt if closed else dt  # that the bodies moved by since their last forces
-        self.planes = turned(replace(f, normal=normal, point=point), step * f.spin(x, v))
+        spring = pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT]
+        # By what the bodies moved since their last forces.
+        self.planes = moved(
+            replace(f, normal=normal, point=point, spring=spring),
+            *self._motion(state.view()),
+            0.5 * dt if closed else dt,
+        )

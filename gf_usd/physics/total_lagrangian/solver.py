@@ -109,6 +109,7 @@ class TotalLagrangian(Solver):
             pairs.begin(state)
         dt, left = self.frame_time / substeps, substeps
         active = 0
+        self.active.move_springs(state, -0.5 * dt)
         while left:
             chunk, watched = left, near
             if pairs:
@@ -119,6 +120,7 @@ class TotalLagrangian(Solver):
             left -= chunk
             if pairs:
                 pairs.follow(state, dt, closed=left == 0)
+        self.active.move_springs(state, 0.5 * dt)
         state.time += substeps * dt
         state.recenter()
         stats = self._stats(index, active)
