@@ -175,7 +175,10 @@ def fill(
         pins=pins,
         choices=choices,
         bodies=bodies,
-        contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
+        contact_setup=contact_setup(
+            solid, bodies, physics,
+            self_contact=False if paper or settings.solver == "ul" else request.self_contact,
+        ),
         velocity=tuple(start_velocities(asset, bodies, spec.bodies, settings.time_scale)),
         advice=advice,
         notes=(

@@ -86,9 +86,7 @@ class BodyContact:
 
     def _meets(self, body: int) -> bool:
         """Whether a body meets itself; one without samples, or all of which is held, does not."""
-        setup = self.contact_setup
-        asked = setup.self_contact and (body, body) not in setup.through
-        return asked and len(self._members[body]) > 0
+        return body in self.contact_setup.self_contact and len(self._members[body]) > 0
 
     def _itself(self, body: int, samples: SurfaceSamples) -> SelfContact:
         m = self._members[body]
