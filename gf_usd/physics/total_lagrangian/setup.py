@@ -114,7 +114,7 @@ def build_body(
         particles.X,
         m,
         h,
-        particles.corner,
+        particles.corner if particles.corners is None else particles.corners,
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
