@@ -65,10 +65,10 @@ def fill(
     known : what `diagnose` said of its surfaces, if it was asked already.
     """
     from gf_usd.core.mesh import signed_volume
-    from gf_usd.geometry.contact_samples import sample_surface
     from gf_usd.geometry.diagnosis import diagnose, tolerated
     from gf_usd.geometry.repair import notes
-    from gf_usd.geometry.sampling import sample_solid
+    from gf_usd.geometry.sampling.contact_samples import sample_surface
+    from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
 

@@ -17,8 +17,8 @@ from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.contact_samples import sample_surface
-from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 

@@ -77,11 +77,12 @@ def test_a_region_without_a_particle_is_bare():
     points = ball.points.copy()
     top = int(np.argmax(points[:, 2]))
     points[top] = [0.0, 0.0, 3.0]
-    (spike,) = parts_of(surface(points, ball.triangles), particles=2000)
-    assert (spike.kind, spike.particles) == ("bare region", 0)
+    found = parts_of(surface(points, ball.triangles), particles=2000)
+    # What a cell holds of it is merged by lots of four particles, with stretches bare between them.
+    assert {(spike.kind, spike.particles) for spike in found} == {("bare region", 0)}
     # The last sample lies within two spacings, 0.26, of the tip.
-    assert 2.74 < spike.high[2] <= 3.0
-    assert spike.low[2] > 1.0
+    assert 2.74 < max(spike.high[2] for spike in found) <= 3.0
+    assert min(spike.low[2] for spike in found) > 1.0
 
 
 def test_a_cavity_is_no_empty_part():

@@ -17,8 +17,8 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.mesh import signed_volume, weld
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.contact_samples import sample_surface
-from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid, build_solid
 
 # Corners are numbered x + 2 y + 4 z; faces look outward.

@@ -44,7 +44,7 @@ def drop(solver: str, particles: int, device: str) -> Drop:
     heights, sigmas, centers, energies = [], [], [], []
     for frame in run.frames():
         heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
-        sigmas.append(strains(frame.particles.F)[0][:, 0].mean())
+        sigmas.append(body.V0 @ strains(frame.particles.F)[0][:, 0] / body.volume)
         centers.append(frame.health.center[1])
         energies.append(energy(frame.health))
     low = int(np.argmin(centers))

@@ -8,7 +8,7 @@ from mesh_moments import BODIES, of_mesh
 from solids import cube, joined, solid, sphere, turned, without
 
 from gf_usd.core.mesh import signed_volume
-from gf_usd.geometry.cells.content import FULL, Grid, find_content
+from gf_usd.geometry.sampling.content import FULL, Grid, find_content
 
 
 def grid_over(body, h, shift=(0.0, 0.0, 0.0)):

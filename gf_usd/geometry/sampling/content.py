@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.mesh import shells, signed_volume
-from gf_usd.geometry.cells.pieces import POINTS, WEIGHTS, cut
+from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
 
 # Powers of x, y, z, in the order of the moments.

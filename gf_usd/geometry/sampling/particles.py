@@ -1,9 +1,9 @@
 """Filling a solid with particles.
 
 Particles are quadrature points: those of a cell of the solver's grid integrate the part of it that
-the solid fills exactly up to second moments (`cells`; docs/physics.md).  A full cell has the eight
-points of Gauss's rule, each of volume a^3, and a cell that the surface cuts four or eight.  Each
-body has a grid of its own, centered on it.
+the solid fills exactly up to second moments (`filling`; docs/physics.md).  A full cell has the
+eight points of Gauss's rule, each of volume a^3, and a cell that the surface cuts four or eight.
+Each body has a grid of its own, centered on it.
 
 The grid lies in a frame whose Y is up, so that an asset has the same particles whichever axis is.
 """
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
-from gf_usd.geometry.cells.content import Grid
-from gf_usd.geometry.cells.filling import Filling, fill_cells
+from gf_usd.geometry.sampling.content import Grid
+from gf_usd.geometry.sampling.filling import Filling, fill_cells
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import colors, nearest
 

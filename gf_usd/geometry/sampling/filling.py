@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.geometry.cells.content import POWERS, Content, Grid, find_content
-from gf_usd.geometry.cells.mirror import mirror_axes
-from gf_usd.geometry.cells.rules import moment_points
+from gf_usd.geometry.sampling.content import POWERS, Content, Grid, find_content
+from gf_usd.geometry.sampling.mirror import mirror_axes
+from gf_usd.geometry.sampling.rules import moment_points
 from gf_usd.geometry.solid import Solid
 
 Flags = NDArray[np.bool_]
 
-SLIVER = 0.1  # [cells] of volume: what holds less goes to a neighbor
+SLIVER = 0.24  # [cells] of volume: what holds less goes to a neighbor
 SAME_SURFACE = 0.05  # [cells] by which mirror images may differ where polygons are cut otherwise
 
 

@@ -25,7 +25,7 @@ from gf_usd.core.arrays import Floats, Ints
 
 Flags = NDArray[np.bool_]
 
-MANY = 0.9  # of a full cell: with more content it has the eight points of a full one, else four
+MANY = 0.76  # of a full cell: with more content it has the eight points of a full one, else four
 TURNS = 48  # rotations that are tried in turn
 VOID = 10  # points out of their cell that are as bad as one out of the solid
 WORST = np.iinfo(np.int64).max

@@ -1,7 +1,7 @@
 """Contact samples, spread over the surface of each body about a spacing apart.
 
 Without random numbers, and alike on both sides of the planes that a body is symmetric about
-(`cells.mirror`): a body that is its own mirror image has samples that are theirs.
+(`mirror`): a body that is its own mirror image has samples that are theirs.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.geometry.cells.mirror import SAME, mirror_axes
-from gf_usd.geometry.cells.pieces import cut_along
-from gf_usd.geometry.sampling import TURNS
+from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
+from gf_usd.geometry.sampling.particles import TURNS
+from gf_usd.geometry.sampling.pieces import cut_along
 from gf_usd.geometry.solid import Solid
 
 EXCLUDED = 0.7  # [spacings] no two samples are as near to each other

@@ -8,14 +8,16 @@ from scipy.spatial import cKDTree
 from solids import CUBE_POINTS, ball, cube, fill, solid, sphere, surface
 
 from gf_usd.core.errors import InputError
-from gf_usd.geometry.contact_samples import sample_surface, thin
-from gf_usd.geometry.sampling import (
+from gf_usd.geometry.sampling.contact_samples import sample_surface, thin
+from gf_usd.geometry.sampling.filling import SLIVER
+from gf_usd.geometry.sampling.particles import (
     LEAST_PARTICLES,
     SIGMA_R,
     SIGMA_T,
     quaternion_from_axis,
     sample_solid,
 )
+from gf_usd.geometry.sampling.rules import MANY
 from gf_usd.geometry.surface import nearest
 from gf_usd.physics.grid.reference import build_stencil
 
@@ -29,10 +31,10 @@ def sheared(body):
 @pytest.mark.parametrize("wanted", [1000, 8000, 64000])
 def test_about_as_many_particles_as_asked_for(wanted):
     particles = sample_solid(solid(sheared(sphere())), particles=wanted, spacing=None, seed=0)
-    # A cell that is cut to the share f has 4 particles for 8 f, or none, or 8: each is off by up to
-    # 4, evenly spread a standard deviation of 2.3.  The surface, 5 N^(2/3) cubes, cuts 1.5 cells
+    # A cell that is cut to the share f has 0, 4 or 8 particles for 8 f: each is off by up to 2,
+    # evenly spread a standard deviation of 1.15.  The surface, 5 N^(2/3) cubes, cuts 1.5 cells
     # for every four of them.  Three sigma, and 1 % for what that mean leaves out.
-    sigma = 2.3 * np.sqrt(1.5 * 5.0 / 4.0 * wanted ** (2.0 / 3.0))
+    sigma = 1.15 * np.sqrt(1.5 * 5.0 / 4.0 * wanted ** (2.0 / 3.0))
     assert abs(len(particles) - wanted) < 3.0 * sigma + 0.01 * wanted
 
 
@@ -42,10 +44,10 @@ def test_particles_lie_inside_and_share_the_volume():
     assert body.inside(particles.X).all()
     assert particles.outside == 0
     assert particles.V0.sum() == pytest.approx(body.volume, rel=1e-12)
-    # Slivers under a tenth of a cell are merged, and four stand for .9 of it at most.
-    least, most = 0.1 * 8.0 / 4.0, (0.9 + 0.1) * 8.0 / 4.0
+    # Four stand for a quarter of a cell at least, and for three quarters at most; eight for those,
+    # or for a full cell with the slivers of two sides, a quarter each.
     share = particles.V0 / particles.lattice**3
-    assert least <= share.min() < 1.0 < share.max() <= most + 0.2
+    assert 8.0 * SLIVER / 4.0 <= share.min() <= 1.0 < share.max() <= 8.0 * MANY / 4.0
     assert particles.volume == pytest.approx(body.volume, rel=1e-12)
     assert particles.spacing == pytest.approx(np.cbrt(body.volume / len(particles)), rel=1e-14)
     assert particles.radius == pytest.approx(0.3, rel=0.01)  # a geodesic sphere is a little less

@@ -1,1 +1,0 @@
-"""Cells of the solver's grid cut by a solid: exact moments, and particles that integrate them."""
