@@ -183,7 +183,7 @@ class _Parts:
         looks = many[cell]
         who = np.repeat(np.arange(len(X)), looks)
         turn = np.arange(len(who)) - np.repeat(np.cumsum(looks) - looks, looks)
-        target = _largest(rows)[by_cell[start[cell[who]] + turn]]
+        target = rows.largest[by_cell[start[cell[who]] + turn]]
         hit = rows.first_hit(X[who], target)
         return np.unique(np.stack([who, rows.patch[hit]], 1), axis=0)
 
@@ -198,7 +198,7 @@ class _Parts:
         turn = np.arange(len(cell)) - np.repeat(np.cumsum(n * n) - n * n, n * n)
         one, other = (by_cell[start[cell] + t] for t in np.divmod(turn, many[cell]))
         differ = one != other
-        largest = _largest(rows)
+        largest = rows.largest
         one, other = one[differ], other[differ]
         begin, end = largest[one], largest[other]
         a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle[begin]]], 1, 0)
@@ -208,14 +208,6 @@ class _Parts:
         begin, end, one = begin[sees], end[sees], one[sees]
         hit = rows.first_hit(rows.center[begin], end, besides=begin)
         return np.stack([one, rows.patch[hit]], 1)
-
-
-def _largest(rows: Patches) -> Ints:
-    """(patches,) a row of each patch, the one whose triangle has the largest piece in the cell."""
-    a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle]], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    order = np.lexsort([-area, rows.patch])
-    return order[np.unique(rows.patch[order], return_index=True)[1]]
 
 
 def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: float) -> Ints:
@@ -278,28 +270,23 @@ def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
     start = np.searchsorted(parts.key[of_cell], known)
     count = np.diff(np.append(start, len(parts.key)))
     cut = found(rows.cells, known, np.ones(len(known), bool))
-    largest = _largest(rows)
-    out = []
+    pairs, middles = [], []
     for axis, stride in enumerate(rows.keys.strides):
         beyond = found(known, known + stride, np.ones(len(known), bool))
-        here = np.flatnonzero(beyond >= 0)
-        there = beyond[here]
-        passed = rows.row(rows.triangle, rows.key + stride) >= 0
-        open_ = ~np.isin(known[here], rows.key[passed])
-        here, there = here[open_], there[open_]
-        both_cut = (cut[here] >= 0) & (cut[there] >= 0)
-        middle = rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis]
-        inside = ~both_cut
-        if both_cut.any():
-            inside[both_cut] = rows.skins.inside(middle[both_cut])
-        here, there, middle = here[inside], there[inside], middle[inside]
-        pair = np.empty((len(here), 2), np.int64)
-        for side, cell in enumerate((here, there)):
-            pair[:, side] = of_cell[start[cell]]
-            look = np.flatnonzero(count[cell] > 1)
-            if len(look):
-                target = rows.in_cell[rows.cell_start[cut[cell[look]]]]
-                hit = rows.first_hit(middle[look], largest[rows.patch[target]])
-                pair[look, side] = parts.of_patch[rows.patch[hit]]
-        out.append(pair)
-    return np.concatenate(out)
+        passed = rows.key[rows.row(rows.triangle, rows.key + stride) >= 0]
+        here = np.flatnonzero((beyond >= 0) & ~np.isin(known, passed))
+        pairs.append(np.stack([here, beyond[here]], 1))
+        middles.append(rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis])
+    cells, middle = np.concatenate(pairs), np.concatenate(middles)
+    # A face of a full cell lies in the solid.
+    inside = (cut[cells] < 0).any(1)
+    inside[~inside] = rows.skins.inside(middle[~inside])
+    cells, middle = cells[inside], middle[inside]
+    out = of_cell[start[cells]]
+    for side in (0, 1):
+        look = np.flatnonzero(count[cells[:, side]] > 1)
+        if len(look):
+            first = rows.in_cell[rows.cell_start[cut[cells[look, side]]]]
+            hit = rows.first_hit(middle[look], rows.largest[rows.patch[first]])
+            out[look, side] = parts.of_patch[rows.patch[hit]]
+    return out

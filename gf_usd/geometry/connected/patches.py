@@ -11,13 +11,14 @@ Lengths are in cells: the planes of the grid are at the integers.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.connected.pieces import cut
@@ -129,6 +130,14 @@ class Patches:
     cells: Ints = field(repr=False)  # (C,) keys of cells, ascending
     cell_start: Ints = field(repr=False)  # (C + 1,) ranges of `in_cell`
 
+    @cached_property
+    def largest(self) -> Ints:
+        """(patches,) a row of each, of the triangle that is the largest."""
+        a, b, c = np.moveaxis(self.skins.points[self.skins.triangles], 1, 0)
+        area = lengths(np.cross(b - a, c - a))
+        order = np.lexsort([-area[self.triangle], self.patch])
+        return order[np.unique(self.patch[order], return_index=True)[1]]
+
     def row(self, triangle: Ints, key: Ints) -> Ints:
         """The row of a triangle in a cell; -1 where there is none."""
         return found(self.codes, triangle * self._span + key, key >= 0)
@@ -199,7 +208,7 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
     keys = Keys(low=low, dims=both.max(0) + 2 - low, bodies=bodies)
     key = keys.of(ijk, skins.body[made.source])
     span = int(keys.dims.prod()) * bodies
-    area = np.linalg.norm(made.area_vectors, axis=1)
+    area = lengths(made.area_vectors)
     order = np.lexsort([-area, made.source * span + key])
     codes, first = np.unique((made.source * span + key)[order], return_index=True)
     rows = order[first]  # of a triangle's pieces in a cell the largest
@@ -237,13 +246,13 @@ def _patch(rows: Patches) -> Ints:
 
 
 def crossed(segments: Floats) -> tuple[Ints, Ints]:
-    """Cells (m, 3) that segments (n, 2, 3) pass through, and the segment of each (m,)."""
+    """The segments (m,) and cells (m, 3) that segments (n, 2, 3) pass through, in their order."""
     source = np.arange(len(segments))
     for axis in range(3):
         done: list[tuple[Floats, Ints]] = []
         while True:
-            z = segments[:, :, axis]
-            low, high = np.floor(z.min(1)), np.ceil(z.max(1))
+            one, other = segments[:, 0, axis], segments[:, 1, axis]
+            low, high = np.floor(np.minimum(one, other)), np.ceil(np.maximum(one, other))
             spans = high - low > 1.0
             done.append((segments[~spans], source[~spans]))
             if not spans.any():
@@ -258,6 +267,6 @@ def crossed(segments: Floats) -> tuple[Ints, Ints]:
             source = np.tile(source, 2)
         segments = np.concatenate([s for s, _ in done])
         source = np.concatenate([s for _, s in done])
-    ijk = np.floor(segments.mean(1)).astype(np.int64)
-    both = np.unique(np.concatenate([source[:, None], ijk], 1), axis=0)
-    return both[:, 0], both[:, 1:]
+    order = np.argsort(source, kind="stable")
+    ijk = np.floor(0.5 * (segments[order, 0] + segments[order, 1])).astype(np.int64)
+    return source[order], ijk
