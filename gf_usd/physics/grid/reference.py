@@ -152,9 +152,9 @@ class Stencil:
             extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
         return extend
 
-    @property
+    @cached_property
     def _fits(self) -> Fits:
-        return Fits(self.node_ijk, self.copies)
+        return Fits(self.node_ijk, self.copies, self.cell_nodes)
 
     def reach(
         self, X: Floats, body: Ints, cell_copy: Ints | None = None
@@ -313,6 +313,7 @@ def build_stencil(
         mirror=(mirror + offset - origin) / h,
         body=node_body,
         copies=linked,
+        cells=cell_nodes,
     )
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
