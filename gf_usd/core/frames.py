@@ -159,7 +159,7 @@ class Health:
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
     overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
     let_go: int = 0  # contact samples at once that seemed deeper than they can have come
-    friction_capped: int = 0  # contact samples whose friction met its stability limit
+    friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was redone with half the step
     work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
@@ -168,6 +168,8 @@ class Health:
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
+    inside_share: float | None = None  # of the surface, inside a body; None: not looked at
+    inside_depth: float | None = None  # [m] of the deepest of it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.mesh import shells, signed_volume, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import BodyPhysics, ContactSetup, Skin, StagePhysics
 
@@ -179,9 +180,12 @@ def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
 
 
 def contact_setup(
-    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool
+    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool | None
 ) -> ContactSetup:
-    """Who meets whom, as the stage wants it."""
+    """Who meets whom, as the stage wants it.
+
+    self_contact : bodies meet themselves; None: those that can, see `rounded`.
+    """
     colliders = physics.colliders
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
     wall = {c.path: k for k, c in enumerate(colliders)}
@@ -196,13 +200,42 @@ def contact_setup(
             mine = body[said.path]
             through |= {(mine, k) for k in range(bodies.count)}
             through_colliders |= {(mine, k) for k in range(len(colliders))}
+    made = skins(solid, bodies.of_surface)
+    meets: set[int] = set()
+    if self_contact is not False:
+        passes = {a for a, b in through if a == b}
+        meets = {k for k, skin in enumerate(made) if self_contact or not rounded(skin)} - passes
     return ContactSetup(
-        skins=skins(solid, bodies.of_surface),
+        skins=made,
         colliders=colliders,
         through=frozenset(through),
         through_colliders=frozenset(through_colliders),
-        self_contact=self_contact,
+        self_contact=frozenset(meets),
     )
+
+
+CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...
+STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folded onto itself
+
+
+def rounded(skin: Skin) -> bool:
+    """Whether a body is one shell, so nearly convex and so stout that it cannot meet itself."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    representative, _ = weld(skin.points)
+    used, triangles = np.unique(representative[skin.triangles], return_inverse=True)
+    if shells(triangles.reshape(-1, 3)).max(initial=0) > 0:
+        return False
+    points = skin.points[used]
+    center = points - points.mean(0)
+    length = np.ptp(center @ np.linalg.svd(center, full_matrices=False)[2].T, axis=0)
+    if length.max() > STOUT * length.min():
+        return False
+    try:
+        hull = ConvexHull(points).volume
+    except QhullError:  # flat to rounding
+        return False
+    return signed_volume(skin.points, skin.triangles) >= CONVEX * hull
 
 
 def start_velocities(

@@ -169,8 +169,11 @@ def fill(
     limbs = LimbPlan(
         particles=particles,
         samples=samples,
-        contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
-    )
+        contact_setup=contact_setup(
+            solid, bodies, physics,
+            self_contact=False if paper or settings.solver == "ul" else request.self_contact,
+        ),
+    )  # fmt: skip
     if not paper and request.solver != "ul":
         limbs = keep_limbs_apart(solid, bodies, limbs, riding_points(asset))
     plan = Plan(

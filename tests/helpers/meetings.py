@@ -52,7 +52,7 @@ def meeting(
             colliders=colliders,
             through=through,
             through_colliders=through_colliders,
-            self_contact=self_contact,
+            self_contact=frozenset(range(len(set(of.tolist())))) if self_contact else frozenset(),
         ),
     )
 

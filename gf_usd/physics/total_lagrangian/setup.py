@@ -280,6 +280,17 @@ def largest_step(
     )
 
 
+def viscosities(per: dict[str, Floats], h: float) -> Floats:
+    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
+
+    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
+    """
+    from gf_usd.physics.laws.stress import SHOCK
+
+    tau = per["damping_time"]
+    return np.column_stack([2.0 * per["mu"] * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
+
+
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
     """Every array of the kernels' pack, flat, at the start.
 
@@ -298,7 +309,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, body.law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
+        "viscosity": layout.lanes(batches, viscosities(per, body.h)),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "inverse_mass": 1.0 / stencil.mass,

@@ -112,6 +112,7 @@ class TotalLagrangian(Solver):
             pairs.begin(state)
         dt, left = self.frame_time / substeps, substeps
         active = 0
+        self.active.move_springs(state, -0.5 * dt)
         while left:
             chunk, watched = left, near
             if pairs:
@@ -120,6 +121,9 @@ class TotalLagrangian(Solver):
             active = max(active, self.active.select(state, watched))
             self.launches.run(state, chunk, dt, len(watched))
             left -= chunk
+            if pairs:
+                pairs.follow(state, dt, closed=left == 0)
+        self.active.move_springs(state, 0.5 * dt)
         state.time += substeps * dt
         state.recenter()
         stats = self._stats(index, active)
