@@ -304,6 +304,11 @@ def build_stencil(
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
     held = pinned_by(pin_constraint.pins if pin_constraint else (), node_X)
+    if copies is not None and held.any:
+        # What a pin's region holds of places, it holds of the limb that is in it.
+        inside = np.zeros(len(node_ijk), bool)
+        inside[cell_nodes[cell[m[order] == 0.0]]] = True
+        held = PinnedPoints(pin=np.where((count > 1) & ~inside, -1, held.pin))
     mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(
         node_ijk,

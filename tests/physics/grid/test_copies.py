@@ -10,11 +10,14 @@ from solids import solid, surface
 
 from gf_usd.core.frames import CellCopies
 from gf_usd.geometry.connected.copies import find_limbs
+from gf_usd.geometry.regions import box_region, make_pin
 from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.physics.grid.copies import SharedNodes
+from gf_usd.physics.grid.dependent_nodes import affine_fit
 from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import comb, elastic, put, settings
+from gf_usd.verify.bodies import ball, comb, elastic, put, settings
 from gf_usd.verify.cases import limbs as case
 
 SPACING, WIDTH, LENGTH, GAP = 0.1, 0.43, 2.2, 0.05
@@ -180,6 +183,50 @@ def test_a_quarter_turn_strains_nothing(fork) -> None:
     np.testing.assert_allclose(frame.particles.F, np.broadcast_to(R, frame.particles.F.shape),
                                atol=1e-5)  # fmt: skip
     np.testing.assert_allclose(frame.embedded["skin"].x, skin.points @ R.T, atol=1e-5)
+
+
+def test_a_pin_in_one_tooth_does_not_hold_the_other(fork) -> None:
+    particles, _, _, _ = fork
+    pin = box_region("box:-1,-1,-1,0.455,1,1", 1.0, particles.X, particles.X[None])
+    pin = make_pin(pin, None)
+    solver = TotalLagrangian(particles, [MATERIAL], settings("cpu"), pins=[pin])
+    nodes = solver.body.stencil
+    held = nodes.held.pin[nodes.cell_nodes] >= 0
+    cell = np.repeat(np.arange(len(held)), np.diff(nodes.cell_start))
+    X = particles.X[nodes.order]
+    low = X[:, 1] < 1.0 - 6 * SPACING
+    right = X[:, 0] > WIDTH + 0.5 * GAP
+    assert held[cell[low & ~right]].any(1).all()
+    assert not held[cell[low & right]].any()
+
+
+@pytest.mark.parametrize("cells", [2.75, 3.25])
+def test_fits_do_not_reach_across_a_gap_that_nodes_do_not_span(cells) -> None:
+    """Their feet in one row: the nodes nearest to a light one may be those of the other limb."""
+    body = case.teeth((0, 1), cells)
+    assert body.copies is None
+    made = build_stencil(body.X, body.V0, 1.0, body.corner)
+    right = body.X[:, 0] > case.WIDTH + 0.5 * cells
+    deep = body.X[:, 1] < case.LENGTH - 7.0
+    W = made.rows(body.X).W
+    left, other = (set(W[np.flatnonzero(deep & (right == k))].indices) for k in (False, True))
+    assert len(left) > 50
+    assert not left & other
+    near = affine_fit(made.node_ijk[made.free_count :], made.node_ijk[: made.free_count])
+    far = SharedNodes(made.node_ijk, made.cell_nodes).astray(
+        near, np.arange(made.free_count), np.arange(made.free_count, made.node_count)
+    )
+    assert len(far) > 10  # of the fits that know nothing but places
+
+
+def test_fits_within_a_ball_hang_together() -> None:
+    body, _ = ball(1000)
+    made = build_stencil(body.X, body.V0, 2.0 * body.lattice, body.corner)
+    light = np.arange(made.free_count, made.node_count)
+    rows = affine_fit(made.node_ijk[light], made.node_ijk[: made.free_count])
+    shared = SharedNodes(made.node_ijk, made.cell_nodes)
+    assert len(light) > 50
+    assert len(shared.astray(rows, np.arange(made.free_count), light)) == 0
 
 
 def test_copies_are_for_cells_of_one_size(fork) -> None:
