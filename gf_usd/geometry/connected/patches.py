@@ -13,7 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -23,6 +25,7 @@ from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.connected.pieces import cut
 from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import Edges, winding_inside
 
 # [cells] surfaces are moved inward: one that lies in a plane of the grid is in the cell it bounds.
@@ -43,12 +46,12 @@ class Skins:
     shell: Ints  # (T,)
 
     @staticmethod
-    def of(solid: Solid, of_surface: Ints, corner: Floats, h: float) -> Skins:
-        """The surfaces in cells of edge h [m] from a corner (3,) [m]; of_surface : (S,) bodies."""
+    def of(solid: Solid, of_surface: Ints, corners: Floats, h: float) -> Skins:
+        """The surfaces in cells of edge h [m] from corners (bodies, 3) [m]; of_surface : (S,)."""
         points, triangles, shell, first, labels = [], [], [], 0, 0
         for index in range(len(solid.surfaces)):
             X, faces = solid.outward(index)
-            cells = (X - corner) / h
+            cells = (X - corners[of_surface[index]]) / h
             points.append(cells + ASIDE - INSET * vertex_normals(cells, faces))
             triangles.append(faces + first)
             shell.append(shells(faces) + labels)
@@ -62,14 +65,16 @@ class Skins:
             shell=np.concatenate(shell),
         )
 
-    def inside(self, X: Floats) -> NDArray[np.bool_]:
-        """(n,) True for points X (n, 3) [cells] inside any of the surfaces."""
+    def inside(self, X: Floats, body: Ints) -> NDArray[np.bool_]:
+        """(n,) True for points X (n, 3) [cells] inside any of the surfaces of their bodies (n,)."""
         out = np.zeros(len(X), bool)
-        for k in range(int(self.surface.max()) + 1):
-            faces = self.triangles[self.surface == k]
+        for k in range(int(self.surface.max()) + 1 if len(X) else 0):
+            mine = self.surface == k
+            faces = self.triangles[mine]
             corners = self.points[faces.ravel()]
             low, high = corners.min(0), corners.max(0)
-            near = np.flatnonzero(~out & ((low <= X) & (high >= X)).all(1))
+            own = ~out & (body == self.body[mine][0])
+            near = np.flatnonzero(own & ((low <= X) & (high >= X)).all(1))
             if len(near):
                 out[near] = winding_inside(self.points, faces, X[near])
         return out
@@ -106,6 +111,10 @@ class Keys:
         """(n, 3) the cell of each key."""
         return np.stack(np.unravel_index(key // self.bodies, tuple(self.dims)), -1) + self.low
 
+    def body(self, key: Ints) -> Ints:
+        """(n,) the body of each key."""
+        return key % self.bodies
+
     @property
     def strides(self) -> Ints:
         """(3,) from a key to that of the next cell along each axis."""
@@ -141,6 +150,31 @@ class Patches:
     def row(self, triangle: Ints, key: Ints) -> Ints:
         """The row of a triangle in a cell; -1 where there is none."""
         return found(self.codes, triangle * self._span + key, key >= 0)
+
+    def behind(self, X: Floats, body: Ints) -> Ints:
+        """(n,) row of the nearest triangle to points X (n, 3) [cells] of bodies; -1: none."""
+        skins, out = self.skins, np.full(len(X), -1)
+        for k in np.unique(body):
+            mine = np.flatnonzero(body == k)
+            faces = np.flatnonzero(skins.body == k)
+            if not len(faces):
+                continue
+            triangles = np.ascontiguousarray(skins.triangles[faces], np.int64)
+            at = np.ascontiguousarray(X[mine])
+            seen: Any = igl.point_mesh_squared_distance(at, skins.points, triangles)
+            _, hit, closest = seen
+            triangle = faces[hit]
+            corners = np.moveaxis(skins.points[skins.triangles[triangle]], 1, 0)
+            place = np.einsum("kna,nk->na", corners, barycentric(closest, *corners))
+            cell = np.floor(place).astype(np.int64)
+            row = self.row(triangle, self.keys.of(cell, skins.body[triangle]))
+            for i in np.flatnonzero(row < 0):  # rounding at the edge of a cell
+                low, high = np.searchsorted(self.triangle, [triangle[i], triangle[i] + 1])
+                if high > low:
+                    apart = np.linalg.norm(self.center[low:high] - place[i], axis=1)
+                    row[i] = low + int(np.argmin(apart))
+            out[mine] = row
+        return out
 
     @property
     def _span(self) -> int:

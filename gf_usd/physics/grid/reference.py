@@ -289,7 +289,7 @@ def build_stencil(
     if copies is None:
         order, cell_start, cell_nodes, node_ijk = number_cells(base)
     else:
-        cells = np.rint(shift / h).astype(np.int64)
+        cells = np.rint((corners + shift - corners[0]) / h).astype(np.int64)
         full, copy_nodes, node_ijk, count = number_nodes(copies, cells)
         own = (copies.cell + cells[copies.body])[copies.of]
         base, fx = own, base + fx - own

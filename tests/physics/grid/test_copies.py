@@ -237,3 +237,31 @@ def test_copies_are_for_cells_of_one_size(fork) -> None:
 
 def test_two_teeth_vibrate_as_one_does_alone() -> None:
     assert all(m.passed for m in case.two_teeth("cpu"))
+
+
+def test_each_body_has_the_copies_that_it_has_alone() -> None:
+    """Two forks, each on cells of its own: the nodes, masses and rows of each are those alone."""
+    one = comb(2, WIDTH, GAP, LENGTH, 0.5, WIDTH)
+    other = replace(one, path="/Other", points=one.points + [0.137, 0.211, WIDTH + 0.023])
+    made = solid(one, other)
+    both = sample_solid(made, particles=None, spacing=SPACING, seed=0, bodies=np.array([0, 1]))
+    found = find_limbs(made, both, np.array([0, 1]))
+    both = replace(both, copies=found.copies)
+    together = build_stencil(
+        both.X, both.V0, 2.0 * both.lattice, both.corners, body=both.body, copies=both.copies
+    )
+    assert together.fx.min() > 0.5 - 1e-9
+    assert together.fx.max() < 1.5 + 1e-9
+    for k, surface_ in enumerate((one, other)):
+        body = solid(surface_)
+        alone = sample_solid(body, particles=None, spacing=SPACING, seed=0)
+        copies = find_limbs(body, alone, np.zeros(1, np.int64)).copies
+        single = build_stencil(alone.X, alone.V0, 2.0 * alone.lattice, alone.corner, copies=copies)
+        mine = np.flatnonzero(both.body == k)
+        np.testing.assert_allclose(both.X[mine], alone.X, atol=1e-12)
+        free = together.node_body[: together.free_count] == k
+        assert free.sum() == single.free_count
+        np.testing.assert_allclose(np.sort(together.mass[free]), np.sort(single.mass), atol=1e-9)
+        a = together.rows(both.X, both.body, both.copies.of).W[mine][:, np.flatnonzero(free)]
+        b = single.rows(alone.X, None, copies.of).W
+        np.testing.assert_allclose((a @ a.T).toarray(), (b @ b.T).toarray(), atol=1e-9)
