@@ -30,7 +30,7 @@ class CellCopies:
     Where limbs are near each other a cell has several copies, and so have nodes (docs/physics.md).
     """
 
-    h: float  # [m] edge of a cell; cells start at `Particles.corner`
+    h: float  # [m] edge of a cell; cells start at the corners of `Particles`
     cell: Ints  # (K, 3) cell of each copy, counted from there
     body: Ints  # (K,) as in Particles
     links: Ints  # (E, 2) copies of cells with a common face, across which the solid is connected

@@ -16,7 +16,6 @@ nodes with: it moves with its body.  So do shells that touch.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import igl
 import numpy as np
@@ -28,11 +27,11 @@ from gf_usd.core.neighbors import components, kd_tree, node_copies
 from gf_usd.geometry.connected.bodies import TOUCHING, spread
 from gf_usd.geometry.connected.patches import Patches, Skins, find_patches, found
 from gf_usd.geometry.solid import Solid
-from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import winding_inside
 
 CELL = 2.0  # edge of a cell over the lattice's
 MOST_PATCHES = 24  # of a cell: more are the surface of no limbs, and are taken as one
+WHOLE = 8  # particles of a full cell
 MOST_SHELLS = 256  # pairs that meet in cells: beyond it all count as touching
 
 
@@ -46,7 +45,7 @@ class Limbs:
     _patches: Patches
     _piece: Ints  # (P,) copy of each row of the patches; -1: of none that holds particles
     _X: Floats  # (N, 3) [m] particles
-    _corner: Floats
+    _corners: Floats  # (bodies, 3) [m]
 
     def of_points(self, X: Floats, body: Ints | None = None) -> Ints:
         """(n,) the copies that points X (n, 3) [m] ride on: those behind their nearest triangles.
@@ -54,29 +53,8 @@ class Limbs:
         body : (n,) the body that each rides on; None: the first.
         """
         body = np.zeros(len(X), np.int64) if body is None else body
-        out = np.full(len(X), -1)
-        h, rows, skins = self.copies.h, self._patches, self._patches.skins
-        for k in np.unique(body):
-            mine = np.flatnonzero(body == k)
-            faces = np.flatnonzero(skins.body == k)
-            if not len(faces):
-                continue
-            at = np.ascontiguousarray((X[mine] - self._corner) / h)
-            triangles = np.ascontiguousarray(skins.triangles[faces], np.int64)
-            seen: Any = igl.point_mesh_squared_distance(at, skins.points, triangles)
-            _, hit, closest = seen
-            triangle = faces[hit]
-            corners = np.moveaxis(skins.points[skins.triangles[triangle]], 1, 0)
-            weight = barycentric(closest, *corners)
-            place = np.einsum("kna,nk->na", corners, weight)
-            cell = np.floor(place).astype(np.int64)
-            row = rows.row(triangle, rows.keys.of(cell, skins.body[triangle]))
-            for i in np.flatnonzero(row < 0):  # rounding at the edge of a cell
-                low, high = np.searchsorted(rows.triangle, [triangle[i], triangle[i] + 1])
-                if high > low:
-                    apart = np.linalg.norm(rows.center[low:high] - place[i], axis=1)
-                    row[i] = low + int(np.argmin(apart))
-            out[mine] = np.where(row >= 0, self._piece[row], -1)
+        row = self._patches.behind((X - self._corners[body]) / self.copies.h, body)
+        out = np.where(row >= 0, self._piece[row], -1)
         lost = np.flatnonzero(out < 0)
         for k in np.unique(body[lost]):
             mine = lost[body[lost] == k]
@@ -92,11 +70,13 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     of_surface : (S,) body of each surface, in the order of `Solid.surfaces`.
     """
     h = CELL * particles.lattice
-    skins = Skins.of(solid, of_surface, particles.corner, h)
-    at = (particles.X - particles.corner) / h
-    body = np.zeros(len(at), np.int64) if particles.body is None else particles.body
-    cell = np.floor(at).astype(np.int64)
+    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
     bodies = int(max(of_surface.max(), body.max())) + 1
+    corners = particles.corner if particles.corners is None else particles.corners
+    corners = np.broadcast_to(np.asarray(corners, float), (bodies, 3))
+    skins = Skins.of(solid, of_surface, corners, h)
+    at = (particles.X - corners[body]) / h
+    cell = np.floor(at).astype(np.int64)
     rows = find_patches(skins, cell, bodies)
     parts = _Parts(rows, at, rows.keys.of(cell, body), TOUCHING * particles.spacing / h)
     links = np.concatenate([_through_triangles(rows, parts), _through_open_faces(rows, parts)])
@@ -107,7 +87,7 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     number = np.where(held, np.cumsum(held) - 1, -1)
     links = number[links[held[links[:, 0]]]]
     of, key, whole = number[parts.of], parts.key[held], whole[held]
-    ijk, body = rows.keys.ijk(key), key % bodies
+    ijk, body = rows.keys.ijk(key), rows.keys.body(key)
     # Bodies share no nodes: they are set apart on the grid.
     apart = ijk + np.outer(body * (rows.keys.dims[0] + 3), [1, 0, 0])
     node, _ = node_copies(apart, links, whole)
@@ -124,7 +104,7 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
         _patches=rows,
         _piece=number[parts.of_patch[rows.patch]],
         _X=particles.X,
-        _corner=particles.corner,
+        _corners=corners,
     )
 
 
@@ -142,17 +122,24 @@ class _Parts:
         in_cell = np.searchsorted(rows.cells, rows.key[first])  # of each patch
         many = np.bincount(in_cell, minlength=len(rows.cells))
         cut = found(rows.cells, cell, np.ones(len(cell), bool))
-        full, at_full = np.unique(cell[cut < 0], return_inverse=True)
-        # One part a cell, but where several patches cut it: there one a patch, joined by what is
-        # seen.  Numbers: patches, full cells, particles among several patches.
         crowd = many > MOST_PATCHES
         self.crowded = int(crowd.sum())
         several = (many > 1) & ~crowd
         by_cell = np.argsort(in_cell, kind="stable")
         start = np.cumsum(many) - many
-        ends = [self._same_cell(by_cell, in_cell, crowd)]
-        among = np.flatnonzero((cut >= 0) & several[cut])
+        # Particles that a rule put outside see nothing, and go with what is nearest.
+        _, of_cell, held = np.unique(cell, return_inverse=True, return_counts=True)
+        doubtful = np.flatnonzero(np.where(cut >= 0, several[cut], held[of_cell.ravel()] < WHOLE))
+        body = rows.keys.body(cell)
+        outside = doubtful[~rows.skins.inside(X[doubtful], body[doubtful])]
+        within = np.ones(len(X), bool)
+        within[outside] = False
+        full, at_full = np.unique(cell[(cut < 0) & within], return_inverse=True)
+        # One part a cell, but where several patches cut it: there one a patch, joined by what is
+        # seen.  Numbers: patches, full cells, particles among several patches.
+        among = np.flatnonzero((cut >= 0) & several[cut] & within)
         base = patches + len(full)
+        ends = [self._same_cell(by_cell, in_cell, crowd)]
         ends.append(self._seen(rows, X[among], cut[among], by_cell, start, many) + [base, 0])
         ends.append(self._facing(rows, first, by_cell, start, many, several))
         ends.append(_touching(rows, first, in_cell, several, touching))
@@ -164,10 +151,17 @@ class _Parts:
         keys = np.concatenate([rows.key[first], full, cell[among]])
         self.key, self.of_patch = keys[one], label[:patches]
         of = np.empty(len(X), np.int64)
-        of[cut < 0] = label[patches + at_full.ravel()]
+        of[(cut < 0) & within] = label[patches + at_full.ravel()]
         alone = (cut >= 0) & ~several[cut]
         of[alone] = label[by_cell[start[cut[alone]]]]
         of[among] = label[base:]
+        if len(outside):
+            near = rows.behind(X[outside], body[outside])
+            for i in np.flatnonzero((rows.key[near] != cell[outside]) & (cut[outside] >= 0)):
+                own = rows.in_cell[slice(*rows.cell_start[cut[outside[i]] + np.arange(2)])]
+                apart = np.linalg.norm(rows.center[own] - X[outside[i]], axis=1)
+                near[i] = own[int(np.argmin(apart))]
+            of[outside] = label[rows.patch[near]]
         self.of = of
 
     @staticmethod
@@ -183,7 +177,7 @@ class _Parts:
         looks = many[cell]
         who = np.repeat(np.arange(len(X)), looks)
         turn = np.arange(len(who)) - np.repeat(np.cumsum(looks) - looks, looks)
-        target = _largest(rows)[by_cell[start[cell[who]] + turn]]
+        target = rows.largest[by_cell[start[cell[who]] + turn]]
         hit = rows.first_hit(X[who], target)
         return np.unique(np.stack([who, rows.patch[hit]], 1), axis=0)
 
@@ -198,7 +192,7 @@ class _Parts:
         turn = np.arange(len(cell)) - np.repeat(np.cumsum(n * n) - n * n, n * n)
         one, other = (by_cell[start[cell] + t] for t in np.divmod(turn, many[cell]))
         differ = one != other
-        largest = _largest(rows)
+        largest = rows.largest
         one, other = one[differ], other[differ]
         begin, end = largest[one], largest[other]
         a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle[begin]]], 1, 0)
@@ -208,14 +202,6 @@ class _Parts:
         begin, end, one = begin[sees], end[sees], one[sees]
         hit = rows.first_hit(rows.center[begin], end, besides=begin)
         return np.stack([one, rows.patch[hit]], 1)
-
-
-def _largest(rows: Patches) -> Ints:
-    """(patches,) a row of each patch, the one whose triangle has the largest piece in the cell."""
-    a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle]], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    order = np.lexsort([-area, rows.patch])
-    return order[np.unique(rows.patch[order], return_index=True)[1]]
 
 
 def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: float) -> Ints:
@@ -278,28 +264,25 @@ def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
     start = np.searchsorted(parts.key[of_cell], known)
     count = np.diff(np.append(start, len(parts.key)))
     cut = found(rows.cells, known, np.ones(len(known), bool))
-    largest = _largest(rows)
-    out = []
+    pairs, middles = [], []
     for axis, stride in enumerate(rows.keys.strides):
         beyond = found(known, known + stride, np.ones(len(known), bool))
-        here = np.flatnonzero(beyond >= 0)
-        there = beyond[here]
-        passed = rows.row(rows.triangle, rows.key + stride) >= 0
-        open_ = ~np.isin(known[here], rows.key[passed])
-        here, there = here[open_], there[open_]
-        both_cut = (cut[here] >= 0) & (cut[there] >= 0)
-        middle = rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis]
-        inside = ~both_cut
-        if both_cut.any():
-            inside[both_cut] = rows.skins.inside(middle[both_cut])
-        here, there, middle = here[inside], there[inside], middle[inside]
-        pair = np.empty((len(here), 2), np.int64)
-        for side, cell in enumerate((here, there)):
-            pair[:, side] = of_cell[start[cell]]
-            look = np.flatnonzero(count[cell] > 1)
-            if len(look):
-                target = rows.in_cell[rows.cell_start[cut[cell[look]]]]
-                hit = rows.first_hit(middle[look], largest[rows.patch[target]])
-                pair[look, side] = parts.of_patch[rows.patch[hit]]
-        out.append(pair)
-    return np.concatenate(out)
+        passed = rows.key[rows.row(rows.triangle, rows.key + stride) >= 0]
+        here = np.flatnonzero((beyond >= 0) & ~np.isin(known, passed))
+        pairs.append(np.stack([here, beyond[here]], 1))
+        middles.append(rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis])
+    cells, middle = np.concatenate(pairs), np.concatenate(middles)
+    # A face of a full cell lies in the solid.
+    inside = (cut[cells] < 0).any(1)
+    between = ~inside
+    body = rows.keys.body(known[cells[between, 0]])
+    inside[between] = rows.skins.inside(middle[between], body)
+    cells, middle = cells[inside], middle[inside]
+    out = of_cell[start[cells]]
+    for side in (0, 1):
+        look = np.flatnonzero(count[cells[:, side]] > 1)
+        if len(look):
+            first = rows.in_cell[rows.cell_start[cut[cells[look, side]]]]
+            hit = rows.first_hit(middle[look], rows.largest[rows.patch[first]])
+            out[look, side] = parts.of_patch[rows.patch[hit]]
+    return out

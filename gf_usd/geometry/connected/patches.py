@@ -11,17 +11,21 @@ Lengths are in cells: the planes of the grid are at the integers.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
 from gf_usd.geometry.connected.pieces import cut
 from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import Edges, winding_inside
 
 # [cells] surfaces are moved inward: one that lies in a plane of the grid is in the cell it bounds.
@@ -42,12 +46,12 @@ class Skins:
     shell: Ints  # (T,)
 
     @staticmethod
-    def of(solid: Solid, of_surface: Ints, corner: Floats, h: float) -> Skins:
-        """The surfaces in cells of edge h [m] from a corner (3,) [m]; of_surface : (S,) bodies."""
+    def of(solid: Solid, of_surface: Ints, corners: Floats, h: float) -> Skins:
+        """The surfaces in cells of edge h [m] from corners (bodies, 3) [m]; of_surface : (S,)."""
         points, triangles, shell, first, labels = [], [], [], 0, 0
         for index in range(len(solid.surfaces)):
             X, faces = solid.outward(index)
-            cells = (X - corner) / h
+            cells = (X - corners[of_surface[index]]) / h
             points.append(cells + ASIDE - INSET * vertex_normals(cells, faces))
             triangles.append(faces + first)
             shell.append(shells(faces) + labels)
@@ -61,14 +65,16 @@ class Skins:
             shell=np.concatenate(shell),
         )
 
-    def inside(self, X: Floats) -> NDArray[np.bool_]:
-        """(n,) True for points X (n, 3) [cells] inside any of the surfaces."""
+    def inside(self, X: Floats, body: Ints) -> NDArray[np.bool_]:
+        """(n,) True for points X (n, 3) [cells] inside any of the surfaces of their bodies (n,)."""
         out = np.zeros(len(X), bool)
-        for k in range(int(self.surface.max()) + 1):
-            faces = self.triangles[self.surface == k]
+        for k in range(int(self.surface.max()) + 1 if len(X) else 0):
+            mine = self.surface == k
+            faces = self.triangles[mine]
             corners = self.points[faces.ravel()]
             low, high = corners.min(0), corners.max(0)
-            near = np.flatnonzero(~out & ((low <= X) & (high >= X)).all(1))
+            own = ~out & (body == self.body[mine][0])
+            near = np.flatnonzero(own & ((low <= X) & (high >= X)).all(1))
             if len(near):
                 out[near] = winding_inside(self.points, faces, X[near])
         return out
@@ -105,6 +111,10 @@ class Keys:
         """(n, 3) the cell of each key."""
         return np.stack(np.unravel_index(key // self.bodies, tuple(self.dims)), -1) + self.low
 
+    def body(self, key: Ints) -> Ints:
+        """(n,) the body of each key."""
+        return key % self.bodies
+
     @property
     def strides(self) -> Ints:
         """(3,) from a key to that of the next cell along each axis."""
@@ -129,9 +139,42 @@ class Patches:
     cells: Ints = field(repr=False)  # (C,) keys of cells, ascending
     cell_start: Ints = field(repr=False)  # (C + 1,) ranges of `in_cell`
 
+    @cached_property
+    def largest(self) -> Ints:
+        """(patches,) a row of each, of the triangle that is the largest."""
+        a, b, c = np.moveaxis(self.skins.points[self.skins.triangles], 1, 0)
+        area = lengths(np.cross(b - a, c - a))
+        order = np.lexsort([-area[self.triangle], self.patch])
+        return order[np.unique(self.patch[order], return_index=True)[1]]
+
     def row(self, triangle: Ints, key: Ints) -> Ints:
         """The row of a triangle in a cell; -1 where there is none."""
         return found(self.codes, triangle * self._span + key, key >= 0)
+
+    def behind(self, X: Floats, body: Ints) -> Ints:
+        """(n,) row of the nearest triangle to points X (n, 3) [cells] of bodies; -1: none."""
+        skins, out = self.skins, np.full(len(X), -1)
+        for k in np.unique(body):
+            mine = np.flatnonzero(body == k)
+            faces = np.flatnonzero(skins.body == k)
+            if not len(faces):
+                continue
+            triangles = np.ascontiguousarray(skins.triangles[faces], np.int64)
+            at = np.ascontiguousarray(X[mine])
+            seen: Any = igl.point_mesh_squared_distance(at, skins.points, triangles)
+            _, hit, closest = seen
+            triangle = faces[hit]
+            corners = np.moveaxis(skins.points[skins.triangles[triangle]], 1, 0)
+            place = np.einsum("kna,nk->na", corners, barycentric(closest, *corners))
+            cell = np.floor(place).astype(np.int64)
+            row = self.row(triangle, self.keys.of(cell, skins.body[triangle]))
+            for i in np.flatnonzero(row < 0):  # rounding at the edge of a cell
+                low, high = np.searchsorted(self.triangle, [triangle[i], triangle[i] + 1])
+                if high > low:
+                    apart = np.linalg.norm(self.center[low:high] - place[i], axis=1)
+                    row[i] = low + int(np.argmin(apart))
+            out[mine] = row
+        return out
 
     @property
     def _span(self) -> int:
@@ -199,7 +242,7 @@ def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
     keys = Keys(low=low, dims=both.max(0) + 2 - low, bodies=bodies)
     key = keys.of(ijk, skins.body[made.source])
     span = int(keys.dims.prod()) * bodies
-    area = np.linalg.norm(made.area_vectors, axis=1)
+    area = lengths(made.area_vectors)
     order = np.lexsort([-area, made.source * span + key])
     codes, first = np.unique((made.source * span + key)[order], return_index=True)
     rows = order[first]  # of a triangle's pieces in a cell the largest
@@ -237,13 +280,13 @@ def _patch(rows: Patches) -> Ints:
 
 
 def crossed(segments: Floats) -> tuple[Ints, Ints]:
-    """Cells (m, 3) that segments (n, 2, 3) pass through, and the segment of each (m,)."""
+    """The segments (m,) and cells (m, 3) that segments (n, 2, 3) pass through, in their order."""
     source = np.arange(len(segments))
     for axis in range(3):
         done: list[tuple[Floats, Ints]] = []
         while True:
-            z = segments[:, :, axis]
-            low, high = np.floor(z.min(1)), np.ceil(z.max(1))
+            one, other = segments[:, 0, axis], segments[:, 1, axis]
+            low, high = np.floor(np.minimum(one, other)), np.ceil(np.maximum(one, other))
             spans = high - low > 1.0
             done.append((segments[~spans], source[~spans]))
             if not spans.any():
@@ -258,6 +301,6 @@ def crossed(segments: Floats) -> tuple[Ints, Ints]:
             source = np.tile(source, 2)
         segments = np.concatenate([s for s, _ in done])
         source = np.concatenate([s for _, s in done])
-    ijk = np.floor(segments.mean(1)).astype(np.int64)
-    both = np.unique(np.concatenate([source[:, None], ijk], 1), axis=0)
-    return both[:, 0], both[:, 1:]
+    order = np.argsort(source, kind="stable")
+    ijk = np.floor(0.5 * (segments[order, 0] + segments[order, 1])).astype(np.int64)
+    return source[order], ijk

@@ -27,6 +27,7 @@ from gf_usd.core.neighbors import STENCIL, components, kd_tree, node_copies
 ZONE = 4.0  # [cells] from a node with copies: beyond it no fit takes one
 RINGS = 2  # cells gone through the solid, more where they do not lead to enough nodes
 ENOUGH = 24  # nodes: those that a fit takes
+PAIRS = 1 << 15  # of nodes at once: bounds memory
 SLACK = 1e-4  # [cells] by which a point may lie outside of the cell it belongs to
 # From places (n, 3) [cells] and nodes (m, 3) to rows (n, m); None or [cells] beyond which none is.
 Fit = Callable[[Floats, Ints, float | None], sparse.csr_matrix]
@@ -203,3 +204,81 @@ def link_copies(
     cell_of = np.full(k, -1)
     cell_of[order] = np.arange(len(order))
     return NodeCopies(cell=cell, nodes=nodes, cell_of=cell_of, steps=steps, near=gap <= ZONE)
+
+
+class SharedNodes:
+    """Which nodes hang together, as far as cells say: those of a cell, and of cells that share one.
+
+    Limbs that share no node are told apart by this alone; the nodes nearest to a place may be those
+    of a limb across a gap.
+
+    ijk : (M, 3) nodes; cells : (K, 27) nodes of each cell.
+    """
+
+    def __init__(self, ijk: Ints, cells: Ints) -> None:
+        self.ijk, self.cells = ijk, cells
+        start = np.arange(0, cells.size + 1, 27)
+        ones = np.ones(cells.size, np.float32)
+        shape = len(cells), len(ijk)
+        self._in = sparse.csr_matrix((ones, cells.ravel(), start), shape=shape)
+        self._of = self._in.T.tocsr()
+
+    def astray(self, rows: sparse.csr_matrix, nodes: Ints, seed: Ints) -> Ints:
+        """Rows (n, m) over nodes (m,) that name one which does not hang together with their seed.
+
+        seed : (n,) node.  A third node has to be in a cell with both.
+        """
+        at = rows.tocoo()
+        row, one, other = at.row, seed[at.row], nodes[at.col]
+        left = np.flatnonzero(~self._share(one, other))
+        # As a rule the node halfway is that one.
+        halfway = self._find((self.ijk[one[left]] + self.ijk[other[left]]) // 2)
+        known = halfway >= 0
+        ok = np.zeros(len(left), bool)
+        ok[known] = self._share(one[left[known]], halfway[known]) & self._share(
+            other[left[known]], halfway[known]
+        )
+        left = left[~ok]
+        ok = np.zeros(len(left), bool)
+        for k in range(0, len(left), PAIRS):
+            some = left[k : k + PAIRS]
+            a, b = (self._of[end[some]] @ self._in for end in (one, other))
+            ok[k : k + PAIRS] = np.diff(sparse.csr_matrix(a.multiply(b)).indptr) > 0
+        return np.unique(row[left[~ok]])
+
+    def _share(self, one: Ints, other: Ints) -> NDArray[np.bool_]:
+        """(n,) whether two nodes are in a cell."""
+        out = np.zeros(len(one), bool)
+        near = np.flatnonzero((np.abs(self.ijk[one] - self.ijk[other]) <= 2).all(1))
+        rows, at = np.unique(one[near], return_inverse=True)
+        if len(rows):
+            together = sparse.csr_matrix(self._of[rows] @ self._in)
+            together.sort_indices()
+            out[near] = np.asarray(together[at.ravel(), other[near]]).ravel() > 0
+        return out
+
+    def _find(self, ijk: Ints) -> Ints:
+        """(n,) a node at each place; -1 where there is none."""
+        low, high = self.ijk.min(0), self.ijk.max(0)
+        dims = high - low + 1
+
+        def key(at: Ints) -> Ints:
+            at = np.clip(at, low, high) - low
+            return (at[:, 0] * dims[1] + at[:, 1]) * dims[2] + at[:, 2]
+
+        keys = key(self.ijk)
+        order = np.argsort(keys, kind="stable")
+        at = np.minimum(np.searchsorted(keys[order], key(ijk)), len(order) - 1)
+        return np.where((self.ijk[order[at]] == ijk).all(1), order[at], -1)
+
+    @cached_property
+    def as_copies(self) -> NodeCopies:
+        """The cells, linked where they share a node."""
+        count = len(self.cells)
+        return NodeCopies(
+            cell=self.ijk[self.cells[:, 0]],
+            nodes=self.cells,
+            cell_of=np.arange(count),
+            steps=sparse.csr_matrix(self._in @ self._of),
+            near=np.ones(count, bool),
+        )

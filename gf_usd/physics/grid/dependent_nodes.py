@@ -18,7 +18,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.physics.grid.copies import Fit, NodeCopies
+from gf_usd.physics.grid.copies import Fit, NodeCopies, SharedNodes
 from gf_usd.physics.grid.pins import interpolation
 
 if TYPE_CHECKING:
@@ -93,19 +93,43 @@ def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
 class Fits:
     """Rows over nodes for places between and beyond them; each knows the nodes of its limb only.
 
-    ijk : (M, 3) nodes; copies : of those near several limbs.
+    ijk : (M, 3) nodes; copies : of those near several limbs; cells : (K, 27) nodes of each cell, by
+    which limbs a little farther apart are told; None: they are not.
     """
 
-    def __init__(self, ijk: Ints, copies: NodeCopies | None) -> None:
+    def __init__(self, ijk: Ints, copies: NodeCopies | None, cells: Ints | None = None) -> None:
         self.ijk, self.copies = ijk, copies
         self.home = np.full(len(ijk), -1) if copies is None else copies.home
+        self._cells = None if cells is None else SharedNodes(ijk, cells)
 
-    def affine(self, at: Ints, counts: NDArray[np.bool_], home: Ints) -> sparse.csr_matrix:
+    def affine(
+        self, at: Ints, counts: NDArray[np.bool_], home: Ints, seed: Ints | None = None
+    ) -> sparse.csr_matrix:
         """`affine_fit` at (n, 3) to the nodes that count (M,).
 
         home : (n,) copy of a cell that each is reached from, -1: any; empty: all any.
+        seed : (n,) node that each belongs to; None: the nearest.
         """
-        return self._fit(affine_fit, at, np.flatnonzero(counts), home)
+        nodes = np.flatnonzero(counts)
+        rows = self._fit(affine_fit, at, nodes, home)
+        if self._cells is None or not len(at):
+            return rows
+        if seed is None:
+            seed = kd_tree(self.ijk).query(at)[1]
+        astray = self._cells.astray(rows, nodes, seed)
+        if len(home):
+            astray = astray[home[astray] < 0]
+        if not len(astray):
+            return rows
+        cells = self._cells.as_copies
+        within = cells.through_solid(
+            affine_fit, at[astray], cells.home[seed[astray]], self.ijk, counts
+        )[:, nodes]
+        # A fleck that has no such nodes of its own goes with whatever is nearest.
+        own = np.diff(within.indptr) > 0
+        back = np.arange(len(at))
+        back[astray[own]] = len(at) + np.flatnonzero(own)
+        return sparse.csr_matrix(sparse.vstack([rows, within], format="csr")[back])
 
     def between(self, at: Floats, nodes: Ints, home: Ints) -> sparse.csr_matrix:
         """`interpolation` at (n, 3) [cells] of a field on nodes (m,); home as in `affine`."""
@@ -133,15 +157,17 @@ def split_nodes(
     mirror: Floats | None = None,
     body: Ints | None = None,
     copies: NodeCopies | None = None,
+    cells: Ints | None = None,
 ) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
     """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
 
     A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
     held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
     A mirrored node hands on |e| of its mass: u^2 does not know the sign.
-    body : (M,) the body of each node: each is light by its own median.   copies : see `Fits`.
+    body : (M,) the body of each node: each is light by its own median.
+    copies, cells : see `Fits`.
     """
-    fits = Fits(ijk, copies)
+    fits = Fits(ijk, copies, cells)
     held = np.zeros(len(mass), bool) if held is None else held
     body = np.zeros(len(mass), np.int64) if body is None else body
     counts = ~held & (mass > 0.0)
@@ -152,7 +178,7 @@ def split_nodes(
     ghosts = sparse.csr_matrix((0, 0))
     while True:
         light = ~free & ~held
-        follow = fits.affine(ijk[light], free, fits.home[light])
+        follow = fits.affine(ijk[light], free, fits.home[light], np.flatnonzero(light))
         lumped = mass[free] + follow.T @ mass[light]
         if held.any():
             extend = sparse.vstack([sparse.identity(int(free.sum())), follow], format="csr")

@@ -152,9 +152,9 @@ class Stencil:
             extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
         return extend
 
-    @property
+    @cached_property
     def _fits(self) -> Fits:
-        return Fits(self.node_ijk, self.copies)
+        return Fits(self.node_ijk, self.copies, self.cell_nodes)
 
     def reach(
         self, X: Floats, body: Ints, cell_copy: Ints | None = None
@@ -289,7 +289,7 @@ def build_stencil(
     if copies is None:
         order, cell_start, cell_nodes, node_ijk = number_cells(base)
     else:
-        cells = np.rint(shift / h).astype(np.int64)
+        cells = np.rint((corners + shift - corners[0]) / h).astype(np.int64)
         full, copy_nodes, node_ijk, count = number_nodes(copies, cells)
         own = (copies.cell + cells[copies.body])[copies.of]
         base, fx = own, base + fx - own
@@ -309,6 +309,11 @@ def build_stencil(
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
     held = pinned_by(pin_constraint.pins if pin_constraint else (), node_X)
+    if copies is not None and held.any:
+        # What a pin's region holds of places, it holds of the limb that is in it.
+        inside = np.zeros(len(node_ijk), bool)
+        inside[cell_nodes[cell[m[order] == 0.0]]] = True
+        held = PinnedPoints(pin=np.where((count > 1) & ~inside, -1, held.pin))
     mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(
         node_ijk,
@@ -318,6 +323,7 @@ def build_stencil(
         mirror=(mirror + offset - origin) / h,
         body=node_body,
         copies=linked,
+        cells=cell_nodes,
     )
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)

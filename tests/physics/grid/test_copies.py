@@ -10,12 +10,15 @@ from solids import solid, surface
 
 from gf_usd.core.frames import CellCopies
 from gf_usd.geometry.connected.copies import find_limbs
+from gf_usd.geometry.regions import box_region, make_pin
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
+from gf_usd.physics.grid.copies import SharedNodes
+from gf_usd.physics.grid.dependent_nodes import affine_fit
 from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import comb, elastic, put, settings
+from gf_usd.verify.bodies import ball, comb, elastic, put, settings
 from gf_usd.verify.cases import limbs as case
 
 SPACING, WIDTH, LENGTH, GAP = 0.1, 0.43, 2.2, 0.05
@@ -183,6 +186,50 @@ def test_a_quarter_turn_strains_nothing(fork) -> None:
     np.testing.assert_allclose(frame.embedded["skin"].x, skin.points @ R.T, atol=1e-5)
 
 
+def test_a_pin_in_one_tooth_does_not_hold_the_other(fork) -> None:
+    particles, _, _, _ = fork
+    pin = box_region("box:-1,-1,-1,0.455,1,1", 1.0, particles.X, particles.X[None])
+    pin = make_pin(pin, None)
+    solver = TotalLagrangian(particles, [MATERIAL], settings("cpu"), pins=[pin])
+    nodes = solver.body.stencil
+    held = nodes.held.pin[nodes.cell_nodes] >= 0
+    cell = np.repeat(np.arange(len(held)), np.diff(nodes.cell_start))
+    X = particles.X[nodes.order]
+    low = X[:, 1] < 1.0 - 6 * SPACING
+    right = X[:, 0] > WIDTH + 0.5 * GAP
+    assert held[cell[low & ~right]].any(1).all()
+    assert not held[cell[low & right]].any()
+
+
+@pytest.mark.parametrize("cells", [2.75, 3.25])
+def test_fits_do_not_reach_across_a_gap_that_nodes_do_not_span(cells) -> None:
+    """Their feet in one row: the nodes nearest to a light one may be those of the other limb."""
+    body = case.teeth((0, 1), cells)
+    assert body.copies is None
+    made = build_stencil(body.X, body.V0, 1.0, body.corner)
+    right = body.X[:, 0] > case.WIDTH + 0.5 * cells
+    deep = body.X[:, 1] < case.LENGTH - 7.0
+    W = made.rows(body.X).W
+    left, other = (set(W[np.flatnonzero(deep & (right == k))].indices) for k in (False, True))
+    assert len(left) > 50
+    assert not left & other
+    near = affine_fit(made.node_ijk[made.free_count :], made.node_ijk[: made.free_count])
+    far = SharedNodes(made.node_ijk, made.cell_nodes).astray(
+        near, np.arange(made.free_count), np.arange(made.free_count, made.node_count)
+    )
+    assert len(far) > 10  # of the fits that know nothing but places
+
+
+def test_fits_within_a_ball_hang_together() -> None:
+    body, _ = ball(1000)
+    made = build_stencil(body.X, body.V0, 2.0 * body.lattice, body.corner)
+    light = np.arange(made.free_count, made.node_count)
+    rows = affine_fit(made.node_ijk[light], made.node_ijk[: made.free_count])
+    shared = SharedNodes(made.node_ijk, made.cell_nodes)
+    assert len(light) > 50
+    assert len(shared.astray(rows, np.arange(made.free_count), light)) == 0
+
+
 def test_copies_are_for_cells_of_one_size(fork) -> None:
     with pytest.raises(ValueError, match="cells are copied"):
         TotalLagrangian(fork[0], [MATERIAL], settings("cpu"), h=0.3)
@@ -190,3 +237,31 @@ def test_copies_are_for_cells_of_one_size(fork) -> None:
 
 def test_two_teeth_vibrate_as_one_does_alone() -> None:
     assert all(m.passed for m in case.two_teeth("cpu"))
+
+
+def test_each_body_has_the_copies_that_it_has_alone() -> None:
+    """Two forks, each on cells of its own: the nodes, masses and rows of each are those alone."""
+    one = comb(2, WIDTH, GAP, LENGTH, 0.5, WIDTH)
+    other = replace(one, path="/Other", points=one.points + [0.137, 0.211, WIDTH + 0.023])
+    made = solid(one, other)
+    both = sample_solid(made, particles=None, spacing=SPACING, seed=0, bodies=np.array([0, 1]))
+    found = find_limbs(made, both, np.array([0, 1]))
+    both = replace(both, copies=found.copies)
+    together = build_stencil(
+        both.X, both.V0, 2.0 * both.lattice, both.corners, body=both.body, copies=both.copies
+    )
+    assert together.fx.min() > 0.5 - 1e-9
+    assert together.fx.max() < 1.5 + 1e-9
+    for k, surface_ in enumerate((one, other)):
+        body = solid(surface_)
+        alone = sample_solid(body, particles=None, spacing=SPACING, seed=0)
+        copies = find_limbs(body, alone, np.zeros(1, np.int64)).copies
+        single = build_stencil(alone.X, alone.V0, 2.0 * alone.lattice, alone.corner, copies=copies)
+        mine = np.flatnonzero(both.body == k)
+        np.testing.assert_allclose(both.X[mine], alone.X, atol=1e-12)
+        free = together.node_body[: together.free_count] == k
+        assert free.sum() == single.free_count
+        np.testing.assert_allclose(np.sort(together.mass[free]), np.sort(single.mass), atol=1e-9)
+        a = together.rows(both.X, both.body, both.copies.of).W[mine][:, np.flatnonzero(free)]
+        b = single.rows(alone.X, None, copies.of).W
+        np.testing.assert_allclose((a @ a.T).toarray(), (b @ b.T).toarray(), atol=1e-9)
