@@ -116,7 +116,7 @@ def build_body(
         particles.X,
         m,
         h,
-        particles.corner,
+        particles.corner if particles.corners is None else particles.corners,
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
@@ -200,7 +200,7 @@ def surface_contact(
     particles: Particles,
     stencil: Stencil,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
     pins: Sequence[Pin] = (),
     *,
     meets: bool = False,
@@ -265,7 +265,7 @@ def largest_step(
     h: float,
     contact: FloorContact | None,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
 ) -> StableStep:
     """The stable step of the stiffest material with this contact."""
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
@@ -280,7 +280,7 @@ def largest_step(
     )
 
 
-def viscosities(per: dict[str, Floats], h: float) -> Floats:
+def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
     """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
 
     A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
