@@ -23,6 +23,7 @@ from gf_usd.verify.cases import (
     manufactured,
     patch,
     sides,
+    vibration,
 )
 
 CASES: tuple[Case, ...] = (
@@ -34,6 +35,7 @@ CASES: tuple[Case, ...] = (
     *cantilever.CASES,
     *locking.CASES,
     *manufactured.CASES,
+    *vibration.CASES,
     *floor.CASES,
     *drop.CASES,
     *sides.CASES,

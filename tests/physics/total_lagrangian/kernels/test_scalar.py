@@ -118,9 +118,7 @@ def test_one_substep_is_the_sum_that_numpy_makes(plain, mass):
     body, _ = ball(400)
     rubber = DIMENSIONLESS["rubber"].material(body.radius)
     rubber = replace(rubber, damping_time=0.01)
-    s = settings(
-        fps=1e4, frames=2, substeps=1, filter_rate=np.inf, followers=False, mass=mass
-    )
+    s = settings(fps=1e4, frames=2, substeps=1, filter_rate=np.inf, followers=False, mass=mass)
     solver = TotalLagrangian(body, [rubber], s, real=np.float64, plain=plain)
     stencil, M = solver.body.stencil, solver.body.mass
     assert M.is_lumped == (mass == LUMPED)
