@@ -186,7 +186,7 @@ def split(K: sparse.csr_matrix, lumped: Floats, weak: float) -> NodalMass:
     ground = np.asarray(K.sum(1)).ravel()
     ground[np.abs(ground) < 1e-9 * lumped] = 0.0
     all_of = K.tocoo()
-    i, j, k = all_of.row, all_of.col, -all_of.data
+    i, j, k = all_of.row, all_of.col, np.negative(all_of.data)
     keep = (i != j) & (np.abs(k) > weak * np.sqrt(lumped[i] * lumped[j]))
     springs = sparse.csr_matrix((k[keep], (i[keep], j[keep])), shape=K.shape)
     springs.sort_indices()

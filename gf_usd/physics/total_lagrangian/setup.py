@@ -265,9 +265,9 @@ def largest_step(
     contact: FloorContact | None,
     settings: Settings,
     per: dict[str, Floats],
-    frequency: float | None,
+    frequency: float | None = None,
 ) -> StableStep:
-    """The stable step of the stiffest material with this contact."""
+    """The stable step of the stiffest material with this contact; frequency : see `Body`."""
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
     return stable_step(
         wave_speed=float(per["wave_speed"].max()),

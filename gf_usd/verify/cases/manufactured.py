@@ -105,8 +105,9 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
         h = 1.0 / np.array(cells)
         yield Measure(
             name="slope", value=order(h, errors), target=2.0, bound=0.15, kind=AT_LEAST,
-            why="quadratic splines with lumped mass are second order in h, and so is the step,"
-            " which is a fixed share of h / c; edge nodes that follow others cost a little",
+            why="quadratic splines with traction at their edges are second order in h, and so is"
+            " the step, which is a fixed share of h / c; edge nodes that follow others cost a"
+            " little",
             curve=Curve(
                 title="manufactured solution", x_label="h [m]", y_label="L2 error / G",
                 x=tuple(h), y=tuple(errors),
@@ -115,9 +116,9 @@ def converge(*cells: int) -> Callable[[str], Iterator[Measure]]:
         yield Measure(
             name="error", value=float(errors[-1]), target=0.0,
             bound=1.5 * np.pi**3 / (8.0 * cells[-1] ** 2), unit="G",
-            why="lumped mass slows waves by (k h)^2 / 8, k = pi: over half a period a phase of"
-            f" pi^3 / (8 n^2), n = {cells[-1]} cells, in the mean over the cube as much in units of"
-            " G, and half as much again for edges",
+            why="no more than with the row sums of the mass, which slow waves by (k h)^2 / 8,"
+            f" k = pi: over half a period a phase of pi^3 / (8 n^2), n = {cells[-1]} cells, in the"
+            " mean over the cube as much in units of G, and half as much again for edges",
         )  # fmt: skip
 
     return run

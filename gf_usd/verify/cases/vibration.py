@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.special import eval_legendre, spherical_jn
 
 from gf_usd.core.arrays import Floats
@@ -35,7 +35,7 @@ def first_root(f: Callable[[float], float], low: float, high: float) -> float:
     x = np.linspace(low, high, 2001)
     y = np.array([f(float(one)) for one in x])
     k = int(np.flatnonzero(y[:-1] * y[1:] < 0.0)[0])
-    return float(brentq(f, x[k], x[k + 1]))
+    return float(root_scalar(f, bracket=(x[k], x[k + 1])).root)
 
 
 @dataclass(frozen=True)
