@@ -50,9 +50,11 @@ class Particles:
     opacity: Floats  # (N,)
     surface: Ints  # (N,) index of the nearest surface: where the particle came from
     spacing: float  # [m] mean distance s = (V / N)^(1/3)
-    volume: float  # [m^3] of the solid
-    lattice: float  # [m] edge of the strata the particles were drawn from
-    corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
+    volume: float  # [m^3] of the solid: the sum of V0
+    lattice: float  # [m] half the edge of the cells the particles were made for
+    corner: Floats  # (3,) [m] a corner of these cells: those of the solver's grid are laid along it
+    corners: Floats | None = None  # (bodies, 3) [m] the same of each body; None: all have `corner`
+    outside: int = 0  # particles that lie outside of the solid they stand for
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one

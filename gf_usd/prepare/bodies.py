@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -39,17 +39,27 @@ class BodyPlan:
 
 
 def plan_bodies(
-    asset: Asset, solid: Solid, particles: Particles, owners: dict[str, str], *, combine: bool
+    asset: Asset,
+    solid: Solid,
+    spacing: float,
+    sample: Callable[[Ints], Particles],
+    owners: dict[str, str],
+    *,
+    combine: bool,
 ) -> tuple[BodyPlan, Particles]:
-    """The bodies of a filled solid, and its particles with the body of each.
+    """The bodies of a solid, and the particles that fill them.
 
+    spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
     """
     from gf_usd.geometry.connected.bodies import find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
-    of = find_bodies(solid, particles.spacing, owners=owned, combine=combine)
+    of = find_bodies(solid, spacing, owners=owned, combine=combine)
+    particles = sample(of)
     of, fused = _fuse_small(of, solid, particles)
+    if fused:
+        particles = sample(of)
     body = of[particles.surface]
     volume = np.bincount(body, particles.V0, minlength=int(of.max()) + 1)
     paths = [s.path for s in solid.surfaces]

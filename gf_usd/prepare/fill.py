@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
     SHAPES,
     Choices,
+    Particles,
     Settings,
     SurfaceSamples,
     clip_length,
@@ -72,7 +73,8 @@ def fill(
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
     from gf_usd.geometry.repair import notes
-    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.sampling.contact_samples import sample_surface
+    from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
 
@@ -94,27 +96,33 @@ def fill(
         request, spec, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
     )  # fmt: skip
-    particles = sample_solid(
-        solid,
-        particles=asked.particles if asked.spacing is None else None,
-        spacing=asked.spacing,
-        seed=request.seed or 0,
-        uniform=paper,
-        up=asset.facts.up_axis,
-    )
+
+    def sample(of: Ints) -> Particles:
+        return sample_solid(
+            solid,
+            particles=asked.particles if asked.spacing is None else None,
+            spacing=asked.spacing,
+            seed=request.seed or 0,
+            uniform=paper,
+            up=asset.facts.up_axis,
+            bodies=of,
+        )
+
     owners = {path: body.owner for path, body in spec.bodies.items()}
-    bodies, particles = plan_bodies(
-        asset, solid, particles, owners, combine=request.combine or paper or request.solver == "ul"
-    )
+    spacing = asked.spacing or float(np.cbrt(solid.volume / (asked.particles or 1)))
+    combine = request.combine or paper or request.solver == "ul"
+    bodies, particles = plan_bodies(asset, solid, spacing, sample, owners, combine=combine)
     _require_one_body(request, bodies.count)
     if paper:
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
         samples = sample_surface(
-            solid, particles.spacing, request.seed or 0,
-            bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
-        )  # fmt: skip
+            solid,
+            particles.spacing,
+            bodies.of_surface if bodies.count > 1 else None,
+            asset.facts.up_axis,
+        )
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)

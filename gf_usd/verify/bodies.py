@@ -20,7 +20,8 @@ from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.sampling import JITTER, sample_solid, sample_surface
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid, build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -78,7 +79,7 @@ def ball(
     """About so many particles of production sampling in a ball, and its contact samples."""
     solid = solid_of(sphere(radius))
     made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
-    return made, sample_surface(solid, made.spacing, seed)
+    return made, sample_surface(solid, made.spacing)
 
 
 def solid_of(*surfaces: Surface) -> Solid:
@@ -91,20 +92,14 @@ def solid_of(*surfaces: Surface) -> Solid:
     return build_solid(Asset(facts=facts, surfaces=surfaces))
 
 
-def block(
-    low: Any, cells: Any, h: float, *, places: Floats | None = None, seed: int = 0
-) -> Particles:
+def block(low: Any, cells: Any, h: float, *, places: Floats = GAUSS) -> Particles:
     """A box of whole cells of edge h [m], eight particles in each.
 
-    places : (2,) of a cell along each axis, e.g. GAUSS; None: at random in strata, as baked.
+    places : (2,) of a cell along each axis; GAUSS is where a bake has them.
     """
     low, cells = np.asarray(low, float), np.asarray(cells)
     strata = np.stack(np.unravel_index(np.arange(8 * cells.prod()), tuple(2 * cells)), -1)
-    if places is None:
-        rng = np.random.default_rng(seed)
-        at = 0.5 * (strata + 0.5 + JITTER * (rng.random(strata.shape) - 0.5))
-    else:
-        at = strata // 2 + np.asarray(places)[strata % 2]
+    at = strata // 2 + np.asarray(places)[strata % 2]
     return cloud(low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low)
 
 

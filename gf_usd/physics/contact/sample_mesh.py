@@ -155,7 +155,7 @@ class Neighbors:
         a, b = mesh.edges.T
         ends = np.concatenate([a, b]), np.concatenate([b, a])
         step = csr_matrix((np.ones(2 * len(a), np.int8), ends), shape=(n, n))
-        step = (step + identity(n, np.int8, format="csr")).astype(bool)
+        step = (step + identity(n, "int8", format="csr")).astype(bool)
         reached = step
         for _ in range(hops - 1):
             reached = reached @ step

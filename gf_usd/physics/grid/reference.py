@@ -240,20 +240,23 @@ def linear(ijk: Ints, dims: Ints) -> Ints:
     return (ijk[..., 0] * dims[1] + ijk[..., 1]) * dims[2] + ijk[..., 2]
 
 
-def apart(X: Floats, body: Ints, h: float) -> Floats:
-    """Shifts (bodies, 3) [m], whole cells along x, after which no two bodies share a node.
+def apart(X: Floats, body: Ints, h: float, corners: Floats) -> Floats:
+    """Shifts (bodies, 3) [m], along x, after which no two bodies share a node.
 
-    Bodies are as far from each other then as a fit of followers could reach.
+    Bodies are as far from each other then as a fit of followers could reach, and the corners
+    (bodies, 3) [m] of their cells are whole cells from the first one's.
     """
     count = int(body.max()) + 1
     if count == 1:
         return np.zeros((1, 3))
+    aligned = np.remainder(corners[0] - corners, h)
+    X = X + aligned[body]
     low = np.array([X[body == k, 0].min() for k in range(count)])
     high = np.array([X[body == k, 0].max() for k in range(count)])
     # body k begins APART cells after body k - 1 ends
     end = np.cumsum(high - low + APART * h) - (high - low + APART * h)
     cells = np.ceil((low[0] + end - low) / h)
-    return np.stack([h * cells, 0.0 * cells, 0.0 * cells], -1)
+    return aligned + h * cells[:, None] * (1.0, 0.0, 0.0)
 
 
 def build_stencil(
@@ -270,16 +273,18 @@ def build_stencil(
     """Sort particles by cell and number the nodes they reach.
 
     X : (N, 3) [m]; m : (N,) [kg], 0 for particles that a pin holds; h : [m]; corner_at : (3,) [m] a
-    corner where cells meet, so that strata of the sampling lattice fall whole into cells.
+    corner where cells meet, or (bodies, 3) one of each body, so that the cells are those that the
+    particles were made for.
     free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
     pin_constraint : the pins.   body : (N,) the body of each particle; None: all are one.
     copies : of cells that several limbs share; None: every cell is one.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
-    shift = apart(X, body, h)
+    corners = np.broadcast_to(np.asarray(corner_at, float), (int(body.max()) + 1, 3))
+    shift = apart(X, body, h, corners)
     X = X + shift[body]
     # Cells of the quadratic stencil are centered on nodes: their corners lie half a cell off.
-    origin = np.asarray(corner_at, float) - 0.5 * h
+    origin = corners[0] - 0.5 * h
     base, fx = base_node((X - origin) / h)
     if copies is None:
         order, cell_start, cell_nodes, node_ijk = number_cells(base)

@@ -128,7 +128,7 @@ def build_body(
         particles.X,
         m,
         h,
-        particles.corner,
+        particles.corner if particles.corners is None else particles.corners,
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
@@ -218,7 +218,7 @@ def surface_contact(
     particles: Particles,
     stencil: Stencil,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
     pins: Sequence[Pin] = (),
     *,
     meets: bool = False,
@@ -285,7 +285,7 @@ def largest_step(
     h: float,
     contact: FloorContact | None,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
     frequency: float | None = None,
 ) -> StableStep:
     """The stable step of the stiffest material with this contact; frequency : see `Body`."""
@@ -302,7 +302,7 @@ def largest_step(
     )
 
 
-def highest_frequency(rows: Rows, mass: NodalMass, per: dict[str, Floats], h: float) -> float:
+def highest_frequency(rows: Rows, mass: NodalMass, per: Mapping[str, Floats], h: float) -> float:
     """The highest frequency of the body at rest, in units of c/h of its fastest material.
 
     That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
@@ -324,6 +324,17 @@ def highest_frequency(rows: Rows, mass: NodalMass, per: dict[str, Floats], h: fl
     return float(np.sqrt(w2) * h / per["wave_speed"].max())
 
 
+def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
+    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
+
+    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
+    """
+    from gf_usd.physics.laws.stress import SHOCK
+
+    tau = per["damping_time"]
+    return np.column_stack([2.0 * per["mu"] * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
+
+
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
     """Every array of the kernels' pack, flat, at the start.
 
@@ -342,7 +353,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, body.law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
+        "viscosity": layout.lanes(batches, viscosities(per, body.h)),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "acceleration": acceleration.ravel(),

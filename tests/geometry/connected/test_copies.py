@@ -14,7 +14,7 @@ from solids import cube, solid, sphere, surface
 from gf_usd.core.frames import Particles
 from gf_usd.geometry.connected import copies
 from gf_usd.geometry.connected.copies import Limbs, find_limbs
-from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid
 from gf_usd.verify.bodies import comb
 

@@ -10,7 +10,8 @@ from solids import solid, surface
 
 from gf_usd.core.frames import CellCopies
 from gf_usd.geometry.connected.copies import find_limbs
-from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
@@ -34,7 +35,7 @@ def fork():
     body = solid(skin)
     particles = sample_solid(body, particles=None, spacing=SPACING, seed=0)
     found = find_limbs(body, particles, np.zeros(1, np.int64))
-    samples = sample_surface(body, particles.spacing, 0)
+    samples = sample_surface(body, particles.spacing)
     samples = replace(samples, cell_copy=found.of_points(samples.X))
     return replace(particles, copies=found.copies), skin, samples, found.of_points(skin.points)
 
