@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames import CONSISTENT, LUMPED, Settings
 from gf_usd.core.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials
@@ -187,6 +187,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         contact_rate=PAPER_CONTACT / T**2 if paper else None,
         sampling="rejection" if paper else "strata",
         followers=not paper,
+        mass=LUMPED if paper else CONSISTENT,
         deformation_gradients=request.deformation_gradients,
         stress=request.stress,
         skin=request.skin or ("paper" if paper else "embed"),
