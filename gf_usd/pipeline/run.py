@@ -295,6 +295,7 @@ def _run_variant(
         particles=len(plan.particles),
         held=bool(plan.pins),
         bodies=plan.bodies.count if plan.bodies else 1,
+        obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
     if since is None:
         clear(variant.sequences)
