@@ -99,7 +99,7 @@ class Settings:
     threads: int | None = None  # CPU threads; None: all
     time_scale: float = 1.0  # simulated seconds per second of playback
     substeps: int | None = None  # a frame; None: from the stable step
-    cell: float | None = None  # [m] grid spacing h; None: two strata
+    cell: float | None = None  # [m] grid spacing h; None: two lattice edges
     contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
     sampling: str = "strata"  # strata | rejection
     followers: bool = True  # light nodes follow the others; False: every node is free

@@ -23,12 +23,14 @@ from gf_usd.verify.cases import (
     locking,
     manufactured,
     patch,
+    sampling,
     sides,
 )
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
     *patch.CASES,
+    *sampling.CASES,
     *law.CASES,
     *bar.CASES,
     *bar.VERTICAL_CASES,
