@@ -23,6 +23,7 @@ from gf_usd.verify.cases import (
     locking,
     manufactured,
     patch,
+    sampling,
     sides,
     vibration,
 )
@@ -30,6 +31,7 @@ from gf_usd.verify.cases import (
 CASES: tuple[Case, ...] = (
     *flight.CASES,
     *patch.CASES,
+    *sampling.CASES,
     *law.CASES,
     *bar.CASES,
     *bar.VERTICAL_CASES,

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.geometry.sampling.content import POWERS, Content, Grid, find_content
 from gf_usd.geometry.sampling.mirror import mirror_axes
-from gf_usd.geometry.sampling.rules import moment_points
+from gf_usd.geometry.sampling.rules import CellPoints, moment_points, spreads
 from gf_usd.geometry.solid import Solid
 
 Flags = NDArray[np.bool_]
 
+LATTICE = 8  # probes along each axis of a cell whose content is taken apart
+LEAST_SHARE = 0.05  # of a content: a smaller part goes to the others
 SLIVER = 0.24  # [cells] of volume: what holds less goes to a neighbor
 SAME_SURFACE = 0.05  # [cells] by which mirror images may differ where polygons are cut otherwise
 
@@ -43,7 +47,9 @@ def fill_cells(solid: Solid, grid: Grid) -> Filling:
     def inside(cells: Ints, place: Floats) -> Flags:
         return solid.inside(grid.to_world(middle[cells] + place))
 
-    points = moment_points(moments, reach, own_image, inside)
+    points = split_where_outside(
+        moment_points(moments, reach, own_image, inside), moments, reach, own_image, inside
+    )
     # From the middle of the grid, so that mirror images differ by their sign alone.
     place = middle[points.cell] - 0.5 * grid.count + points.place
     volume, image = points.volume, own_image[points.cell]
@@ -59,9 +65,86 @@ def fill_cells(solid: Solid, grid: Grid) -> Filling:
     return Filling(
         X=center + grid.h * place[order] @ grid.turn,
         V0=grid.h**3 * volume[order],
-        outside=points.outside,
+        outside=int(points.outside.sum()),
         counted=content.counted,
     )
+
+
+def split_where_outside(
+    points: CellPoints,
+    moments: Floats,
+    reach: tuple[Floats, Floats],
+    own_image: Flags,
+    inside: Callable[[Ints, Floats], Flags],
+) -> CellPoints:
+    """The points, those of cells with some in the void made anew from two or more parts of them.
+
+    A cell that holds some of two limbs has a mean between them; so has one that is bent.
+    Parameters are those of `moment_points`.
+    """
+    rows, parts, lows, highs = [], [], [], []
+    for row in np.flatnonzero((points.outside > 0) & ~own_image.any(1)):
+        low, high = reach[0][row], reach[1][row]
+        for part, span in _parts(moments[row], low, high, lambda P, row=row: inside(
+            np.full(len(P), row), P
+        )):  # fmt: skip
+            rows.append(row)
+            parts.append(part)
+            lows.append(span[0])
+            highs.append(span[1])
+    if not rows:
+        return points
+    of = np.array(rows)
+    made = moment_points(
+        np.array(parts), (np.array(lows), np.array(highs)), np.zeros((len(of), 3), bool),
+        lambda cells, place: inside(of[cells], place),
+    )  # fmt: skip
+    outside = points.outside.copy()
+    anew = np.bincount(of, made.outside, minlength=len(outside)).astype(np.int64)
+    better = np.isin(np.arange(len(outside)), of) & (anew < outside)
+    outside[better] = anew[better]
+    old, new = ~better[points.cell], better[of[made.cell]]
+    cell = np.concatenate([points.cell[old], of[made.cell[new]]])
+    order = np.argsort(cell, kind="stable")
+    return CellPoints(
+        cell=cell[order],
+        place=np.concatenate([points.place[old], made.place[new]])[order],
+        volume=np.concatenate([points.volume[old], made.volume[new]])[order],
+        outside=outside,
+    )
+
+
+def _parts(
+    moments: Floats, low: Floats, high: Floats, inside: Callable[[Floats], Flags]
+) -> list[tuple[Floats, tuple[Floats, Floats]]]:
+    """Moments (10,) of parts of a content that add up to it, with the span of each; may be none.
+
+    Parts are connected, by probes on a lattice; what is connected is cut at its mean, across the
+    direction in which it is longest.  What the probes miss is shared out by volume.
+    """
+    step = (high - low) / LATTICE
+    at = np.stack(np.meshgrid(*[np.arange(LATTICE)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    P = low + step * (at + 0.5)
+    held = inside(P)
+    if not held.any():
+        return []
+    label = ndimage.label(held.reshape((LATTICE,) * 3))[0].ravel()
+    if label.max() == 1:
+        away = P - P[held].mean(0)
+        longest = np.linalg.svd(away[held], full_matrices=False)[2][0]
+        label = np.where(held, 1 + (away @ longest > 0.0), 0)
+    count = np.bincount(label)[1:]
+    kept = np.flatnonzero(count >= LEAST_SHARE * count.sum()) + 1
+    values = np.prod(P[:, None, :] ** POWERS[None], 2) * np.prod(step)
+    values[:, 4:7] += np.prod(step) * step**2 / 12.0
+    found = np.array([values[label == k].sum(0) for k in kept])
+    found += (found[:, :1] / found[:, 0].sum()) * (moments - found.sum(0))
+    # A correction that leaves no spread in some direction would lose what it is to keep.
+    if len(kept) < 2 or (found[:, 0] <= 0.0).any() or (spreads(found) < 0.0).any():
+        return []
+    half = 0.5 * step
+    spans = [(P[label == k].min(0) - half, P[label == k].max(0) + half) for k in kept]
+    return list(zip(found, spans))
 
 
 def flipped(moments: Floats, axis: int) -> NDArray[np.float64]:

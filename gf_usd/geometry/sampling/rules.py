@@ -73,7 +73,7 @@ class CellPoints:
     cell: Ints  # (N,) row of the cell of each
     place: Floats  # (N, 3) from the middle of the cell, in cells
     volume: Floats  # (N,) in cells
-    outside: int  # points that lie outside of the solid: no rule keeps all of a cell in
+    outside: Ints  # (n,) points of each cell outside of the solid: no rule keeps all of them in
 
 
 def moment_points(
@@ -89,7 +89,7 @@ def moment_points(
     as its points are to be; inside : of cells (m,) and places in them (m, 3), (m,) which lie in
     the solid.
     """
-    mean, root = _spread(moments)
+    mean, root = mean_and_root(moments)
     full = (moments[:, 0] > 1.0 - EDGE) & (np.abs(mean) < EDGE).all(1)
     best = np.where(full, 0, WORST)
     chosen = np.zeros(len(moments), np.int64)
@@ -132,15 +132,26 @@ def moment_points(
         cell=cell[order],
         place=place[order],
         volume=volume[order],
-        outside=int((best // VOID).sum()),
+        outside=best // VOID,
     )
 
 
-def _spread(moments: Floats) -> tuple[Floats, Floats]:
-    """Mean (n, 3) and symmetric root (n, 3, 3) of the covariance of contents, in cells."""
+def covariance(moments: Floats) -> tuple[Floats, Floats]:
+    """Mean (n, 3) and covariance (n, 3, 3) of contents, in cells."""
     mean = moments[:, 1:4] / moments[:, :1]
     second = moments[:, 4:] / moments[:, :1]
     C = second[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]] - mean[:, :, None] * mean[:, None, :]
+    return mean, C
+
+
+def spreads(moments: Floats) -> NDArray[np.float64]:
+    """(n, 3) variances of contents in their principal directions, ascending."""
+    return np.linalg.eigvalsh(covariance(moments)[1])
+
+
+def mean_and_root(moments: Floats) -> tuple[Floats, Floats]:
+    """Mean (n, 3) and symmetric root (n, 3, 3) of the covariance of contents, in cells."""
+    mean, C = covariance(moments)
     values, vectors = np.linalg.eigh(C)
     root = np.sqrt(np.maximum(values, 0.0))  # rounding of a content that is next to flat
     return mean, np.einsum("nab,nb,ncb->nac", vectors, root, vectors)

@@ -77,7 +77,7 @@ class RequestOptions:
         PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Seed of the random sampling.",
+        PARTICLES, "Seed of the random places of --preset paper; no other sampling is random.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | None, Option(
