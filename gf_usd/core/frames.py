@@ -79,6 +79,9 @@ class SurfaceSamples:
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
 
+CONSISTENT, LUMPED = "consistent", "lumped"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Everything that decides a bake, resolved: no None is left to interpret."""
@@ -103,6 +106,7 @@ class Settings:
     contact_rate: float | None = None  # [1/s^2] contact stiffness per mass; None: by formula
     sampling: str = "strata"  # strata | rejection
     followers: bool = True  # light nodes follow the others; False: every node is free
+    mass: str = CONSISTENT  # tl: consistent | lumped (`physics.grid.mass`)
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
     skin: str = "embed"  # embed | idw | paper: how meshes follow the body

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
     from gf_usd.geometry.repair import Repairs
     from gf_usd.geometry.solid import Solid
+    from gf_usd.geometry.thin.thickness import Thickness
 
 
 def fill(
@@ -77,12 +78,15 @@ def fill(
     from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
+    from gf_usd.geometry.thin.thickness import thickness
 
     mended: tuple[str, ...] = ()
     filled = asset
+    follows = False  # a sheet is as thick as the spacing
     if repair:
         asset, filled, repairs = mend(asset, request, spec)
         mended = notes(repairs)
+        follows = any(one.thickened for one in repairs)
     solid = build_solid(filled, repaired=repair)
     if not repair:
         by_path = {seen.path: seen for seen in known}
@@ -95,6 +99,7 @@ def fill(
     asked = _resolution(
         request, spec, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
+        None if follows else lambda: (solid.volume, thickness(solid)),
     )  # fmt: skip
 
     def sample(of: Ints) -> Particles:
@@ -310,11 +315,16 @@ def _stated_values(request: Request) -> dict[str, float]:
 
 
 def _resolution(
-    request: Request, spec: StageSpec, unit: float, volumes: Callable[[], Mapping[str, float]]
+    request: Request,
+    spec: StageSpec,
+    unit: float,
+    volumes: Callable[[], Mapping[str, float]],
+    thin: Callable[[], tuple[float, Thickness | None]] | None = None,
 ) -> Resolution:
     """See `resolution`; unit : [m] of the stage's."""
     spacing = request.spacing * unit if request.spacing else None
-    return resolution(request.particles, spacing, spec, volumes, paper=request.preset == "paper")
+    paper = request.preset == "paper"
+    return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
 PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
@@ -359,7 +369,7 @@ def mend(
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.repair import repair_asset
-    from gf_usd.geometry.thicken import thicken_asset
+    from gf_usd.geometry.thin.thicken import thicken_asset
 
     mended, repairs = repair_asset(asset)
     asked = _resolution(

@@ -206,7 +206,7 @@ def force(solver: TotalLagrangian) -> Floats:
     before = solver.state.view().v
     solver.advance(1, 1)
     kick = solver.state.view().v - before
-    return solver.body.stencil.mass[:, None] * kick / solver.frame_time
+    return solver.body.mass.momentum(kick) / solver.frame_time
 
 
 def virial(solver: TotalLagrangian) -> Floats:

@@ -24,6 +24,7 @@ from gf_usd.verify.cases import (
     manufactured,
     patch,
     sides,
+    vibration,
 )
 
 CASES: tuple[Case, ...] = (
@@ -36,6 +37,7 @@ CASES: tuple[Case, ...] = (
     *limbs.CASES,
     *locking.CASES,
     *manufactured.CASES,
+    *vibration.CASES,
     *floor.CASES,
     *drop.CASES,
     *sides.CASES,

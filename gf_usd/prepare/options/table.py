@@ -71,7 +71,7 @@ class RequestOptions:
 
     particles: Annotated[int | None, Option(
         PARTICLES, "Approximate number of particles.",
-        shown="8000", above_zero=True, commands=INSPECT,
+        shown="8000; to 32000 for thin parts", above_zero=True, commands=INSPECT,
     )] = None
     spacing: Annotated[float | None, Option(
         PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,

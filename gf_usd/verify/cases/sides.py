@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gf_usd.core.frames import LUMPED
 from gf_usd.core.materials import FILTER_RATE, G0, time_scale
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
@@ -37,6 +38,7 @@ def drop(solver: str, particles: int, device: str) -> Drop:
     s = settings(
         device, frames=FRAMES, fps=RATE / T, gravity=(0.0, -G0, 0.0), floor=0.0,
         filter_rate=FILTER_RATE / T, lift=(0.0, 1.0 + FALL, 0.0), solver=solver,
+        mass=LUMPED,  # as the other solver has it
     )  # fmt: skip
     made = [look("rubber", body)]
     skin = sphere()

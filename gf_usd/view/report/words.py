@@ -130,6 +130,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "contact_rate": ("Contact stiffness", "1/s²"),
     "sampling": ("Sampling", ""),
     "followers": ("Light nodes follow", ""),
+    "mass": ("Mass matrix", ""),
     "deformation_gradients": ("F written", ""),
     "stress": ("Stress written", ""),
     "skin": ("Skin", ""),

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from solids import cube, fill, solid, sphere, surface
 
-from gf_usd.geometry.parts import FEW, poor_parts, suggestion
+from gf_usd.geometry.thin.parts import FEW, poor_parts, suggestion
 
 
 def parts_of(*surfaces, particles):

@@ -10,7 +10,7 @@ from gf_usd.core.mesh import boundary_edges
 from gf_usd.geometry.repair import repair_asset
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import build_solid
-from gf_usd.geometry.thicken import LAYER, offsets, thicken_asset
+from gf_usd.geometry.thin.thicken import LAYER, offsets, thicken_asset
 
 
 def sheet(n: int = 1, edge: float = 1.0, wave: float = 0.0, at=(0.0, 0.0, 0.0), path="/Sheet"):
