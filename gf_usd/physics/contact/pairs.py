@@ -222,7 +222,7 @@ class BodyContact:
         return int(np.clip(hold / dt, 1, left))
 
     def _sliding(self, v: Floats) -> float:
-        """[s] until a sample has slid too far along what it faces; what is off may slide farther."""
+        """[s] until a sample has slid too far along what it faces; what is off may go farther."""
         f = self.planes
         near = f.partner != narrow_phase.NOBODY
         speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[near]

@@ -55,9 +55,9 @@ def triangulate(skin: Skin, X: Floats, spacing: float) -> SampleMesh:
         + [np.stack([samples, corners[:, k]], 1) for k in range(3)]
     )
     graph = _lengths(ends, np.concatenate([points, X]), spacing)
-    of = dijkstra(
-        graph, directed=False, indices=samples, min_only=True, return_predecessors=True
-    )[2][:first]
+    of = dijkstra(graph, directed=False, indices=samples, min_only=True, return_predecessors=True)[
+        2
+    ][:first]
     label = of[triangles] - first
     reached = (of[triangles] >= 0).all(1)
     a, b, c = label.T
@@ -155,7 +155,7 @@ class Neighbors:
         a, b = mesh.edges.T
         ends = np.concatenate([a, b]), np.concatenate([b, a])
         step = csr_matrix((np.ones(2 * len(a), np.int8), ends), shape=(n, n))
-        step = (step + identity(n, np.int8, format="csr")).astype(bool)
+        step = (step + identity(n, "int8", format="csr")).astype(bool)
         reached = step
         for _ in range(hops - 1):
             reached = reached @ step

@@ -212,7 +212,9 @@ class SelfContact:
         radius = SEE * self._spacing
         tree = kd_tree(x)
         center = x + radius * normal
-        distance, at = tree.query(center, k=min(LOOKED, len(x)), distance_upper_bound=radius * (1.0 - 1e-6))
+        distance, at = tree.query(
+            center, k=min(LOOKED, len(x)), distance_upper_bound=radius * (1.0 - 1e-6)
+        )
         there = np.isfinite(distance)
         who = np.broadcast_to(np.arange(len(x))[:, None], at.shape)[there]
         other = at[there]
@@ -358,7 +360,14 @@ def closest_weights(p: Floats, corners: Floats) -> Floats:
     def dot(u: Floats, v: Floats) -> Floats:
         return np.einsum("na,na->n", u, v)
 
-    d1, d2, d3, d4, d5, d6 = dot(ab, ap), dot(ac, ap), dot(ab, bp), dot(ac, bp), dot(ab, cp), dot(ac, cp)
+    d1, d2, d3, d4, d5, d6 = (
+        dot(ab, ap),
+        dot(ac, ap),
+        dot(ab, bp),
+        dot(ac, bp),
+        dot(ab, cp),
+        dot(ac, cp),
+    )
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     total = va + vb + vc
     total = np.where(total != 0.0, total, 1.0)

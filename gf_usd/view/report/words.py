@@ -65,7 +65,12 @@ ROWS: tuple[Row, ...] = (
     Row("clamped_share", "The same", "", "as a part of all particles and frames"),
     Row("stress_capped_particle_frames", "Stress cut", "", "particles, over all frames"),
     Row("stress_capped_share", "The same", "", "as a part of all particles and frames"),
-    Row("friction_capped", "Friction sticks", "", "contact points, over all substeps; of the paper's friction"),
+    Row(
+        "friction_capped",
+        "Friction sticks",
+        "",
+        "contact points, over all substeps; of the paper's friction",
+    ),
     Row("energy_start_J", "Energy at the start", "J", "kinetic, elastic, potential and contact"),
     Row("energy_end_J", "Energy at the end", "J", "what damping and friction left"),
     Row("energy_max_J", "Most energy", "J", "in any frame; without pins that of the start"),
