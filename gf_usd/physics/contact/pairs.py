@@ -41,6 +41,7 @@ from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
+STAY = 1.0  # [spacings]
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 # Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
 # each other strain them twice as fast as one that comes at a wall does.
@@ -196,6 +197,7 @@ class BodyContact:
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
         hold = min(hold, self._face_themselves(search, v))
+        self._keep(search, old.depth)
         values = pair_values(
             search.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
@@ -214,7 +216,8 @@ class BodyContact:
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x
         self._overlap = max(self._overlap, -float(search.gap.min()))
-        self.released = max(self.released, search.released)
+        lost = (old.depth > EASE * self._spacing) & (self.planes.partner == narrow_phase.NOBODY)
+        self.released = max(self.released, search.released, int(lost.sum()))
         hold = min(hold, self._sliding(v))
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
@@ -291,6 +294,24 @@ class BodyContact:
                 np.take_along_axis(found.weights, order, 1), sure=True,
             )  # fmt: skip
         return hold
+
+    def _keep(self, search: ContactSearch, depth: Floats) -> None:
+        """Have samples inside their own body that see no place of it keep the plane they had.
+
+        depth : (n,) [m] under the planes until now.  Where a place ends, at an edge or at a crease,
+        none may be found; a sample is not inside any more once it is STAY beside what it faced.
+        """
+        f = self.planes
+        unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
+        rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
+        point = (f.ridden(search.x) + f.point)[rows]
+        away = search.x[rows] - point
+        beside = away + depth[rows, None] * f.normal[rows]
+        near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
+        rows, point = rows[near], point[near]
+        search.offer(
+            rows, -depth[rows], f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True
+        )
 
     def _known(self, body: int, x: Floats) -> tuple[Floats, Floats]:
         """Where the samples of a body were at the last detection, and their gaps [m].

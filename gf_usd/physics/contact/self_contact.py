@@ -360,14 +360,7 @@ def closest_weights(p: Floats, corners: Floats) -> Floats:
     def dot(u: Floats, v: Floats) -> Floats:
         return np.einsum("na,na->n", u, v)
 
-    d1, d2, d3, d4, d5, d6 = (
-        dot(ab, ap),
-        dot(ac, ap),
-        dot(ab, bp),
-        dot(ac, bp),
-        dot(ab, cp),
-        dot(ac, cp),
-    )
+    d1, d2, d3, d4, d5, d6 = (dot(edge, away) for away in (ap, bp, cp) for edge in (ab, ac))
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     total = va + vb + vc
     total = np.where(total != 0.0, total, 1.0)

@@ -69,7 +69,7 @@ ROWS: tuple[Row, ...] = (
         "friction_capped",
         "Friction sticks",
         "",
-        "contact points, over all substeps; of the paper's friction",
+        "contact points, over all substeps (paper)",
     ),
     Row("energy_start_J", "Energy at the start", "J", "kinetic, elastic, potential and contact"),
     Row("energy_end_J", "Energy at the end", "J", "what damping and friction left"),
