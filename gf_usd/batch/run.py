@@ -16,7 +16,7 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import InputTable, read_by
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.pipeline.budget import PARTICLE_MEMORY, PROCESS_MEMORY
-from gf_usd.prepare.settings import DEFAULT_PARTICLES, PAPER_PARTICLES
+from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
 from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children
 
@@ -96,8 +96,9 @@ def cores() -> int:
 
 
 def memory_of(options: Mapping[str, Any]) -> float:
-    """[bytes] that a bake with these options may take; vertices are not known before it is read."""
-    default = PAPER_PARTICLES if options.get("preset") == "paper" else DEFAULT_PARTICLES
+    """[bytes] that a bake with these options may take; shape and vertices are not known yet."""
+    paper = options.get("preset") == "paper"
+    default = PAPER_PARTICLES if paper else FINEST * DEFAULT_PARTICLES
     return MARGIN * (PROCESS_MEMORY + PARTICLE_MEMORY * (options.get("particles") or default))
 
 

@@ -15,7 +15,7 @@ from gf_usd.prepare.fill import size
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis
-    from gf_usd.geometry.parts import Part
+    from gf_usd.geometry.thin.parts import Part
     from gf_usd.pipeline.inspect import Inspection
 
 
@@ -127,6 +127,11 @@ def _body(console: Console, seen: Inspection) -> None:
         f" (a ball of radius {_length(p.radius)}); {s.frames} frames at {s.fps:g} fps,"
         f" falls {_length(plan.drop)}, {falls}"
     )
+    if (thick := seen.thickness) is not None:
+        console.print(
+            f"{_length(thick.thin)} thick or less in 5 % of the surface:"
+            f" {thick.across(p.spacing):.1f} particles across; median {_length(thick.median)}"
+        )
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("material")
     for title in ("substeps a frame", "time about", "memory about", "disk about"):
@@ -158,7 +163,7 @@ def _advice(console: Console, seen: Inspection) -> None:
 def _parts(console: Console, seen: Inspection) -> None:
     if not seen.parts:
         return
-    from gf_usd.geometry.parts import suggestion
+    from gf_usd.geometry.thin.parts import suggestion
 
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("poorly filled", overflow="fold")

@@ -80,16 +80,19 @@ def stable_step(
     contact_omega2: float,
     contact_damping: float,
     safety: float,
+    frequency: float | None = None,
 ) -> StableStep:
     """Step for waves of speed c [m/s] on cells of h [m] with contact and Kelvin-Voigt damping.
 
     viscous_time : tau scaled to the pressure wave, tau * 2 mu / (lam + 2 mu) [s]: the damping of
         the stiffest grid vibration w is then viscous_time * w^2.
     contact_omega2 : [1/s^2], contact_damping : [1/s], from `contact.build_contact`.
+    frequency : the highest of the grid in units of c/h; None: `grid_frequency`.
     """
+    highest = grid_frequency(per_cell) if frequency is None else frequency
     step = StableStep(
         dt=0.0,
-        elastic=float(grid_frequency(per_cell) * wave_speed / h),
+        elastic=float(highest * wave_speed / h),
         contact=float(np.sqrt(contact_omega2)),
         viscous_time=viscous_time,
         contact_damping=contact_damping,
@@ -125,11 +128,15 @@ def wave_speed(k: Floats, density: Floats, order: np.ndarray, cell_start: np.nda
     return float(np.sqrt((k / density).max()))
 
 
-def strained_step(rest: StableStep, speed: float, h: float, per_cell: float) -> float:
+def strained_step(
+    rest: StableStep, speed: float, h: float, per_cell: float, frequency: float | None = None
+) -> float:
     """The stable step [s] with waves of this speed [m/s]; contact and damping as at rest.
 
     No safety is taken off: the mean over a cell is on the safe side, and the guard behind it.
+    frequency : see `stable_step`.
     """
-    elastic = grid_frequency(per_cell) * speed / h
+    highest = grid_frequency(per_cell) if frequency is None else frequency
+    elastic = highest * speed / h
     strained = replace(rest, elastic=max(elastic, rest.elastic))
     return strained.limit

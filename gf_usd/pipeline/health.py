@@ -48,10 +48,11 @@ class HealthLog:
         particles: int,
         held: bool = False,
         bodies: int = 1,
+        obstacles: bool = False,
     ) -> None:
         self._settings, self._spacing, self._drop = settings, spacing, drop
         self._radius, self._particles, self._held = radius, particles, held
-        self._bodies = bodies
+        self._bodies, self._obstacles = bodies, obstacles
         self.frames: list[Health] = []
         self._passing: list[Health] = []  # samples since the last frame
 
@@ -79,7 +80,8 @@ class HealthLog:
         h = self.frames
         many = self._particles * len(h)
         # Of one body that meets nothing but the floor can be said how it bounced.
-        crowd = self._held or self._bodies > 1 or any(f.overlap > 0.0 for f in h)
+        crowd = self._held or self._bodies > 1
+        crowd |= self._obstacles and any(f.overlap > 0.0 for f in h)
         return {
             "frames": len(h),
             "substeps": sum(f.substeps for f in h),

@@ -33,8 +33,9 @@ from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
-from gf_usd.geometry.parts import Part, suggestion
 from gf_usd.geometry.repair import Repairs
+from gf_usd.geometry.thin.parts import Part, suggestion
+from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.budget import Cost
 from gf_usd.pipeline.run import Prepared, draw
 from gf_usd.prepare.fill import fill, implausible_size, mend, size
@@ -58,6 +59,7 @@ class Inspection:
     parts: tuple[Part, ...] = ()
     warnings: tuple[str, ...] = ()
     refusal: InputError | None = None
+    thickness: Thickness | None = None  # of what is filled
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -153,6 +155,7 @@ class Inspection:
         return {
             "particles": len(p),
             "spacing": p.spacing,
+            **self._thickness(p.spacing),
             "volume_m3": p.volume,
             "radius": p.radius,
             "frames": s.frames,
@@ -160,6 +163,15 @@ class Inspection:
             "start": s.start,
             "drop": self.plan.drop,
             "first_contact_frame": self.cost["first_contact_frame"],
+        }
+
+    def _thickness(self, spacing: float) -> dict[str, float | None]:
+        if self.thickness is None:
+            return dict.fromkeys(("thickness_5_percent", "thickness_median", "particles_across"))
+        return {
+            "thickness_5_percent": self.thickness.thin,
+            "thickness_median": self.thickness.median,
+            "particles_across": self.thickness.across(spacing),
         }
 
 
@@ -229,7 +241,7 @@ def inspect(
     UsageError : the options make no sense.
     InputError : the file cannot be read, or holds nothing that could be made soft.
     """
-    from gf_usd.geometry.parts import poor_parts
+    from gf_usd.geometry.thin.parts import poor_parts
 
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
@@ -249,7 +261,7 @@ def inspect(
         if not repair and would_fill(mend(asset, request, spec)[1]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    seen = replace(seen, plan=plan, cost=Prepared(plan=plan).cost)
+    seen = replace(seen, plan=plan, cost=Prepared(plan=plan).cost, thickness=thickness(solid))
     lost = lost_volume(seen)
     # Where faults cost much of the fill, thin parts are their echo.
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)

@@ -295,6 +295,7 @@ def _run_variant(
         particles=len(plan.particles),
         held=bool(plan.pins),
         bodies=plan.bodies.count if plan.bodies else 1,
+        obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
     if since is None:
         clear(variant.sequences)
@@ -375,7 +376,11 @@ def _solver(plan: Plan, variant: Variant) -> Solver:
     if plan.velocity:
         more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
     if plan.settings.solver == "tl" and plan.bodies is not None:
-        more |= {"contact_setup": plan.contact_setup, "embedded_body": plan.bodies.embedded}
+        more |= {
+            "contact_setup": plan.contact_setup,
+            "embedded_body": plan.bodies.embedded,
+            "embedded_copy": plan.riding,
+        }
     return make_solver(
         sampled(variant.settings),
         plan.particles,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import shells, signed_volume, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import BodyPhysics, ContactSetup, Skin, StagePhysics
@@ -39,17 +39,27 @@ class BodyPlan:
 
 
 def plan_bodies(
-    asset: Asset, solid: Solid, particles: Particles, owners: dict[str, str], *, combine: bool
+    asset: Asset,
+    solid: Solid,
+    spacing: float,
+    sample: Callable[[Ints], Particles],
+    owners: dict[str, str],
+    *,
+    combine: bool,
 ) -> tuple[BodyPlan, Particles]:
-    """The bodies of a filled solid, and its particles with the body of each.
+    """The bodies of a solid, and the particles that fill them.
 
+    spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
     """
-    from gf_usd.geometry.bodies import find_bodies
+    from gf_usd.geometry.connected.bodies import find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
-    of = find_bodies(solid, particles.spacing, owners=owned, combine=combine)
+    of = find_bodies(solid, spacing, owners=owned, combine=combine)
+    particles = sample(of)
     of, fused = _fuse_small(of, solid, particles)
+    if fused:
+        particles = sample(of)
     body = of[particles.surface]
     volume = np.bincount(body, particles.V0, minlength=int(of.max()) + 1)
     paths = [s.path for s in solid.surfaces]
@@ -115,6 +125,54 @@ def _embedded(
             tree = kd_tree(particles.X)
         out[surface.path] = int(np.bincount(body[tree.query(surface.points)[1]]).argmax())
     return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimbPlan:
+    """A filled solid whose near limbs share no nodes (docs/physics.md)."""
+
+    particles: Particles
+    samples: SurfaceSamples
+    contact_setup: ContactSetup
+    riding: dict[str, Ints] = field(default_factory=dict)  # copies of cells of points, by path
+    notes: tuple[str, ...] = ()
+
+
+def keep_limbs_apart(
+    solid: Solid, bodies: BodyPlan, filled: LimbPlan, riding: Mapping[str, Floats]
+) -> LimbPlan:
+    """The particles with the copies of cells that limbs share, and what rides on which copy.
+
+    riding : (n, 3) [m] points that ride, by prim path.
+    """
+    from gf_usd.geometry.connected.copies import find_limbs
+
+    limbs = find_limbs(solid, filled.particles, bodies.of_surface)
+    if limbs is None:
+        return filled
+    samples, setup = filled.samples, filled.contact_setup
+    skins = tuple(
+        replace(skin, cell_copy=limbs.of_points(skin.points, np.full(len(skin.points), k)))
+        for k, skin in enumerate(setup.skins)
+    )
+    notes = [
+        f"limbs near each other at rest move apart: {limbs.nodes} nodes of the grid are copied"
+    ]
+    if limbs.crowded:
+        notes.append(
+            f"{limbs.crowded} cells of the grid hold so many scraps of surface that limbs in them"
+            " are not told apart"
+        )
+    return LimbPlan(
+        particles=replace(filled.particles, copies=limbs.copies),
+        samples=replace(samples, cell_copy=limbs.of_points(samples.X, samples.body)),
+        contact_setup=replace(setup, skins=skins),
+        riding={
+            path: limbs.of_points(X, np.full(len(X), bodies.embedded[path]))
+            for path, X in riding.items()
+        },
+        notes=tuple(notes),
+    )
 
 
 def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:

@@ -42,7 +42,7 @@ def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, to
     u = solver.body.stencil.node_X @ (A - np.eye(3)).T
     solver.state.arrays["u"].from_numpy(u.astype(real).ravel())
     solver.advance(1, 1)  # from rest, the kick of one step is the force of the patch
-    force = solver.body.stencil.mass[:, None] * solver.state.view().v / DT
+    force = solver.state.view().momentum / DT
     X, h = solver.body.stencil.free_X, solver.body.h
     inside = (np.abs(X - 0.5) < 0.5 - 1.4 * h).all(1)  # a spline reaches 1.5 h, nodes are h apart
     assert inside.sum() == 64

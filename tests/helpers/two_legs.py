@@ -9,7 +9,7 @@ from solids import solid, surface
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.stage import Skin
-from gf_usd.geometry.sampling import sample_surface
+from gf_usd.geometry.sampling.contact_samples import sample_surface
 
 SPACING = 0.1
 
@@ -29,4 +29,4 @@ def sampled(one: Surface) -> tuple[Skin, SurfaceSamples]:
     """The skin of a surface, and its samples."""
     made = solid(one)
     points, triangles = made.outward(0)
-    return Skin(points=points, triangles=triangles), sample_surface(made, SPACING, 0)
+    return Skin(points=points, triangles=triangles), sample_surface(made, SPACING)

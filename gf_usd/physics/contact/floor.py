@@ -21,6 +21,8 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
+from gf_usd.physics.grid import spectrum
+from gf_usd.physics.grid.mass import NodalMass, lumped_mass
 from gf_usd.physics.grid.reference import Rows, Stencil
 from gf_usd.physics.taichi_arrays import DeviceState
 
@@ -96,13 +98,15 @@ def build_contact(
     impact_speed: Floats,
     pressure: Floats,
     rate: float | None = None,
+    mass: NodalMass | None = None,
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
     rate : [1/s^2] stiffness per mass in place of the formula.  Then friction has no springs, as the
     paper's: it only slows down.
+    mass : of the free nodes; None: lumped.
     """
-    rows, constants = stencil.rows(samples.X, samples.body), None
+    rows, constants = stencil.rows(samples.X, samples.body, samples.cell_copy), None
     if stencil.held.any:
         free = stencil.free_count
         constants = rows.W[:, free:]
@@ -119,6 +123,7 @@ def build_contact(
     else:
         per_mass = np.full(len(m), rate)
     k = m * per_mass
+    mass = lumped_mass(stencil) if mass is None else mass
     c = damping_coefficient(k, m, restitution)
     return FloorContact(
         samples=samples,
@@ -130,9 +135,19 @@ def build_contact(
         tangential=k.copy() if rate is None else np.zeros_like(k),
         friction=np.broadcast_to(friction, m.shape).astype(float),
         restitution=np.broadcast_to(restitution, m.shape).astype(float),
-        omega2=largest_eigenvalue(rows.W, k, stencil.mass),
-        damping_rate=largest_eigenvalue(rows.W, c, stencil.mass),
+        omega2=contact_eigenvalue(rows.W, k, mass),
+        damping_rate=contact_eigenvalue(rows.W, c, mass),
     )
+
+
+def contact_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: NodalMass) -> float:
+    """Largest eigenvalue of M~^-1 W^T diag(k) W."""
+    if W.shape[0] == 0:
+        return 0.0
+    if mass.is_lumped:
+        return largest_eigenvalue(W, k, mass.lumped)
+    start = np.random.default_rng(0).uniform(0.5, 1.5, W.shape[1])
+    return spectrum.largest_eigenvalue(mass.acceleration, lambda a: W.T @ (k * (W @ a)), start)
 
 
 def largest_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: Floats) -> float:

@@ -69,8 +69,12 @@ class BodyContact:
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
-            BodySkin(skin, body.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
-                     samples.X[m])
+            BodySkin(
+                skin,
+                body.stencil.rows(skin.points, np.full(len(skin.points), k), skin.cell_copy),
+                m,
+                samples.X[m],
+            )
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}

@@ -45,7 +45,7 @@ def von_mises(body: Body, state: State) -> Floats:
 
 
 def kinetic_energies(body: Body, now: StateView, bodies: int) -> Floats:
-    """sum_i m_i v_i^2 / 2 [J] over the nodes of each body, (bodies,)."""
+    """sum_i m_i v_i^2 / 2 [J] over the nodes of each body, (bodies,): no less than v . M~ v / 2."""
     m, v = body.stencil.mass, now.v
     return np.bincount(body.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
 
@@ -63,21 +63,22 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
 
     pairs : [J] in the springs between bodies and with obstacles.
 
-    Momentum and kinetic energy are those of the nodes, p = sum m_i v_i and sum m_i v_i^2 / 2,
-    which the solver conserves; angular momentum is sum m_i x_i x v_i about the world's origin.
+    Momentum and kinetic energy are those of the nodes, p_i = (M~ v)_i, sum p_i = sum m_i v_i and
+    sum v_i . p_i / 2, which the solver conserves; angular momentum is sum x_i x p_i about the
+    world's origin.
     """
-    m, x, v = body.stencil.mass, now.x, now.v
+    m, x, v, p = body.stencil.mass, now.x, now.v, now.momentum
     stretch, J = now.strains(index)
     whole = m.sum()
     return Health(
-        kinetic=float(0.5 * m @ (v * v).sum(1)),
+        kinetic=float(0.5 * (v * p).sum()),
         elastic=strain_energy(body, *now.elastic_strains(index)),
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),
         center=_triple(m @ x / whole),
         momentum=_triple(m @ v),
-        angular_momentum=_triple(m @ cross(x, v)),
+        angular_momentum=_triple(cross(x, p).sum(0)),
         min_J=float(J.min()),
         max_J=float(J.max()),
         min_stretch=float(stretch.min()),

@@ -57,6 +57,7 @@ class Launches:
         s, nodes = self._body.settings, self._body.stencil
         free = nodes.free_count
         every, alpha = filter_of(s.filter_rate, dt)
+        alpha = min(alpha, 1.0 / self._body.mass.lightest)  # beyond it motions change their sign
         counts = (self._body.layout.groups, free, nodes.node_count - free, active)
         lift = float(state.offset @ s.normal)
         numbers = (alpha, *self._vectors, lift, dt, float(np.exp(-s.drag * dt)))

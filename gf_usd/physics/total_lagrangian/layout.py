@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact
+from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.reference import Stencil
 
 LANES = 8
@@ -136,19 +138,30 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     return start, material_parts.ravel()[order]
 
 
-def follower_arrays(stencil: Stencil) -> dict[str, Any]:
-    """Both directions of `Stencil.follow`, as compressed rows; never empty."""
-    down, up = stencil.follow.tocsr(), stencil.follow.T.tocsr()
-    for matrix in (down, up):
-        matrix.sort_indices()
+def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
+    """How nodes hang together, as compressed rows that are never empty, and their masses.
+
+    A row of `follow` is a node's: of a free one the springs of its mass, of a follower the free
+    nodes that it follows.  `share` is what a node keeps for others in a stage, `node_mass` its own
+    sum w m and the spring that ties its mass to the ground.
+    """
+    up = stencil.follow.T.tocsr()
+    up.sort_indices()
+    down = sparse.vstack([mass.springs, stencil.follow], format="csr")
+    down.sort_indices()
     none_i, none_f = np.zeros(1, int), np.zeros(1)
+    ground = np.zeros(stencil.node_count)
+    ground[: stencil.free_count] = mass.ground
     return {
         "follow_start": down.indptr,
         "follow_node": down.indices if down.nnz else none_i,
         "follow_weight": down.data if down.nnz else none_f,
         "leader_start": up.indptr,
-        "leader_follower": up.indices if up.nnz else none_i,
+        "leader_follower": stencil.free_count + up.indices if up.nnz else none_i,
         "leader_weight": up.data if up.nnz else none_f,
+        "share": np.zeros(3 * stencil.node_count),
+        "inverse_mass": 1.0 / mass.lumped,
+        "node_mass": np.stack([stencil.node_mass, ground], 1).ravel(),
     }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames import LUMPED, Settings
 from gf_usd.physics.total_lagrangian import layout
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
@@ -32,6 +32,7 @@ class Options:
     clamped: bool = False
     capped: bool = False
     meets: bool = False  # bodies meet each other, themselves or obstacles
+    coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
     plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
 
 
@@ -45,6 +46,7 @@ def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> 
         clamped=settings.clamp is not None,
         capped=settings.stress_cap is not None,
         meets=meets,
+        coupled=settings.mass != LUMPED,
         plain=plain,
     )
 

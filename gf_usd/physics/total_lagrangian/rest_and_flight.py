@@ -143,5 +143,5 @@ def strained_substeps(
     k = stiffness(body.law, stretch, J)
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
-    dt = strained_step(step, speed, body.h, per_cell(body.particles, body.h))
+    dt = strained_step(step, speed, body.h, per_cell(body.particles, body.h), body.frequency)
     return int(np.ceil(body.settings.frame_time / dt))

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples, spread
+from gf_usd.core.frames import (
+    LUMPED,
+    CellCopies,
+    Particles,
+    Pose,
+    Settings,
+    SurfaceSamples,
+    spread,
+)
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
@@ -17,8 +25,10 @@ from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pres
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
+from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, pinned_by
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
@@ -44,6 +54,7 @@ class Body:
     m: Floats  # (N,) [kg]; 0 for what a pin holds
     h: float  # [m] edge of a cell
     stencil: Stencil
+    mass: NodalMass  # of the free nodes
     rows: Rows  # of the particles on the nodes
     embedded: Mapping[str, Rows]  # of each set of points that rides along
     pin_constraint: PinConstraint | None  # the pins
@@ -52,6 +63,7 @@ class Body:
     contact_setup: ContactSetup | None  # what the bodies meet besides the floor; None: nothing
     start: Floats  # (M, 3) [m/s] velocity of the nodes at the start
     step: StableStep
+    frequency: float | None  # [c/h] the highest of the body at rest; None: by `grid_frequency`
     layout: layout.Batches  # where cells and particles stand in the kernels' arrays
     options: limits.Options
     law: ParticleLaws
@@ -91,6 +103,7 @@ def build_body(
     pins: Sequence[Pin],
     contact_setup: ContactSetup | None,
     embedded_body: Mapping[str, int] | None,
+    embedded_copy: Mapping[str, Ints] | None,
     h: float | None,
     real: type,
     plain: bool | None,
@@ -110,20 +123,26 @@ def build_body(
     )
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
+    copies = _copies(particles, h)
     stencil = build_stencil(
         particles.X,
         m,
         h,
-        particles.corner,
+        particles.corner if particles.corners is None else particles.corners,
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
+        copies=copies,
     )
     held = {}
     if pin_constraint:
         pin_constraint.check(stencil.held)
         held = {name: pinned_by(pins, X) for name, X in (embedded or {}).items()}
         held[""] = pin_constraint.particles
+    lumped = settings.mass == LUMPED
+    mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
+    rows = stencil.rows(particles.X, particles.body, copies.of if copies else None)
+    frequency = None if lumped else highest_frequency(rows, mass, per, h)
     on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
@@ -131,7 +150,7 @@ def build_body(
         samples, particles, stencil, settings, per, pins,
         meets=meets,
         datum=contact_setup.lowest(settings.normal) if contact_setup else np.inf,
-        speed=fastest(start),
+        speed=fastest(start), mass=mass,
     )  # fmt: skip
     if not (meets and contact):
         contact_setup = None
@@ -148,9 +167,12 @@ def build_body(
         m=m,
         h=h,
         stencil=stencil,
-        rows=stencil.rows(particles.X, particles.body),
+        mass=mass,
+        rows=rows,
         embedded={
-            name: embedded_rows(stencil, X, np.full(len(X), on.get(name, 0)))
+            name: embedded_rows(
+                stencil, X, np.full(len(X), on.get(name, 0)), (embedded_copy or {}).get(name)
+            )
             for name, X in (embedded or {}).items()
         },
         pin_constraint=pin_constraint,
@@ -158,7 +180,8 @@ def build_body(
         contact=contact,
         contact_setup=contact_setup,
         start=start,
-        step=largest_step(particles, h, contact, settings, per),
+        step=largest_step(particles, h, contact, settings, per, frequency),
+        frequency=frequency,
         layout=(
             layout.single_particles(stencil)
             if plain
@@ -169,6 +192,13 @@ def build_body(
         kernels=build(law.set, damped, kind, epoch(), options),
         pack_type=pack_type(kind, epoch()),
     )
+
+
+def _copies(particles: Particles, h: float) -> CellCopies | None:
+    """Those of the particles, which are made for cells of one size."""
+    if particles.copies is not None and not np.isclose(particles.copies.h, h, rtol=1e-9):
+        raise ValueError(f"cells are copied at an edge of {particles.copies.h} m, not {h} m")
+    return particles.copies
 
 
 def per_particle(
@@ -188,18 +218,19 @@ def surface_contact(
     particles: Particles,
     stencil: Stencil,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
     pins: Sequence[Pin] = (),
     *,
     meets: bool = False,
     datum: float = np.inf,
     speed: float = 0.0,
+    mass: NodalMass | None = None,
 ) -> FloorContact | None:
     """Contact samples with the material of the nearest particle; None where there is no contact.
 
     What a pin holds feels none.
     meets : there is more to meet than the floor; datum : [m] of the lowest of it along the floor's
-    normal; speed : [m/s] of the fastest body at the start.
+    normal; speed : [m/s] of the fastest body at the start; mass : of the nodes, None: lumped.
     """
     if samples is None or (settings.floor is None and not meets):
         return None
@@ -211,6 +242,7 @@ def surface_contact(
         area=samples.area[free],
         normal=None if samples.normal is None else samples.normal[free],
         body=None if samples.body is None else samples.body[free],
+        cell_copy=None if samples.cell_copy is None else samples.cell_copy[free],
     )
     bodies = bodies_of(particles, per["density"])
     body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
@@ -239,6 +271,7 @@ def surface_contact(
         ),
         impact_speed=np.sqrt(speed**2 + 2.0 * g * fall),
         rate=settings.contact_rate,
+        mass=mass,
     )
 
 
@@ -252,9 +285,10 @@ def largest_step(
     h: float,
     contact: FloorContact | None,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
+    frequency: float | None = None,
 ) -> StableStep:
-    """The stable step of the stiffest material with this contact."""
+    """The stable step of the stiffest material with this contact; frequency : see `Body`."""
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
     return stable_step(
         wave_speed=float(per["wave_speed"].max()),
@@ -264,7 +298,41 @@ def largest_step(
         contact_omega2=contact.omega2 if contact else 0.0,
         contact_damping=contact.damping_rate if contact else 0.0,
         safety=settings.safety,
+        frequency=frequency,
     )
+
+
+def highest_frequency(rows: Rows, mass: NodalMass, per: Mapping[str, Floats], h: float) -> float:
+    """The highest frequency of the body at rest, in units of c/h of its fastest material.
+
+    That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
+    symmetric part of sum_i u_i (x) G_ip.
+    """
+    n = len(mass.lumped)
+    G = [g[:, :n] for g in rows.G]
+    back = [g.T.tocsr() for g in G]
+    shear, bulk = (per["V0"] * per[name] for name in ("mu", "lam"))
+
+    def stiffness(u: Floats) -> Floats:
+        D = np.stack([g @ u for g in G], -1)  # (N, 3, 3)
+        P = shear[:, None, None] * (D + D.swapaxes(1, 2))
+        P[:, range(3), range(3)] += (bulk * np.einsum("naa->n", D))[:, None]
+        return sum((g @ P[:, :, b] for b, g in enumerate(back)), np.zeros_like(u))
+
+    start = np.random.default_rng(0).normal(size=(n, 3))
+    w2 = largest_eigenvalue(mass.acceleration, stiffness, start)
+    return float(np.sqrt(w2) * h / per["wave_speed"].max())
+
+
+def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
+    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
+
+    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
+    """
+    from gf_usd.physics.laws.stress import SHOCK
+
+    tau = per["damping_time"]
+    return np.column_stack([2.0 * per["mu"] * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
 
 
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
@@ -285,18 +353,15 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, body.law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
+        "viscosity": layout.lanes(batches, viscosities(per, body.h)),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
-        "inverse_mass": 1.0 / stencil.mass,
-        "node_mass": stencil.node_mass,
         "acceleration": acceleration.ravel(),
-        "share": np.zeros(3 * followers),
         "anchor": np.zeros(3 * followers),
         "anchor_rate": np.zeros(3 * followers),
         "work": np.zeros(followers),
         **batches.arrays(stencil),
-        **layout.follower_arrays(stencil),
+        **layout.node_arrays(stencil, body.mass),
         **layout.contact_arrays(contact, height, stencil.free_count),
         "queue": np.zeros(QUEUE, int),
         **limits.arrays(batches, body.settings, stencil.h, body.converged),

@@ -40,10 +40,10 @@ class Stage:
     when: str = ALWAYS
 
 
-def stages(plain: bool, meets: bool) -> tuple[Stage, ...]:
+def stages(plain: bool, meets: bool, coupled: bool) -> tuple[Stage, ...]:
     """The stages of a substep; `groups` are particles where plain.
 
-    meets : bodies meet each other or obstacles.
+    meets : bodies meet each other or obstacles; coupled : nodes share their mass with neighbors.
     """
 
     def stage(*parts: tuple[str, str], when: str = ALWAYS) -> Stage:
@@ -54,18 +54,22 @@ def stages(plain: bool, meets: bool) -> tuple[Stage, ...]:
     motion = [("sample motion", SAMPLES)] if meets else []
     pairs = [("pair contact", SAMPLES)] if meets else []
     totals = [stage(("pair total", SAMPLES))] if meets else []
+    lost = [stage(("filter lumped", FREE), when=FILTERING)] if coupled else []
+    pushed = [stage(("move lumped", FREE))] if coupled else []
     return (
         stage(("open", FREE), when=OPENING),
         stage(("open followers", FOLLOWERS), when=OPENING),
         stage(("momentum", GROUPS), when=FILTERING),
         *gathered,
         stage(("loss", FOLLOWERS), when=FILTERING),
+        *lost,
         stage(("filter", FREE), when=FILTERING),
         stage(("filtered followers", FOLLOWERS), when=FILTERING),
         stage(("stress", GROUPS), *motion, ("contact", SAMPLES)),
         *summed,
         stage(("share", FOLLOWERS), *pairs),
         *totals,
+        *pushed,
         stage(("move", FREE)),
         stage(("follow", FOLLOWERS)),
     )

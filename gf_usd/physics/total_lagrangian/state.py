@@ -7,7 +7,7 @@ long as the state is the same: a small body spends more on these calls than on s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -55,6 +55,7 @@ class State(DeviceState):
         self._body = body
         self._view: StateView | None = None
         self.acceleration = acceleration
+        self._weight: Floats | None = None
         self.pack = body.pack_type(**self.arrays)
         self.rest: RestGradients | None = None
         self._read_F0()
@@ -105,7 +106,14 @@ class State(DeviceState):
     def accelerate(self, b: Floats) -> None:
         """Replace the body force of the frames to come; b (free, 3) [m/s^2]."""
         self.put("acceleration", b)
-        self.acceleration, self._view = b, None
+        self.acceleration, self._view, self._weight = b, None, None
+
+    def _weigh(self) -> Floats:
+        """(free, 3) [N] M~ (g + b): the forces that gravity and the body force stand for."""
+        if self._weight is None:
+            g = np.asarray(self._body.settings.gravity, float)
+            self._weight = self._body.mass.momentum(g + self.acceleration)
+        return self._weight
 
     def prescribe(self, index: int) -> None:
         """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
@@ -159,7 +167,7 @@ class State(DeviceState):
             names = (*names, "history")
         given = (*(self.get(name) for name in names), self.offset.copy())
         if self._view is None or not self._view.is_of(given):
-            self._view = StateView(self._body, self.rest, self.acceleration, given)
+            self._view = StateView(self._body, self.rest, self._weigh, given)
         return self._view
 
     def drop_view(self) -> None:
@@ -174,10 +182,9 @@ class StateView:
     """
 
     def __init__(
-        self, body: Body, rest: RestGradients | None, acceleration: Floats, given: Given
+        self, body: Body, rest: RestGradients | None, weigh: Callable[[], Floats], given: Given
     ) -> None:
-        self._body, self._rest, self._given = body, rest, given
-        self._acceleration = acceleration
+        self._body, self._rest, self._given, self._weigh = body, rest, given, weigh
         self._strains: tuple[int, Floats | None, tuple[Floats, Floats]] | None = None
         free = body.stencil.free_count
         self.u, self.v = (a.astype(float).reshape(-1, 3)[:free] for a in given[:2])
@@ -296,14 +303,16 @@ class StateView:
 
     @cached_property
     def potential(self) -> float:
-        """-sum_i m_i x_i . (g + b) [J], heights over the floor."""
-        s, m = self._body.settings, self._body.stencil.mass
+        """-sum_i x_i . (M~ (g + b))_i [J], heights over the floor."""
+        s, weight = self._body.settings, self._weigh()
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
-        work = height @ np.asarray(s.gravity)
-        if self._acceleration.any():
-            work = work + (self.x * self._acceleration).sum(1)
-        return float(-(m @ work))
+        return -float((height * weight).sum())
+
+    @cached_property
+    def momentum(self) -> Floats:
+        """p = M~ v (free, 3) [kg m/s]."""
+        return self._body.mass.momentum(self.v)
 
     @cached_property
     def contact(self) -> float:

@@ -71,13 +71,13 @@ class RequestOptions:
 
     particles: Annotated[int | None, Option(
         PARTICLES, "Approximate number of particles.",
-        shown="8000", above_zero=True, commands=INSPECT,
+        shown="8000; to 32000 for thin parts", above_zero=True, commands=INSPECT,
     )] = None
     spacing: Annotated[float | None, Option(
         PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Seed of the random sampling.",
+        PARTICLES, "Seed of the random places of --preset paper; no other sampling is random.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | None, Option(

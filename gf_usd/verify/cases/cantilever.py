@@ -65,8 +65,8 @@ def bend(beam: Beam, loads: Sequence[float], device: str) -> list[tuple[float, f
     )  # fmt: skip
     # Spread over the end face, and brought to the nodes by the rows of its points.
     nodes = solver.body.stencil
-    share = np.asarray(nodes.rows(end).W[:, : nodes.free_count].mean(0)).ravel() / nodes.mass
-    unit = np.outer(share, [0.0, -beam.load, 0.0])
+    share = np.asarray(nodes.rows(end).W[:, : nodes.free_count].mean(0)).ravel()
+    unit = solver.body.mass.acceleration(np.outer(share, [0.0, -beam.load, 0.0]))
     plane = Plane(solver, 0.5 * h)
     out, index, before = [], 0, 0.0
     for load in loads:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.frames import Health
+from gf_usd.core.frames import LUMPED, Health
 from gf_usd.core.materials import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, look, put, settings
@@ -114,7 +114,7 @@ def spin_left(device: str, particles: int, seed: int, cell: float | None) -> flo
     made = look("rubber", body, damping_time=0.0)
     s = settings(
         device, frames=121, fps=60.0, substeps=10 if cell else None, followers=cell is None,
-        filter_rate=np.inf, cell=cell and cell * body.radius,
+        filter_rate=np.inf, cell=cell and cell * body.radius, mass=LUMPED,
     )  # fmt: skip
     solver = TotalLagrangian(body, [made], s)
     X = solver.body.stencil.node_X

@@ -48,8 +48,9 @@ def test_a_drop_with_and_without_agrees():
     for a, b in zip(with_, without):
         # Both round u and v to single precision at a few meters and meters a second: 1e-7 each
         # frame, and a bounce of a soft ball stretches that by its strain of some tens of percent.
+        # A motion at the skin may have a quarter of the lumped mass, and so twice the speed.
         np.testing.assert_allclose(a.particles.x, b.particles.x, atol=2e-5 * RADIUS)
-        np.testing.assert_allclose(a.particles.v, b.particles.v, atol=1e-4 * np.sqrt(G0 * RADIUS))
+        np.testing.assert_allclose(a.particles.v, b.particles.v, atol=2e-4 * np.sqrt(G0 * RADIUS))
 
 
 def test_flight_is_the_parabola_and_keeps_energy_and_momentum():

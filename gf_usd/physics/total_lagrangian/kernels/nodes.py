@@ -32,7 +32,7 @@ def follower_share(body: ti.template(), follower, free, dt, plain: ti.template()
     f = block_sum(body, free + follower, plain)
     work = body.work[follower]
     for d in ti.static(range(3)):
-        body.share[3 * follower + d] = f[d]
+        body.share[3 * (free + follower) + d] = f[d]
         work -= dt * f[d] * body.anchor_rate[3 * follower + d]
     body.work[follower] = work
 
@@ -64,7 +64,7 @@ def follow(body: ti.template(), follower, free, drift):
     v = rate
     for d in ti.static(range(3)):
         body.anchor[a + d] = u[d]
-    for e in range(body.follow_start[follower], body.follow_start[follower + 1]):
+    for e in range(body.follow_start[free + follower], body.follow_start[free + follower + 1]):
         o = body.follow_node[e] * 3
         w = body.follow_weight[e]
         u += w * ti.Vector([body.u[o], body.u[o + 1], body.u[o + 2]])
@@ -83,12 +83,49 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def move_node(body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()):
-    """v += dt (f/m + g + b), u += drift v, with the forces of the cells and of the floor."""
+def force(body: ti.template(), node, contact, plain: ti.template()):
+    """The force of the cells and of contact on a free node."""
     f = node_sum(body, node, plain)
     if contact > 0:
         f += contact_force(body, node)
-    a = f * body.inverse_mass[node] + g
+    return f
+
+
+@ti.func
+def keep_raw(body: ti.template(), node, f):
+    """Keep f / m of a node, for its neighbors and itself: see `inverse`."""
+    for d in ti.static(range(3)):
+        body.share[3 * node + d] = f[d] * body.inverse_mass[node]
+
+
+@ti.func
+def inverse(body: ti.template(), node):
+    """(M~^-1 f)_i = r_i + (k_i r_i + sum_j k_ij (r_i - r_j)) / m_i of the r = f / m that were kept.
+
+    Differences: the force in a spring is equal and opposite at its ends, to the last bit.
+    """
+    o = node * 3
+    r = ti.Vector([body.share[o], body.share[o + 1], body.share[o + 2]])
+    s = body.node_mass[2 * node + 1] * r
+    for e in range(body.follow_start[node], body.follow_start[node + 1]):
+        o = body.follow_node[e] * 3
+        s += body.follow_weight[e] * (
+            r - ti.Vector([body.share[o], body.share[o + 1], body.share[o + 2]])
+        )
+    return r + s * body.inverse_mass[node]
+
+
+@ti.func
+def move_node(
+    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    coupled: ti.template(),
+):  # fmt: skip
+    """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled."""
+    a = g
+    if ti.static(coupled):
+        a += inverse(body, node)
+    else:
+        a += force(body, node, contact, plain) * body.inverse_mass[node]
     for d in ti.static(range(3)):
         a[d] += body.acceleration[3 * node + d]
         v = (body.v[3 * node + d] + dt * a[d]) * keep
@@ -101,7 +138,7 @@ def follower_loss(body: ti.template(), follower, free, plain: ti.template()):
     """Keep (B v - m v)_l of a follower, for the nodes it follows."""
     f = momentum_change(body, free + follower, plain)
     for d in ti.static(range(3)):
-        body.share[3 * follower + d] = f[d]
+        body.share[3 * (free + follower) + d] = f[d]
 
 
 @ti.func
@@ -109,18 +146,27 @@ def momentum_change(body: ti.template(), node, plain: ti.template()):
     """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
     p = block_sum(body, node, plain)
     for d in ti.static(range(3)):
-        p[d] -= body.node_mass[node] * body.v[3 * node + d]
+        p[d] -= body.node_mass[2 * node] * body.v[3 * node + d]
     return p
 
 
 @ti.func
-def filter_node(body: ti.template(), node, alpha, plain: ti.template()):
-    """v += alpha (B v - m v) / m, with the followers' shares: E^T (B - M) E v.
+def filter_momentum(body: ti.template(), node, plain: ti.template()):
+    """B v - m v of a free node, with the followers' shares: E^T (B - M) E v."""
+    return momentum_change(body, node, plain) + leader_sum(body, node)
 
-    B and M agree on sum m v and sum X x m v, and E carries both, so they are kept to rounding;
-    B <= M in the sense of forms, so no motion can grow.
+
+@ti.func
+def filter_node(body: ti.template(), node, alpha, plain: ti.template(), coupled: ti.template()):
+    """v += alpha M~^-1 E^T (B - M) E v; what M~^-1 acts on is kept already where coupled.
+
+    B and M agree on sum m v and sum X x m v, and E carries both, so the momenta of M~ are kept to
+    rounding; B <= M in the sense of forms, so no motion can grow while alpha M~^-1 M <= 1.
     """
-    p = momentum_change(body, node, plain) + leader_sum(body, node)
+    a = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    if ti.static(coupled):
+        a = inverse(body, node)
+    else:
+        a = filter_momentum(body, node, plain) * body.inverse_mass[node]
     for d in ti.static(range(3)):
-        v = body.v[3 * node + d]
-        body.v[3 * node + d] = v + alpha * p[d] * body.inverse_mass[node]
+        body.v[3 * node + d] = body.v[3 * node + d] + alpha * a[d]

@@ -2,11 +2,11 @@
 
 Per substep of length dt, with everything but u and v constant (docs/physics.md):
 
-    v <- v + alpha (B v - m v) / m           every `every` substeps: B v is what eq. 1 makes of
+    v <- v + alpha M~^-1 (B v - m v)         every `every` substeps: B v is what eq. 1 makes of
                                              the velocities that eq. 3 gathers
     F_p = I + sum_i u_i (x) G_ip             eq. 4, integrated exactly; F0 for I: `shape_correction`
     f_i = -sum_p V0_p P(F_p) G_ip            eq. 2
-    v_i <- (v_i + dt (f_i / m_i + g + b_i)) exp(-drag dt)
+    v_i <- (v_i + dt ((M~^-1 f)_i + g + b_i)) exp(-drag dt)
     u_i <- u_i + dt v_i                      half of it before the first and after the last substep
 
 `groups` counts groups of eight cells or, where the options say plain, particles.
@@ -23,10 +23,13 @@ from gf_usd.physics.contact.kernels import pair_contact, pair_total, sample_cont
 from gf_usd.physics.laws.simd3x3 import LANES
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
     drift_node,
+    filter_momentum,
     filter_node,
     follow,
     follower_loss,
     follower_share,
+    force,
+    keep_raw,
     move_node,
 )
 from gf_usd.physics.total_lagrangian.kernels.scalar import (
@@ -105,7 +108,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
-    table = stages(options.plain, options.meets)
+    table = stages(options.plain, options.meets, options.coupled)
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active):
@@ -152,7 +155,9 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "loss"):
             follower_loss(body, n, free, options.plain)
         elif ti.static(part.name == "filter"):
-            filter_node(body, n, alpha, options.plain)
+            filter_node(body, n, alpha, options.plain, options.coupled)
+        elif ti.static(part.name == "filter lumped"):
+            keep_raw(body, n, filter_momentum(body, n, options.plain))
         elif ti.static(part.name == "filtered followers"):
             follow(body, n, free, 0.0 * dt)
         elif ti.static(part.name == "stress" and options.plain):
@@ -172,7 +177,9 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "share"):
             follower_share(body, n, free, dt, options.plain)
         elif ti.static(part.name == "move"):
-            move_node(body, n, active, g, dt, drift, keep, options.plain)
+            move_node(body, n, active, g, dt, drift, keep, options.plain, options.coupled)
+        elif ti.static(part.name == "move lumped"):
+            keep_raw(body, n, force(body, n, active, options.plain))
         elif ti.static(part.name == "follow"):
             follow(body, n, free, drift)
 

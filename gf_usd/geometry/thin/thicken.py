@@ -14,10 +14,10 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, Surface
 from gf_usd.core.mesh import proper, shells, signed_volume, weld
 from gf_usd.geometry import winding
-from gf_usd.geometry.parts import THIN
 from gf_usd.geometry.repair import Repairs
-from gf_usd.geometry.sampling import LEAST_PARTICLES
+from gf_usd.geometry.sampling.particles import LEAST_PARTICLES
 from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, hole_fraction
+from gf_usd.geometry.thin.parts import THIN
 from gf_usd.geometry.winding import Edges
 
 MITRE = 2.0  # offsets: how far a corner may go to move all its faces by 1

@@ -1,0 +1,288 @@
+"""Cells copied for each connected part of the solid in them, so that near limbs share no nodes.
+
+The parts of the solid in a cell are found from patches of its surface (`patches`): a cell that one
+patch cuts, or none, has one part.  Elsewhere patches belong to one part where a segment from one,
+or from a particle, hits the other first.  Parts of two cells with a common face are connected
+
+- where a triangle that passes through the face has a patch of both, or
+- where no triangle does and the face lies in the solid,
+
+which is all there is: what of the solid is in a face is bounded by such triangles, or is the whole.
+
+What is not connected anywhere, as a button that floats before a shirt, stays with what it shares
+nodes with: it moves with its body.  So do shells that touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from scipy.sparse import coo_matrix
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import CellCopies, Particles
+from gf_usd.core.neighbors import components, kd_tree, node_copies
+from gf_usd.geometry.connected.bodies import TOUCHING, spread
+from gf_usd.geometry.connected.patches import Patches, Skins, find_patches, found
+from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.winding import winding_inside
+
+CELL = 2.0  # edge of a cell over the lattice's
+MOST_PATCHES = 24  # of a cell: more are the surface of no limbs, and are taken as one
+WHOLE = 8  # particles of a full cell
+MOST_SHELLS = 256  # pairs that meet in cells: beyond it all count as touching
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limbs:
+    """The copies of the cells of a solid, and which copy a point of it rides on."""
+
+    copies: CellCopies
+    nodes: int  # copies of nodes beyond the first of each
+    crowded: int  # cells of so many patches that they were taken as one
+    _patches: Patches
+    _piece: Ints  # (P,) copy of each row of the patches; -1: of none that holds particles
+    _X: Floats  # (N, 3) [m] particles
+    _corners: Floats  # (bodies, 3) [m]
+
+    def of_points(self, X: Floats, body: Ints | None = None) -> Ints:
+        """(n,) the copies that points X (n, 3) [m] ride on: those behind their nearest triangles.
+
+        body : (n,) the body that each rides on; None: the first.
+        """
+        body = np.zeros(len(X), np.int64) if body is None else body
+        row = self._patches.behind((X - self._corners[body]) / self.copies.h, body)
+        out = np.where(row >= 0, self._piece[row], -1)
+        lost = np.flatnonzero(out < 0)
+        for k in np.unique(body[lost]):
+            mine = lost[body[lost] == k]
+            theirs = np.flatnonzero(self.copies.body[self.copies.of] == k)
+            near = kd_tree(self._X[theirs]).query(X[mine])[1]
+            out[mine] = self.copies.of[theirs[near]]
+        return out
+
+
+def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | None:
+    """The copies of cells of a solid and its particles; None where every node has one copy.
+
+    of_surface : (S,) body of each surface, in the order of `Solid.surfaces`.
+    """
+    h = CELL * particles.lattice
+    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    bodies = int(max(of_surface.max(), body.max())) + 1
+    corners = particles.corner if particles.corners is None else particles.corners
+    corners = np.broadcast_to(np.asarray(corners, float), (bodies, 3))
+    skins = Skins.of(solid, of_surface, corners, h)
+    at = (particles.X - corners[body]) / h
+    cell = np.floor(at).astype(np.int64)
+    rows = find_patches(skins, cell, bodies)
+    parts = _Parts(rows, at, rows.keys.of(cell, body), TOUCHING * particles.spacing / h)
+    links = np.concatenate([_through_triangles(rows, parts), _through_open_faces(rows, parts)])
+    count = len(parts.key)
+    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count,) * 2)
+    whole = components(graph)[1]
+    held = np.isin(whole, whole[parts.of])  # what no particle hangs on moves by the others
+    number = np.where(held, np.cumsum(held) - 1, -1)
+    links = number[links[held[links[:, 0]]]]
+    of, key, whole = number[parts.of], parts.key[held], whole[held]
+    ijk, body = rows.keys.ijk(key), rows.keys.body(key)
+    # Bodies share no nodes: they are set apart on the grid.
+    apart = ijk + np.outer(body * (rows.keys.dims[0] + 3), [1, 0, 0])
+    node, _ = node_copies(apart, links, whole)
+    full = np.unique(of)
+    place = apart[full][:, None, :] + np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), -1)
+    seen = np.unique(np.c_[node[full].ravel(), place.reshape(-1, 3)], axis=0)
+    extra = len(seen) - len(np.unique(seen[:, 1:], axis=0))
+    if not extra:
+        return None
+    return Limbs(
+        copies=CellCopies(h=h, cell=ijk, body=body, links=links, of=of),
+        nodes=extra,
+        crowded=parts.crowded,
+        _patches=rows,
+        _piece=number[parts.of_patch[rows.patch]],
+        _X=particles.X,
+        _corners=corners,
+    )
+
+
+class _Parts:
+    """The connected parts of the solid in each cell."""
+
+    key: Ints  # (K,) of the cell of each
+    of: Ints  # (N,) part of each particle
+    of_patch: Ints
+
+    def __init__(self, rows: Patches, X: Floats, cell: Ints, touching: float) -> None:
+        """X : (N, 3) [cells] particles; cell : (N,) their keys; touching : [cells] of shells."""
+        patches = int(rows.patch.max()) + 1
+        first = np.unique(rows.patch, return_index=True)[1]
+        in_cell = np.searchsorted(rows.cells, rows.key[first])  # of each patch
+        many = np.bincount(in_cell, minlength=len(rows.cells))
+        cut = found(rows.cells, cell, np.ones(len(cell), bool))
+        crowd = many > MOST_PATCHES
+        self.crowded = int(crowd.sum())
+        several = (many > 1) & ~crowd
+        by_cell = np.argsort(in_cell, kind="stable")
+        start = np.cumsum(many) - many
+        # Particles that a rule put outside see nothing, and go with what is nearest.
+        _, of_cell, held = np.unique(cell, return_inverse=True, return_counts=True)
+        doubtful = np.flatnonzero(np.where(cut >= 0, several[cut], held[of_cell.ravel()] < WHOLE))
+        body = rows.keys.body(cell)
+        outside = doubtful[~rows.skins.inside(X[doubtful], body[doubtful])]
+        within = np.ones(len(X), bool)
+        within[outside] = False
+        full, at_full = np.unique(cell[(cut < 0) & within], return_inverse=True)
+        # One part a cell, but where several patches cut it: there one a patch, joined by what is
+        # seen.  Numbers: patches, full cells, particles among several patches.
+        among = np.flatnonzero((cut >= 0) & several[cut] & within)
+        base = patches + len(full)
+        ends = [self._same_cell(by_cell, in_cell, crowd)]
+        ends.append(self._seen(rows, X[among], cut[among], by_cell, start, many) + [base, 0])
+        ends.append(self._facing(rows, first, by_cell, start, many, several))
+        ends.append(_touching(rows, first, in_cell, several, touching))
+        a, b = np.concatenate(ends).T
+        count = base + len(among)
+        label = components(coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)))[1]
+        _, one, label = np.unique(label[:count], return_index=True, return_inverse=True)
+        label = label.ravel()
+        keys = np.concatenate([rows.key[first], full, cell[among]])
+        self.key, self.of_patch = keys[one], label[:patches]
+        of = np.empty(len(X), np.int64)
+        of[(cut < 0) & within] = label[patches + at_full.ravel()]
+        alone = (cut >= 0) & ~several[cut]
+        of[alone] = label[by_cell[start[cut[alone]]]]
+        of[among] = label[base:]
+        if len(outside):
+            near = rows.behind(X[outside], body[outside])
+            for i in np.flatnonzero((rows.key[near] != cell[outside]) & (cut[outside] >= 0)):
+                own = rows.in_cell[slice(*rows.cell_start[cut[outside[i]] + np.arange(2)])]
+                apart = np.linalg.norm(rows.center[own] - X[outside[i]], axis=1)
+                near[i] = own[int(np.argmin(apart))]
+            of[outside] = label[rows.patch[near]]
+        self.of = of
+
+    @staticmethod
+    def _same_cell(by_cell: Ints, in_cell: Ints, which: Ints) -> Ints:
+        """Pairs of patches, one after the other, of some cells."""
+        cell = in_cell[by_cell]
+        same = np.flatnonzero((cell[1:] == cell[:-1]) & which[cell[1:]])
+        return np.stack([by_cell[same], by_cell[same + 1]], 1)
+
+    @staticmethod
+    def _seen(rows: Patches, X: Floats, cell: Ints, by_cell: Ints, start: Ints, many: Ints) -> Ints:
+        """(k, 2) particle and patch that it sees, looking at every patch of its cell."""
+        looks = many[cell]
+        who = np.repeat(np.arange(len(X)), looks)
+        turn = np.arange(len(who)) - np.repeat(np.cumsum(looks) - looks, looks)
+        target = rows.largest[by_cell[start[cell[who]] + turn]]
+        hit = rows.first_hit(X[who], target)
+        return np.unique(np.stack([who, rows.patch[hit]], 1), axis=0)
+
+    @staticmethod
+    def _facing(
+        rows: Patches, first: Ints, by_cell: Ints, start: Ints, many: Ints, several: Ints
+    ) -> Ints:
+        """(k, 2) patches of which one sees the other through the solid."""
+        cells = np.flatnonzero(several)
+        n = many[cells]
+        cell = np.repeat(cells, n * n)
+        turn = np.arange(len(cell)) - np.repeat(np.cumsum(n * n) - n * n, n * n)
+        one, other = (by_cell[start[cell] + t] for t in np.divmod(turn, many[cell]))
+        differ = one != other
+        largest = rows.largest
+        one, other = one[differ], other[differ]
+        begin, end = largest[one], largest[other]
+        a, b, c = np.moveaxis(rows.skins.points[rows.skins.triangles[rows.triangle[begin]]], 1, 0)
+        inward = -np.cross(b - a, c - a)
+        way = rows.center[end] - rows.center[begin]
+        sees = (inward * way).sum(1) > 0.0
+        begin, end, one = begin[sees], end[sees], one[sees]
+        hit = rows.first_hit(rows.center[begin], end, besides=begin)
+        return np.stack([one, rows.patch[hit]], 1)
+
+
+def _touching(rows: Patches, first: Ints, in_cell: Ints, several: Ints, reach: float) -> Ints:
+    """(k, 2) patches of one cell whose shells overlap, or are within reach [cells] somewhere."""
+    skins = rows.skins
+    shell = skins.shell[rows.triangle[first]]
+    patch = np.flatnonzero(several[in_cell])
+    groups = np.unique(np.stack([in_cell[patch], shell[patch], patch], 1), axis=0)
+    # One patch of each shell in a cell, with one of each other.
+    one = groups[np.unique(groups[:, :2], axis=0, return_index=True)[1]]
+    cells, count = np.unique(one[:, 0], return_counts=True)
+    ends: list[tuple[int, int]] = []
+    met: dict[tuple[int, int], bool] = {}
+    for cell in cells[count > 1]:
+        mine = one[one[:, 0] == cell]
+        for i in range(len(mine)):
+            for j in range(i + 1, len(mine)):
+                pair = (int(mine[i, 1]), int(mine[j, 1]))
+                if pair not in met:
+                    met[pair] = len(met) >= MOST_SHELLS or _meet(skins, *pair, reach)
+                if met[pair]:
+                    a = groups[(groups[:, 0] == cell) & (groups[:, 1] == pair[0]), 2]
+                    b = groups[(groups[:, 0] == cell) & (groups[:, 1] == pair[1]), 2]
+                    ends += [(int(p), int(b[0])) for p in a] + [(int(a[0]), int(q)) for q in b]
+    return np.array(ends, np.int64).reshape(-1, 2)
+
+
+def _meet(skins: Skins, one: int, other: int, reach: float) -> bool:
+    """Whether two shells overlap, or come within reach [cells] of each other."""
+    faces = [np.ascontiguousarray(skins.triangles[skins.shell == k]) for k in (one, other)]
+    for mine, theirs in (faces, faces[::-1]):
+        X = np.concatenate([skins.points[np.unique(mine)], spread(skins.points, mine, 0.5)])
+        corners = skins.points[theirs.ravel()]
+        low, high = corners.min(0) - reach, corners.max(0) + reach
+        near = ((low <= X) & (high >= X)).all(1)
+        X = np.ascontiguousarray(X[near])
+        if not len(X):
+            continue
+        squared = np.asarray(igl.point_mesh_squared_distance(X, skins.points, theirs)[0])
+        if squared.min() <= reach**2 or winding_inside(skins.points, theirs, X).any():
+            return True
+    return False
+
+
+def _through_triangles(rows: Patches, parts: _Parts) -> Ints:
+    """(k, 2) parts that a triangle bounds on both sides of a common face."""
+    out = []
+    for stride in rows.keys.strides:
+        beyond = rows.row(rows.triangle, rows.key + stride)
+        here = np.flatnonzero(beyond >= 0)
+        pair = rows.patch[np.stack([here, beyond[here]], 1)]
+        out.append(parts.of_patch[pair])
+    return np.unique(np.concatenate(out), axis=0)
+
+
+def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
+    """(k, 2) parts of cells whose common face no triangle passes and lies in the solid."""
+    known = np.unique(parts.key)
+    of_cell = np.argsort(parts.key, kind="stable")
+    start = np.searchsorted(parts.key[of_cell], known)
+    count = np.diff(np.append(start, len(parts.key)))
+    cut = found(rows.cells, known, np.ones(len(known), bool))
+    pairs, middles = [], []
+    for axis, stride in enumerate(rows.keys.strides):
+        beyond = found(known, known + stride, np.ones(len(known), bool))
+        passed = rows.key[rows.row(rows.triangle, rows.key + stride) >= 0]
+        here = np.flatnonzero((beyond >= 0) & ~np.isin(known, passed))
+        pairs.append(np.stack([here, beyond[here]], 1))
+        middles.append(rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis])
+    cells, middle = np.concatenate(pairs), np.concatenate(middles)
+    # A face of a full cell lies in the solid.
+    inside = (cut[cells] < 0).any(1)
+    between = ~inside
+    body = rows.keys.body(known[cells[between, 0]])
+    inside[between] = rows.skins.inside(middle[between], body)
+    cells, middle = cells[inside], middle[inside]
+    out = of_cell[start[cells]]
+    for side in (0, 1):
+        look = np.flatnonzero(count[cells[:, side]] > 1)
+        if len(look):
+            first = rows.in_cell[rows.cell_start[cut[cells[look, side]]]]
+            hit = rows.first_hit(middle[look], rows.largest[rows.patch[first]])
+            out[look, side] = parts.of_patch[rows.patch[hit]]
+    return out

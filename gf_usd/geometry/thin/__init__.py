@@ -1,0 +1,1 @@
+"""Thin parts of a solid: measured, found where particles do not reach, thickened."""

@@ -1,0 +1,92 @@
+"""How thick a solid is, from each point of its surface inward.
+
+The thickness at a surface point is the length of the ray along the inward normal up to where the
+solid ends: that of a plate across it, the diameter of a rod, the depth of a body.  (The shape
+diameter function of Shapira, Shamir and Cohen-Or 2008 takes a cone of such rays, which makes the
+rims of a thick box thin.)  Rays pass from one surface into another that it overlaps: what ends is
+the union.  Points are spread evenly by area, so that shares of points are shares of the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.geometry.solid import Solid
+
+RAYS = 1000  # a share of 5 % is then 50 of them: known to .7 %
+THIN_SHARE = 0.05  # of the surface, which may be thinner than `Thickness.thin`
+CLEAR = 1e-4  # of the box's diagonal: what lies as far from a triangle is clearly on a side of it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thickness:
+    """Of a solid, by area of its surface."""
+
+    thin: float  # [m] that 95 % of the surface exceed
+    median: float  # [m]
+
+    def across(self, spacing: float) -> float:
+        """Particles a spacing [m] apart across the thin parts."""
+        return self.thin / spacing
+
+
+def thickness(solid: Solid, rays: int = RAYS) -> Thickness | None:
+    """The thickness of a solid; None where no ray ends in it."""
+    length = ray_lengths(solid, rays)
+    if not len(length):
+        return None
+    return Thickness(thin=float(np.quantile(length, THIN_SHARE)), median=float(np.median(length)))
+
+
+def ray_lengths(solid: Solid, rays: int) -> Floats:
+    """(n,) [m] lengths of inward rays from n <= `rays` points of the union's surface.
+
+    Left out are points inside another surface, and rays that leave through a hole.
+    """
+    center = 0.5 * (solid.low + solid.high)
+    points = np.concatenate([s.points for s in solid.surfaces]) - center
+    first = np.cumsum([0, *(len(s.points) for s in solid.surfaces)])
+    faces = np.concatenate([t + o for t, o in zip(solid.triangles, first)])
+    clear = CLEAR * float(np.linalg.norm(solid.high - solid.low))
+    start, normal = _spread(points, faces, rays)
+    ahead, behind = (solid.inside(start + side * clear * normal + center) for side in (1.0, -1.0))
+    bounds = ahead != behind
+    inward = np.where(ahead[bounds, None], 1.0, -1.0) * normal[bounds]
+    start = start[bounds] + clear * inward
+    tree = igl.AABB()
+    tree.init(points, faces)
+    hits = [
+        sorted(hit[1] for hit in row) for row in tree.intersect_ray(points, faces, start, inward)
+    ]
+    ends = np.full((len(hits), 1 + max(map(len, hits), default=0)), np.inf)
+    for row, found in zip(ends, hits):
+        row[: len(found)] = found
+    with np.errstate(invalid="ignore"):  # of two that are not met
+        gap = np.diff(ends, axis=1, append=np.inf)
+    goes_on = gap <= clear  # two surfaces meet there
+    asked = np.isfinite(gap) & ~goes_on
+    middle = np.where(asked, ends + 0.5 * np.where(asked, gap, 0.0), 0.0)
+    probes = start[:, None, :] + middle[:, :, None] * inward[:, None, :]
+    goes_on[asked] = solid.inside(probes[asked] + center)
+    last = np.argmin(goes_on, axis=1)
+    length = ends[np.arange(len(ends)), last] + clear
+    return length[np.isfinite(length)]
+
+
+def _spread(points: Floats, faces: Ints, count: int) -> tuple[Floats, Floats]:
+    """(count, 3) points on triangles, an equal share of area each, and their unit normals."""
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    cross = np.cross(b - a, c - a)
+    twice = np.linalg.norm(cross, axis=1)
+    rng = np.random.default_rng(0)
+    share = (np.arange(count) + rng.random(count)) / count * twice.sum()
+    face = np.minimum(np.searchsorted(np.cumsum(twice), share), len(faces) - 1)
+    u, v = rng.random((2, count, 1))
+    over = u + v > 1.0
+    u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
+    X = a[face] + u * (b - a)[face] + v * (c - a)[face]
+    return X, cross[face] / twice[face, None]

@@ -1,0 +1,280 @@
+"""The mass matrix of the nodes: close to that of the particles, with a sparse inverse.
+
+The consistent mass of the velocities that particles have, MC_ij = sum_p m_p w_ip w_jp, cannot be
+inverted in every substep.  Its row sums M_i, the lumped mass, can, but spread the body: for
+quadratic splines sum_i w_ip |X_i - X_p|^2 = h^2/4 along each axis, so a body has too much inertia,
+and a wave of length 2 pi / k is too slow by (k h)^2 / 8.  What lumping adds to an affine velocity
+field is the force of springs between neighbors along the axes,
+
+    (M - MC) X = K X,    k_ij = sum_p m_p x (flux of w_p (X - X_p) through the edge i j)
+
+for edges along x  w_0 f w_b w_c  and  w_2 (2 - f) w_b w_c,  f the distance from the base node in
+cells.  All k are positive and K is the Laplacian of these edges.  The solver's mass is M~ with
+
+    M~^-1 = M^-1 + M^-1 K M^-1
+
+the first two terms of the Neumann series of (M - K)^-1.  It is symmetric and positive definite;
+M~ 1 = M 1, so linear momentum is sum_i M_i v_i; and angular momentum sum_i x_i x (M~ v)_i is kept,
+as for any symmetric mass.  The error of a wave falls to the order (k h)^4: on a line,
+1 + (1 - cos kh) / 2 in place of 1 / (1 - (kh)^2 / 4 ...).
+
+Dependent nodes enter as E^T K E.  Next to the surface that ties nodes to some eighty others by
+springs that are nearly all far below the rest; those are left out (`WEAK`).  What the third term of
+the series would do near the surface is made up for by the springs' directions (`balanced`), so
+that the inertia of each body is that of its particles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.grid.reference import CHUNK, Stencil, bspline
+from gf_usd.physics.grid.spectrum import largest_eigenvalue
+
+WEAK = 5e-3  # of sqrt(M_i M_j): springs below this are left out
+SOLVED = 1e-13  # residual of M~ v, relative
+PASSES = 4  # of `balanced`: each leaves a hundredth of the error
+STIFFEST, SOFTEST = 2.0, 0.5  # times its own value that a spring may become there
+RIDGE = 1e-2  # a direction that few springs have is left as it is
+PRODUCTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+PAIRS = np.array([[a for a, _ in PRODUCTS], [b for _, b in PRODUCTS]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodalMass:
+    """M~ of the free nodes."""
+
+    lumped: Floats  # (n,) [kg] M
+    springs: sparse.csr_matrix  # (n, n) [kg] k_ij, symmetric, nothing on the diagonal
+    ground: Floats  # (n,) [kg] sum_j K_ij: 0 but next to pins
+
+    @cached_property
+    def laplacian(self) -> sparse.csr_matrix:
+        """K (n, n) [kg]."""
+        diagonal = np.asarray(self.springs.sum(1)).ravel() + self.ground
+        return sparse.csr_matrix(sparse.diags_array(diagonal) - self.springs)
+
+    @property
+    def is_lumped(self) -> bool:
+        """Whether K is nothing."""
+        return not (self.springs.nnz or self.ground.any())
+
+    def acceleration(self, f: Floats) -> Floats:
+        """M~^-1 f of forces (n, ...) [N]."""
+        inverse = per_row(1.0 / self.lumped, f)
+        a = inverse * f
+        return a if self.is_lumped else a + inverse * (self.laplacian @ a)
+
+    def momentum(self, v: Floats) -> Floats:
+        """p = M~ v [kg m/s] of velocities (n, 3) [m/s], by conjugate gradients, to rounding."""
+        if self.is_lumped:
+            return per_row(self.lumped, v) * v
+        root = per_row(np.sqrt(self.lumped), v)
+        inverse = 1.0 / root
+
+        def scaled(z: Floats) -> Floats:
+            return z + inverse * (self.laplacian @ (inverse * z))
+
+        b = root * v
+        z = b.copy()
+        r = b - scaled(z)
+        d, size = r, (r * r).sum(0)
+        least = (SOLVED**2) * (b * b).sum(0)
+        while (size > least).any():
+            Sd = scaled(d)
+            step = size / np.maximum((d * Sd).sum(0), np.finfo(float).tiny)
+            z, r = z + step * d, r - step * Sd
+            before, size = size, (r * r).sum(0)
+            if not (size < before).any():  # rounding is all that is left
+                break
+            d = r + size / np.maximum(before, np.finfo(float).tiny) * d
+        return root * z
+
+    @cached_property
+    def lightest(self) -> float:
+        """Largest eigenvalue of M M~^-1: how much lighter than M a motion may be."""
+        if self.is_lumped:
+            return 1.0
+        start = np.random.default_rng(0).normal(size=len(self.lumped))
+        inverse = 1.0 / self.lumped
+        return 1.0 + largest_eigenvalue(lambda f: inverse * f, lambda a: self.laplacian @ a, start)
+
+
+def per_row(values: Floats, like: Floats) -> Floats:
+    """Values (n,) as a column next to a field (n, ...)."""
+    return values.reshape(-1, *(1,) * (like.ndim - 1))
+
+
+def lumped_mass(stencil: Stencil) -> NodalMass:
+    """M alone, as in the paper."""
+    n = stencil.free_count
+    return NodalMass(lumped=stencil.mass, springs=sparse.csr_matrix((n, n)), ground=np.zeros(n))
+
+
+def consistent_mass(stencil: Stencil, m: Floats) -> NodalMass:
+    """M~ of a stencil with particles of masses m (N,) [kg], 0 where a pin holds them."""
+    K = reduced(stencil, cell_springs(stencil, m))
+    exact = split(K, stencil.mass, 0.0)
+    sparse_mass = split(K, stencil.mass, WEAK)
+    out = balanced(stencil, sparse_mass, m)
+    # E^T K E is positive semi-definite; without the weak springs, of either sign, it need not be.
+    return out if positive(out) else exact
+
+
+def links() -> tuple[Ints, Ints]:
+    """The nodes (54,) of a cell that its edges join: two along each of nine lines of each axis."""
+    node = np.arange(27).reshape(3, 3, 3)
+    low = [node.take([0, 1], axis).ravel() for axis in range(3)]
+    high = [node.take([1, 2], axis).ravel() for axis in range(3)]
+    return np.concatenate(low), np.concatenate(high)
+
+
+def cell_springs(stencil: Stencil, m: Floats) -> Floats:
+    """k [kg] of the edges of each cell (cells, 54), in the order of `links`."""
+    start = stencil.cell_start
+    cells = len(start) - 1
+    out = np.empty((cells, 54))
+    first = 0
+    while first < cells:
+        behind = int(np.searchsorted(start, start[first] + CHUNK, side="right")) - 1
+        behind = min(max(behind, first + 1), cells)
+        some = slice(start[first], start[behind])
+        out[first:behind] = np.add.reduceat(
+            particle_springs(stencil.fx[some], m[stencil.order[some]]),
+            start[first:behind] - start[first],
+        )
+        first = behind
+    return out
+
+
+def particle_springs(fx: Floats, m: Floats) -> Floats:
+    """k [kg] that particles (n,) at fx (n, 3) in their cells give to the 54 edges."""
+    w = bspline(fx)[0]  # (n, node, axis)
+    flux = np.stack([w[:, 0] * fx, w[:, 2] * (2.0 - fx)], 1)  # (n, edge, axis)
+    x, y, z = np.moveaxis(w, 2, 0)
+    fx0, fy0, fz0 = np.moveaxis(flux, 2, 0)
+    n = len(m)
+    return m[:, None] * np.concatenate(
+        [
+            (a[:, :, None, None] * b[:, None, :, None] * c[:, None, None, :]).reshape(n, 18)
+            for a, b, c in ((fx0, y, z), (x, fy0, z), (x, y, fz0))
+        ],
+        1,
+    )
+
+
+def reduced(stencil: Stencil, springs: Floats) -> sparse.csr_matrix:
+    """E^T K E (free, free) [kg] of springs (cells, 54)."""
+    low, high = links()
+    i, j = stencil.cell_nodes[:, low].ravel(), stencil.cell_nodes[:, high].ravel()
+    count, k = stencil.node_count, springs.ravel()
+    beside = sparse.csr_matrix((k, (i, j)), shape=(count, count))
+    beside = beside + beside.T
+    K = sparse.diags_array(np.asarray(beside.sum(1)).ravel()) - beside
+    E = sparse.vstack([sparse.identity(stencil.free_count), stencil.follow], format="csr")
+    K = E.T @ K @ E
+    return sparse.csr_matrix(0.5 * (K + K.T))
+
+
+def split(K: sparse.csr_matrix, lumped: Floats, weak: float) -> NodalMass:
+    """K without the springs below weak sqrt(M_i M_j); what it does to 1 stays."""
+    ground = np.asarray(K.sum(1)).ravel()
+    ground[np.abs(ground) < 1e-9 * lumped] = 0.0
+    all_of = K.tocoo()
+    i, j, k = all_of.row, all_of.col, np.negative(all_of.data)
+    keep = (i != j) & (np.abs(k) > weak * np.sqrt(lumped[i] * lumped[j]))
+    springs = sparse.csr_matrix((k[keep], (i[keep], j[keep])), shape=K.shape)
+    springs.sort_indices()
+    return NodalMass(lumped=lumped, springs=springs, ground=ground)
+
+
+def balanced(stencil: Stencil, mass: NodalMass, m: Floats) -> NodalMass:
+    """Springs k (1 + n . C n) of direction n with a C (3, 3) of each body that sets its inertia.
+
+    sum_i X_i (x) (M~ X)_i = sum_p m_p X_p (x) X_p, by Newton's method on the six numbers of C; the
+    left side falls by z . K z with z = M^-1 M~ X.  A body that a pin holds is left as it is.
+    """
+    node_body = stencil.node_body[: stencil.free_count]
+    i = np.repeat(np.arange(stencil.free_count), np.diff(mass.springs.indptr))
+    j, k = mass.springs.indices, mass.springs.data
+    cell_body = stencil.node_body[stencil.cell_nodes[:, 0]]
+    body = np.repeat(cell_body, np.diff(stencil.cell_start))
+    held = np.unique(stencil.node_body[stencil.held.pin >= 0])
+    bodies = np.setdiff1d(np.unique(node_body), held)
+    mp = m[stencil.order]
+    # Corners of cells lie half a cell below their base node's first neighbor: fx counts from it.
+    Xp = particle_places(stencil)
+    X = stencil.free_X.copy()
+    target = np.zeros((len(bodies), 6))
+    for b, number in enumerate(bodies):
+        mine, nodes = body == number, node_body == number
+        center = (mp[mine, None] * Xp[mine]).sum(0) / mp[mine].sum()
+        X[nodes] -= center
+        target[b] = products(mp[mine], Xp[mine] - center, Xp[mine] - center)
+    way = X[j] - X[i]
+    n = way / np.maximum(np.linalg.norm(way, axis=1), 1e-300)[:, None]
+    shape = np.where(PAIRS[0] == PAIRS[1], 1.0, 2.0) * n[:, PAIRS[0]] * n[:, PAIRS[1]]
+    C = np.zeros((len(bodies), 6))
+    spring_body = node_body[i]
+    for _ in range(PASSES):
+        now = scaled_springs(mass, k, shape, spring_body, bodies, C)
+        p = now.momentum(X)
+        z = p / mass.lumped[:, None]
+        dz = z[j] - z[i]
+        for b, number in enumerate(bodies):
+            nodes, mine = node_body == number, spring_body == number
+            over = products(np.ones(int(nodes.sum())), X[nodes], p[nodes]) - target[b]
+            # each spring stands twice
+            T = (
+                0.5
+                * (dz[mine][:, PAIRS[0]] * dz[mine][:, PAIRS[1]]).T
+                @ (shape[mine] * k[mine, None])
+            )
+            ridge = RIDGE * max(np.trace(T[:3, :3]) / 3.0, 1e-300)
+            C[b] = np.linalg.solve(T.T @ T + ridge**2 * np.eye(6), T.T @ (over + T @ C[b]))
+    return scaled_springs(mass, k, shape, spring_body, bodies, C)
+
+
+def products(m: Floats, a: Floats, b: Floats) -> Floats:
+    """sum m a (x) b, symmetric part, its six numbers in the order of PRODUCTS."""
+    S = np.stack([(m * a[:, r] * b[:, c] + m * a[:, c] * b[:, r]).sum() for r, c in PRODUCTS])
+    return 0.5 * S
+
+
+def scaled_springs(
+    mass: NodalMass, k: Floats, shape: Floats, spring_body: Ints, bodies: Ints, C: Floats
+) -> NodalMass:
+    """`mass` with its springs times 1 + n . C n, within limits."""
+    factor = np.ones(len(k))
+    for b, number in enumerate(bodies):
+        mine = spring_body == number
+        factor[mine] = np.clip(1.0 + shape[mine] @ C[b], SOFTEST, STIFFEST)
+    springs = mass.springs.copy()
+    springs.data = k * factor
+    return NodalMass(lumped=mass.lumped, springs=springs, ground=mass.ground)
+
+
+def particle_places(stencil: Stencil) -> Floats:
+    """(N,) x 3 [m] the particles, in the order of the stencil."""
+    base = stencil.node_ijk[stencil.cell_nodes[:, 0]]
+    shift = stencil.shift[stencil.node_body[stencil.cell_nodes[:, 0]]]
+    cell = np.repeat(np.arange(len(base)), np.diff(stencil.cell_start))
+    return stencil.origin + stencil.h * (base[cell] + stencil.fx) - shift[cell]
+
+
+def positive(mass: NodalMass) -> bool:
+    """Whether M~ is positive definite with half of M to spare: 1 + K / M >= 1/2."""
+    inverse = 1.0 / mass.lumped
+    most = mass.lightest
+    # Eigenvalues of most - K / M, whose largest tells K's lowest.
+    shift = most * mass.lumped
+    start = np.random.default_rng(1).normal(size=len(inverse))
+    value = largest_eigenvalue(
+        lambda f: inverse * f, lambda a: shift * a - mass.laplacian @ a, start
+    )
+    return most - value > -0.5

@@ -1,0 +1,51 @@
+"""The highest frequency of a body: the largest eigenvalue of A K, A and K symmetric.
+
+Lanczos' recursion in the inner product of K (Parlett 1998, section 13), in which A K is
+self-adjoint, so that A needs no root.  Sums are those of NumPy, not of BLAS: the same on any
+number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+
+ACCURACY = 0.01  # of the eigenvalue: the residual that ends the recursion, and is added to it
+MOST = 60  # steps, more than the balls, boxes and bars of the tests take
+Operator = Callable[[Floats], Floats]
+
+
+def largest_eigenvalue(inverse_mass: Operator, stiffness: Operator, start: Floats) -> float:
+    """Largest eigenvalue of A K, with the residual added.
+
+    inverse_mass, stiffness : A and K on fields shaped as `start`, K positive semi-definite.
+    Lanczos' value comes from below, and some eigenvalue is within its residual, beta |s_last|.
+    Where the largest ones lie close together that may be a neighbor of the largest.
+    """
+    q_old, q, beta = np.zeros_like(start), start, 0.0
+    Kq = stiffness(q)
+    size = float(np.sqrt(max((q * Kq).sum(), 0.0)))
+    if not size > 0.0:
+        return 0.0
+    q, Kq = q / size, Kq / size
+    diagonal: list[float] = []
+    beside: list[float] = []
+    value = bound = 0.0
+    for _ in range(MOST):
+        r = inverse_mass(Kq)
+        diagonal.append(float((r * Kq).sum()))
+        r = r - diagonal[-1] * q - beta * q_old
+        Kr = stiffness(r)
+        beta = float(np.sqrt(max((r * Kr).sum(), 0.0)))
+        values, vectors = np.linalg.eigh(
+            np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+        )
+        value, bound = float(values[-1]), beta * abs(float(vectors[-1, -1]))
+        if bound <= ACCURACY * value or beta <= 1e-12 * value:
+            break
+        beside.append(beta)
+        q_old, q, Kq = q, r / beta, Kr / beta
+    return value + bound

@@ -1,0 +1,79 @@
+"""The thickness of solids that is known: plates, rods, balls, and what overlaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from solids import cube, solid, sphere, surface, without
+
+from gf_usd.geometry.thin.thickness import Thickness, ray_lengths, thickness
+
+
+def test_a_plate_is_as_thick_as_across_it() -> None:
+    # its two faces are 2 of 2.4 of its area; rays from the rim run along it
+    seen = thickness(solid(cube(edge=(1.0, 1.0, 0.1))))
+    assert seen is not None
+    assert seen.thin == pytest.approx(0.1, rel=1e-6)
+    assert seen.median == pytest.approx(0.1, rel=1e-6)
+    length = ray_lengths(solid(cube(edge=(1.0, 1.0, 0.1))), 1200)
+    assert (length > 0.5).mean() == pytest.approx(0.4 / 2.4, abs=1 / 1200 * 8)
+
+
+def test_a_rod_is_as_thick_as_its_diameter() -> None:
+    rod = trimesh.creation.cylinder(radius=0.1, height=2.0, sections=64)
+    seen = thickness(solid(surface(rod.vertices, rod.faces)))
+    # flat sides of 64 lie between the inner and the outer circle
+    assert seen is not None
+    assert 0.2 * np.cos(np.pi / 64) - 1e-6 <= seen.thin <= 0.2
+    assert seen.median <= 0.2
+
+
+def test_a_ball_is_as_thick_as_its_diameter() -> None:
+    seen = thickness(solid(sphere(0.5)))
+    assert seen is not None
+    # of facets: from an inner to an outer radius, and no quantile is far
+    assert 0.97 <= seen.thin <= seen.median <= 1.0
+
+
+def test_a_thin_part_counts_by_its_area() -> None:
+    # a cube with a fin beside it whose faces are 2 * 0.2 of 6.4, then of 6.2 of the area
+    big = cube(path="/Cube")
+    for height, thin in ((0.2, 0.01), (0.1, 1.0)):
+        fin = cube(low=(2.0, 0.0, 0.0), edge=(0.01, height, 1.0), path="/Fin")
+        seen = thickness(solid(big, fin))
+        assert seen is not None
+        assert seen.thin == pytest.approx(thin, rel=0.01)
+
+
+def test_surfaces_that_overlap_are_one() -> None:
+    one = cube(path="/One")
+    two = cube(low=(0.5, 0.0, 0.0), path="/Two")
+    length = ray_lengths(solid(one, two), 1000)
+    np.testing.assert_allclose(np.unique(length.round(6)), [1.0, 1.5])
+
+
+def test_which_way_faces_look_does_not_matter() -> None:
+    plate = cube(edge=(1.0, 1.0, 0.1))
+    turned = surface(plate.points, plate.triangles[:, ::-1])
+    assert thickness(solid(turned)) == thickness(solid(plate))
+
+
+def test_it_scales_and_repeats() -> None:
+    small, large = (thickness(solid(sphere(r))) for r in (0.01, 10.0))
+    assert small is not None
+    assert large is not None
+    assert large.thin == pytest.approx(1000.0 * small.thin, rel=1e-6)  # igl counts in f32
+    assert thickness(solid(sphere(0.01))) == small
+
+
+def test_rays_through_a_hole_are_left_out() -> None:
+    whole = cube()
+    open_above = without(whole, [2])  # a triangle of the top
+    length = ray_lengths(solid(open_above), 1000)
+    assert len(length) < 1000
+    np.testing.assert_allclose(length, 1.0, rtol=1e-6)
+
+
+def test_particles_across() -> None:
+    assert Thickness(thin=0.12, median=1.0).across(0.04) == pytest.approx(3.0)

@@ -1,0 +1,164 @@
+"""Bodies with limbs, each with the three looks at defaults: no warning, nothing inside itself.
+
+    python -m tools.acceptance.limbs ASSETS [--only NAME[:LOOK]]... [--json] [--keep FOLDER]
+
+ASSETS is a folder with the four assets of `FILES` that are not made here.  A bake is sound if it
+warns of nothing and at most 1 % of its surface lies inside a body at the end.  What lies inside is
+measured on the baked stage, by the winding number of its meshes all together.  Exit status 1 if a
+bake was not sound.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import igl
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
+from tools.acceptance.jitter import gf_usd
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
+
+LOOKS = ("rubber", "metal", "jelly")
+FILES = {
+    "penguin": "penguin.obj",
+    "armchair": "armchair/armchair.usdc",
+    "figure": "RiggedFigure.usdz",
+    "spot": "spot/spot_low_resolution.obj",
+}
+MADE = ("hand", "table", "octopus", "rings")
+INSIDE = 0.01  # of the surface, at the end
+BESIDE = 2e-3  # of the box: how far from the surface a point is asked for, on both sides
+FIGURES = ("inverted_max", "rollbacks", "min_J", "substeps", "deepest_penetration_spacings",
+           "deepest_overlap_spacings", "energy_gain_max_share")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ran:
+    """One bake and what came of it."""
+
+    asset: str
+    look: str
+    seconds: float
+    particles: int = 0
+    inside: float | None = None  # of the surface, at the last frame
+    figures: dict[str, Any] | None = None  # of its health
+    fault: str = ""  # "" if it was sound
+
+
+def triangles_at_the_end(stage: Usd.Stage) -> tuple[Any, Any]:
+    """Points (n, 3) in the world and triangles (t, 3) of the animated meshes, at their last frame.
+
+    Polygons are fans; faces of meshes that are left handed are turned.
+    """
+    points, triangles, count = [], [], 0
+    for prim in stage.Traverse():
+        mesh = UsdGeom.Mesh(prim)
+        if not mesh or not (times := mesh.GetPointsAttr().GetTimeSamples()):
+            continue
+        world = np.array(UsdGeom.XformCache(times[-1]).GetLocalToWorldTransform(prim))
+        X = np.array(mesh.GetPointsAttr().Get(times[-1]), float)
+        corners = np.array(mesh.GetFaceVertexCountsAttr().Get(times[-1]))
+        index = np.array(mesh.GetFaceVertexIndicesAttr().Get(times[-1]))
+        first = np.cumsum(corners) - corners
+        fan = np.repeat(first, corners - 2)
+        step = np.arange(len(fan)) - np.repeat(np.cumsum(corners - 2) - (corners - 2), corners - 2)
+        faces = np.stack([index[fan], index[fan + step + 1], index[fan + step + 2]], 1)
+        if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+            faces = faces[:, ::-1]
+        points.append(X @ world[:3, :3] + world[3, :3])
+        triangles.append(faces + count)
+        count += len(X)
+    return np.concatenate(points), np.ascontiguousarray(np.concatenate(triangles), dtype=np.int64)
+
+
+def share_inside(points: Any, triangles: Any) -> float:
+    """Of the area: triangles whose both sides have a winding number above 1/2 in absolute value."""
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    cross = np.cross(b - a, c - a)
+    twice = np.linalg.norm(cross, axis=1)
+    used = twice > 1e-12 * twice.max()
+    beside = BESIDE * np.ptp(points, axis=0).max() * cross[used] / twice[used, None]
+    middle = (a + b + c)[used] / 3.0
+    sides = [
+        np.abs(igl.fast_winding_number(points, triangles, middle + side * beside))
+        for side in (1.0, -1.0)
+    ]
+    return float(twice[used][np.minimum(*sides) > 0.5].sum() / twice[used].sum())
+
+
+def bake(name: str, look: str, file: Path, folder: Path) -> Ran:
+    """One bake at defaults, in a folder of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    began = time.perf_counter()
+    words = ("bake", str(file.resolve()), "--material", look, "-o", f"{folder}/", "--json")
+    status, printed, errors = gf_usd(folder, *words)
+    seconds = round(time.perf_counter() - began, 1)
+    if status != 0:
+        said = " ".join(errors[errors.find("error:") :].split())[:600]
+        return Ran(asset=name, look=look, seconds=seconds, fault=f"status {status}: {said}")
+    report = json.loads(printed)
+    health = report["bakes"][0]["health"]
+    stage = Usd.Stage.Open(report["root"])
+    inside = share_inside(*triangles_at_the_end(stage))
+    faults = [f"warning: {w['message']}" for w in report["warnings"]]
+    if inside > INSIDE:
+        faults.append(f"{100.0 * inside:.2g} % of the surface lies inside at the end")
+    return Ran(
+        asset=name, look=look, seconds=seconds, particles=report["particles"], inside=inside,
+        figures={name: health[name] for name in FIGURES}, fault="; ".join(faults),
+    )  # fmt: skip
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Bake them and print what came of it."""
+    from limbed import write_limbed
+
+    ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    ask.add_argument("assets", type=Path)
+    ask.add_argument("--only", action="append", default=[], metavar="NAME[:LOOK]")
+    ask.add_argument("--json", action="store_true", help="print the bakes as JSON")
+    ask.add_argument("--keep", type=Path, help="folder for what was baked")
+    asked = ask.parse_args(words)
+    wanted = [word.partition(":")[::2] for word in asked.only] or [("", "")]
+    pairs = [
+        (name, look)
+        for name in (*FILES, *MADE)
+        for look in LOOKS
+        if any(a in ("", name) and b in ("", look) for a, b in wanted)
+    ]
+    if not pairs:
+        ask.error(f"--only: choose of {', '.join((*FILES, *MADE))}, each with :LOOK or without")
+    runs = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, look in pairs:
+            folder = (asked.keep or Path(scratch)) / name
+            folder.mkdir(parents=True, exist_ok=True)
+            file = asked.assets / FILES[name] if name in FILES else folder / f"{name}.usda"
+            if name in MADE and not file.exists():
+                write_limbed(name, file)
+            runs.append(bake(name, look, file, folder / look))
+            one = runs[-1]
+            share = "" if one.inside is None else f", {100.0 * one.inside:.2f} % inside"
+            print(
+                f"{name} {look}: {one.particles} particles, {one.seconds} s{share},"
+                f" {one.fault or 'sound'}",
+                file=sys.stderr, flush=True,
+            )  # fmt: skip
+    if asked.json:
+        print(json.dumps({"runs": [asdict(ran) for ran in runs]}))
+    return 1 if any(ran.fault for ran in runs) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
