@@ -17,6 +17,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Pose
+from gf_usd.core.mesh import signed_volume
 
 OFF = 2e-3  # of the longest edge of the box around all: a point off the surface
 WITHIN = 0.5  # winding numbers are whole but for the error of the fast sum
@@ -24,6 +25,7 @@ LOOKS = 8  # times that a bake is looked at before its end
 GLANCE = 1500  # triangles of such a look
 MOST = 20_000  # triangles of the last look
 WAYS = 16  # directions in which the depth is looked for
+STEEP = 0.5  # cosine with the normal of a way back that leaves its own curved surface
 DEEPEST = 64  # triangles whose depth is looked for, at most
 STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0])  # [spacings]
 
@@ -33,7 +35,7 @@ class Inside:
     """What was found at one time."""
 
     share: float  # of the area looked at
-    depth: float  # [m] of the deepest, to the nearest place outside, in steps of STEPS
+    depth: float  # [m] of the deepest, to where it comes out, in steps of STEPS
 
 
 class InsideMeasure:
@@ -46,7 +48,7 @@ class InsideMeasure:
         first = np.cumsum([0, *(len(one.points) for one in surfaces)])
         self._paths = [one.path for one in surfaces]
         self._triangles = np.ascontiguousarray(
-            np.concatenate([one.triangles + k for one, k in zip(surfaces, first)]), dtype=np.int64
+            np.concatenate([outward(one) + k for one, k in zip(surfaces, first)]), dtype=np.int64
         )
         self._points = np.concatenate([np.asarray(one.points, float) for one in surfaces])
         self._spacing, self._last = spacing, frames - 1
@@ -88,11 +90,13 @@ class InsideMeasure:
         some = np.arange(0, len(center), -(-len(center) // DEEPEST))
         steps = self._spacing * STEPS
         depth = np.full(len(some), steps[-1])
-        for way in hemisphere(normal[some]):
-            X = center[some, None] + steps[:, None] * way[:, None]
-            turns = np.abs(self._turns(points, X.reshape(-1, 3))).reshape(len(some), -1)
-            out = turns <= WITHIN
-            depth = np.minimum(depth, np.where(out.any(1), steps[out.argmax(1)], steps[-1]))
+        # Ahead it comes out of all, behind of what it is in besides the body that it bounds.
+        for side, within, least in ((1.0, WITHIN, 0.0), (-1.0, 1.0 + WITHIN, STEEP)):
+            for way in directions(side * normal[some], least):
+                X = center[some, None] + steps[:, None] * way[:, None]
+                turns = np.abs(self._turns(points, X.reshape(-1, 3))).reshape(len(some), -1)
+                out = turns <= within
+                depth = np.minimum(depth, np.where(out.any(1), steps[out.argmax(1)], steps[-1]))
         return float(depth.max())
 
     def _turns(self, points: Floats, X: Floats) -> Floats:
@@ -105,12 +109,18 @@ class InsideMeasure:
         ).reshape(-1)
 
 
-def hemisphere(normal: Floats) -> Iterator[Floats]:
-    """Directions (n, 3) of unit length, even over the half space ahead of normals (n, 3)."""
+def outward(surface: Surface) -> Ints:
+    """Its triangles (T, 3), turned where it is inside out as a whole."""
+    turned = signed_volume(surface.points, surface.triangles) < 0.0
+    return surface.triangles[:, ::-1] if turned else surface.triangles
+
+
+def directions(normal: Floats, least: float) -> Iterator[Floats]:
+    """Unit directions (n, 3), even over those whose cosine with normals (n, 3) is over `least`."""
     side = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-30)
     other = np.cross(normal, side)
     for k in range(WAYS):  # a spiral (Fibonacci)
-        up = 1.0 - (k + 0.5) / WAYS
+        up = 1.0 - (1.0 - least) * (k + 0.5) / WAYS
         turn, out = k * np.pi * (3.0 - 5.0**0.5), np.sqrt(1.0 - up * up)
         yield up * normal + out * (np.cos(turn) * side + np.sin(turn) * other)

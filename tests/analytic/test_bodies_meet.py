@@ -242,3 +242,24 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
         assert (max(f.health.overlap for f in frames) > 0.0) == asked
     assert gap[False][-1] < -1.0, "nothing else keeps the prongs apart"
     assert -0.5 <= min(gap[True]) < 0.5  # measured: -0.19 and -0.22
+
+
+@pytest.mark.parametrize("material", ["rubber", "jelly"])
+@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
+def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):
+    """Tips at 1.5, 3 and 6 m/s: nothing passes, and the planes give no energy."""
+
+    def close(X):
+        speed = -rate * np.sign(X[:, 0]) * np.maximum(X[:, 1], 0.0)
+        return np.stack([speed, 0.0 * speed, 0.0 * speed], -1)
+
+    solver = meeting(
+        tongs(), particles=500, material=material, self_contact=True, velocity=[close], frames=14
+    )
+    h = [f.health for f in solver.frames()]
+    assert max(x.let_go for x in h) == 0
+    given = np.cumsum([x.injected for x in h])
+    assert given.max() < 1e-3 * h[0].kinetic
+    assert max(gain_of_frames(h)) <= 1e-5 * h[0].kinetic  # rounding, as of two balls
+    # As of two bodies, which this is but for the body that joins them.
+    assert 0.0 < max(x.overlap for x in h) <= 0.5 * solver.particles.spacing

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from launching import WAYS, launched
-from meetings import half_space, meeting
-from solids import sphere
+from meetings import bricks, half_space, meeting
+from solids import sphere, surface
 
 from gf_usd.core.frames import Health
 
@@ -66,4 +66,33 @@ def test_a_kept_state_goes_on_to_the_bit():
     for index in range(5, 7):
         last = other.next(index, last).health
         assert last == ends[index]  # what is counted, too: overlap, work, energy of new planes
+    assert np.array_equal(whole(solver), whole(other))
+
+
+def closing(frames: int = 10):
+    """Two prongs of one body that close on each other."""
+    shape = np.ones((6, 12, 2), bool)
+    shape[2:4, 2:] = False
+    made = bricks(shape, 0.25)
+    body = surface(made.points - [0.75, 0.5, 0.0], made.triangles, path="/Tongs")
+
+    def close(X):
+        speed = -1.5 * np.sign(X[:, 0]) * np.maximum(X[:, 1], 0.0)
+        return np.stack([speed, 0.0 * speed, 0.0 * speed], -1)
+
+    return meeting(body, particles=300, self_contact=True, velocity=[close], frames=frames)
+
+
+def test_a_body_that_meets_itself_goes_on_to_the_bit():
+    solver, last, kept, ends = closing(), Health(), {}, []
+    for frame in solver.frames():
+        if frame.index == 6:
+            assert frame.health.overlap > 0.0, "it is kept in contact"
+            kept, last = solver.save(), frame.health
+        ends.append(frame.health)
+    other = closing()
+    other.load(kept)
+    for index in range(7, 10):
+        last = other.next(index, last).health
+        assert last == ends[index]
     assert np.array_equal(whole(solver), whole(other))

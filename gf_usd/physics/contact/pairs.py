@@ -36,10 +36,12 @@ from gf_usd.physics.contact.narrow_phase import (
     obstacles,
     pair_values,
 )
-from gf_usd.physics.contact.self_contact import SelfContact
+from gf_usd.physics.contact.self_contact import FACE, SelfContact
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
+WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
+STAY = 1.0  # [spacings]
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 # Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
 # each other strain them twice as fast as one that comes at a wall does.
@@ -190,9 +192,8 @@ class BodyContact:
         x, v = self._motion(now)
         meet, hold = self._schedule(x, v, frame, left * dt)
         old = self._stored(x, time)
-        search = ContactSearch(
-            x, (FACING + TRAVEL) * self._spacing, self._gap - CLOSER * self._spacing
-        )
+        closer = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
+        search = ContactSearch(x, (FACING + TRAVEL) * self._spacing, self._gap - closer)
         for other in sorted({other for _, other in meet}):
             near = [mine for mine, faced in meet if faced == other]
             if other < 0:
@@ -200,6 +201,7 @@ class BodyContact:
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
         hold = min(hold, self._face_themselves(search, v))
+        self._keep(search, old.depth)
         values = pair_values(
             search.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
@@ -218,20 +220,21 @@ class BodyContact:
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x
         self._overlap = max(self._overlap, -float(search.gap.min()))
-        self.released = max(self.released, search.released)
-        hold = min(hold, TRAVEL * self._spacing / max(self._sliding(v), 1e-30))
+        lost = (old.depth > EASE * self._spacing) & (self.planes.partner == narrow_phase.NOBODY)
+        self.released = max(self.released, search.released, int(lost.sum()))
+        hold = min(hold, self._sliding(v))
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
         self._upload(state, now, values, dt, moved(self.planes, x, v, -dt if done else -0.5 * dt))
         return int(np.clip(hold / dt, 1, left))
 
     def _sliding(self, v: Floats) -> float:
-        """[m/s] the fastest of the samples against what they face."""
+        """[s] until a sample has slid too far along what it faces; what is off may go farther."""
         f = self.planes
-        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[
-            f.partner != narrow_phase.NOBODY
-        ]
-        return float(speed.max(initial=0.0))
+        near = f.partner != narrow_phase.NOBODY
+        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[near]
+        way = TRAVEL * self._spacing + WAIT * np.maximum(self._gap[near], 0.0)
+        return float((way / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
     def _schedule(
         self, x: Floats, v: Floats, frame: float, span: float, still: Ints | None = None
@@ -286,7 +289,8 @@ class BodyContact:
             hold = min(hold, until)
             if not near:
                 continue
-            found = own.find(search.x[m], search.reach, *self._known(k, search.x))
+            found = own.find(search.x[m], v[m], FACE * self._spacing, *self._known(k, search.x))
+            hold = min(hold, found.hold)
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
                 m[found.rows], found.gap, found.normal, found.point,
@@ -294,6 +298,24 @@ class BodyContact:
                 np.take_along_axis(found.weights, order, 1), sure=True,
             )  # fmt: skip
         return hold
+
+    def _keep(self, search: ContactSearch, depth: Floats) -> None:
+        """Have samples inside their own body that see no place of it keep the plane they had.
+
+        depth : (n,) [m] under the planes until now.  Where a place ends, at an edge or at a crease,
+        none may be found; a sample is not inside any more once it is STAY beside what it faced.
+        """
+        f = self.planes
+        unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
+        rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
+        point = (f.ridden(search.x) + f.point)[rows]
+        away = search.x[rows] - point
+        beside = away + depth[rows, None] * f.normal[rows]
+        near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
+        rows, point = rows[near], point[near]
+        search.offer(
+            rows, -depth[rows], f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True
+        )
 
     def _known(self, body: int, x: Floats) -> tuple[Floats, Floats]:
         """Where the samples of a body were at the last detection, and their gaps [m].

@@ -16,7 +16,7 @@ where it was inside, or on the outer side of the same place, at the last detecti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,15 +27,18 @@ from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulat
 
 HOPS = 4  # edges of the sample mesh, from where on a body meets itself
 THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet each other
-SEE = 1.25  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
+SEE = 2.0  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
 SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
+OPPOSED = 0.5  # cosine from where two walls, or two patches, look at each other
 ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
-TURN = 1.5  # [spacings] that a normal turned by a radian is as far as
-LOOKED = 12  # samples of which SEEDS are chosen
+TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
+LOOKED = 8  # samples of which SEEDS are chosen
 PATCH = 48  # samples of a patch, about
 FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
+CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for again
+FACE = 1.5  # [spacings] from where a sample faces a place
 NEARLY = 0.25  # [spacings] from where something is about to touch
 
 
@@ -49,6 +52,7 @@ class Facing:
     point: Floats  # (k, 3) [m]
     carriers: Ints  # (k, 3) corners of its triangle, of the body's own samples
     weights: Floats  # (k, 3) barycentric
+    hold: float = float("inf")  # [s] until what was seen beyond the reach may come within it
 
 
 class Patches:
@@ -90,6 +94,8 @@ class Patches:
         c, n, r = self._shape(X)
         gap, look = self._look(c, n, r)
         self._adjacent = gap < (2.0 * SEE + THICK) * spacing
+        opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
+        self._walls = opposed & (look > OPPOSED)  # of a gap: they may close at any time
         self._look0 = np.maximum(look, 0.0)
         self._spacing = spacing
 
@@ -128,15 +134,14 @@ class Patches:
         mean = self._mean @ v
         spread = self._farthest(v - mean[self.of])
         speed = np.linalg.norm(mean[a] - mean[b], axis=1) + spread[a] + spread[b]
-        folded = look > self._look0 + FOLD * (look < 1.0)
-        # At rest some neighbors look at each other: what is between two legs.
-        folded |= (self._look0 > FOLD) & (look > 0.0)
-        near = (gap < 2.0 * SEE * s) & (~self._adjacent | folded)
+        turned = np.where(self._adjacent, look > self._look0 + FOLD, look > -OPPOSED)
+        near = (gap < 2.0 * SEE * s) & (turned | self._walls)
         apart = ~near & ~self._adjacent
         hold = np.maximum(gap[apart] - SEE * s, SEE * s) / np.maximum(speed[apart], 1e-30)
         best = float(hold.min(initial=np.inf)) / AHEAD
         if near.any():
-            best = min(best, SEE * s / AHEAD / max(float(speed[near].max()), 1e-30))
+            unseen = (2.0 * SEE - CLEAR) * s
+            best = min(best, unseen / AHEAD / max(float(speed[near].max()), 1e-30))
         return bool(near.any()), best
 
 
@@ -169,34 +174,47 @@ class SelfContact:
         near, hold = self.judge(x, v)
         if not near:
             return hold < span
-        found = self.find(x, 2.0 * SEE * self._spacing, before, gap)
+        found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap)
         theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
         closing = -((v[found.rows] - theirs) * found.normal).sum(1)
         left = found.gap - AHEAD * span * np.maximum(closing, 0.0)
         return bool((left < NEARLY * self._spacing).any())
 
-    def find(self, x: Floats, reach: float, before: Floats, gap: Floats) -> Facing:
+    def find(self, x: Floats, v: Floats, reach: float, before: Floats, gap: Floats) -> Facing:
         """What faces itself within a reach [m].
 
-        x, before : (n, 3) [m] now and at the last detection; gap : (n,) [m] found there.
+        x, before : (n, 3) [m] now and at the last detection; v : (n, 3) [m/s]; gap : (n,) [m] found
+        at the last detection.
         """
         mesh, neighbors = self._mesh
         if len(mesh.triangles) == 0:
             return _nothing()
         face, corner, normal = _normals(x, mesh)
         rows = self._ahead(x, normal, neighbors, gap < reach)
-        seeds = self._seeds(rows, x, normal, neighbors, reach)
-        rows, seeds = rows[(seeds >= 0).any(1)], seeds[(seeds >= 0).any(1)]
+        seeds = self._seeds(rows, x, normal, neighbors)
+        rows, seeds = rows[seeds[:, 0] >= 0], seeds[seeds[:, 0] >= 0]
         if len(rows) == 0:
             return _nothing()
-        return self._closest(rows, seeds, x, reach, before, gap, (face, corner, normal))
+        s = self._spacing
+        distance = np.linalg.norm(x[rows] - x[seeds[:, 0]], axis=1)
+        speed = np.linalg.norm(v[rows] - v[seeds[:, 0]], axis=1)
+        close = distance < reach + s
+        until = (distance[~close] - CLEAR * s) / np.maximum(AHEAD * speed[~close], 1e-30)
+        hold = float(until.min(initial=np.inf))
+        if not close.any():
+            return replace(_nothing(), hold=hold)
+        normals = face, corner, normal
+        found = self._closest(rows[close], seeds[close], x, reach, before, gap, normals)
+        return replace(found, hold=hold)
 
     def _ahead(self, x: Floats, normal: Floats, neighbors: Neighbors, known: Ints) -> Ints:
         """Samples before which something is that is not near at rest, with what is there."""
         radius = SEE * self._spacing
         tree = kd_tree(x)
         center = x + radius * normal
-        distance, at = tree.query(center, k=4, distance_upper_bound=radius * (1.0 - 1e-6))
+        distance, at = tree.query(
+            center, k=min(LOOKED, len(x)), distance_upper_bound=radius * (1.0 - 1e-6)
+        )
         there = np.isfinite(distance)
         who = np.broadcast_to(np.arange(len(x))[:, None], at.shape)[there]
         other = at[there]
@@ -208,9 +226,7 @@ class SelfContact:
         wanted |= there.all(1)
         return np.flatnonzero(wanted)
 
-    def _seeds(
-        self, rows: Ints, x: Floats, normal: Floats, neighbors: Neighbors, reach: float
-    ) -> Ints:
+    def _seeds(self, rows: Ints, x: Floats, normal: Floats, neighbors: Neighbors) -> Ints:
         """(k, SEEDS) the samples nearest to each of rows that face it and are not near; -1: no."""
         out = np.full((len(rows), SEEDS), -1)
         if len(rows) == 0:
@@ -219,7 +235,7 @@ class SelfContact:
         wide = TURN * self._spacing
         at = kd_tree(np.hstack([x, wide * normal])).query(
             np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(x)),
-            distance_upper_bound=np.hypot(reach, 2.0**0.5 * wide),
+            distance_upper_bound=np.hypot(2.0 * SEE * self._spacing, 2.0**0.5 * wide),
         )[1].reshape(len(rows), -1)  # fmt: skip
         a, j = np.nonzero(at < len(x))
         b = at[a, j]
@@ -344,14 +360,7 @@ def closest_weights(p: Floats, corners: Floats) -> Floats:
     def dot(u: Floats, v: Floats) -> Floats:
         return np.einsum("na,na->n", u, v)
 
-    d1, d2, d3, d4, d5, d6 = (
-        dot(ab, ap),
-        dot(ac, ap),
-        dot(ab, bp),
-        dot(ac, bp),
-        dot(ab, cp),
-        dot(ac, cp),
-    )
+    d1, d2, d3, d4, d5, d6 = (dot(edge, away) for away in (ap, bp, cp) for edge in (ab, ac))
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     total = va + vb + vc
     total = np.where(total != 0.0, total, 1.0)

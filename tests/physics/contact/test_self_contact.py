@@ -1,0 +1,113 @@
+"""What of a body faces itself: places, signs and times, against closed forms and libigl."""
+
+from __future__ import annotations
+
+import igl
+import numpy as np
+import pytest
+from two_legs import SPACING, legs, sampled
+
+from gf_usd.physics.contact.self_contact import FACE, SelfContact, closest_weights
+
+GAP = 0.5  # [m] at rest
+REACH = FACE * SPACING
+
+
+def made():
+    """Two legs half a meter apart, and their samples at rest."""
+    skin, samples = sampled(legs(GAP))
+    return SelfContact(skin, samples.X, samples.normal, SPACING), samples
+
+
+def closed(X, left: float):
+    """Samples X (n, 3) [m] with the right leg sheared over until its tip is `left` [m] off."""
+    y = np.clip((X[:, 1] - 0.2) / 1.0, 0.0, 1.0)
+    over = np.where(X[:, 0] > 0.4 + 0.5 * GAP, (GAP - left) * y, 0.0)
+    return X - np.stack([over, 0.0 * over, 0.0 * over], 1)
+
+
+def test_closest_points_of_triangles_are_those_of_libigl():
+    random = np.random.default_rng(0)
+    corners, p = random.normal(size=(400, 3, 3)), 1.5 * random.normal(size=(400, 3))
+    weights = closest_weights(p, corners)
+    assert (weights >= 0.0).all()
+    np.testing.assert_allclose(weights.sum(1), 1.0, rtol=1e-12)
+    squared = ((p - np.einsum("nk,nka->na", weights, corners)) ** 2).sum(1)
+    triangle = np.array([[0, 1, 2]])
+    expected = [
+        np.asarray(igl.point_mesh_squared_distance(p[i : i + 1], c, triangle)[0]).item()
+        for i, c in enumerate(corners)
+    ]
+    np.testing.assert_allclose(squared, expected, rtol=1e-9, atol=1e-15)
+
+
+def test_nothing_is_near_a_body_at_rest():
+    own, samples = made()
+    x, still, nothing = samples.X, np.zeros_like(samples.X), np.full(len(samples.X), REACH)
+    assert own.judge(x, still)[1] > 1e20, "nothing moves"
+    found = own.find(x, still, REACH, x, nothing)
+    assert len(found.rows) == 0
+    assert found.hold > 1e20
+    assert not own.imminent(x, still, 10.0, x, nothing)
+    v = np.where(x[:, :1] > 0.4 + 0.5 * GAP, [[-1.0, 0.0, 0.0]], 0.0)
+    # The legs meet after 0.5 s at 1 m/s; it is looked again before that.
+    hold = min(own.judge(x, v)[1], own.find(x, v, REACH, x, nothing).hold)
+    assert 0.05 < hold < GAP
+
+
+def test_legs_that_close_face_each_other():
+    own, samples = made()
+    x, nothing = closed(samples.X, 0.05), np.full(len(samples.X), REACH)
+    assert own.judge(x, np.zeros_like(x))[0]
+    found = own.find(x, np.zeros_like(x), REACH, x, nothing)
+    inner = np.abs(samples.X[:, 0] - 0.4) < 1e-6
+    tip = inner & (samples.X[:, 1] > 1.0) & (np.abs(samples.X[:, 2] - 0.2) < 0.15)
+    assert np.isin(np.flatnonzero(tip), found.rows).all()
+    assert (found.gap > 0.0).all()
+    # The faces are x = 0.4 and the sheared one: their distance in closed form.
+    row = np.isin(found.rows, np.flatnonzero(tip & (samples.X[:, 1] < 1.15)))
+    s = found.rows[row]
+    slope = (GAP - 0.05) / 1.0
+    across = 0.4 + GAP - slope * (x[s, 1] - 0.2) - x[s, 0]
+    np.testing.assert_allclose(found.gap[row], across / np.hypot(1.0, slope), atol=1e-9)
+    n = np.array([-1.0, -slope, 0.0]) / np.hypot(1.0, slope)
+    np.testing.assert_allclose(found.normal[row], np.tile(n, (len(s), 1)), atol=1e-9)
+    np.testing.assert_allclose(found.weights.sum(1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.einsum("nk,nka->na", found.weights, x[found.carriers]), found.point, atol=1e-12
+    )
+
+
+def test_a_sample_is_inside_where_it_came_through():
+    own, samples = made()
+    before, x = closed(samples.X, 0.02), closed(samples.X, -0.03)
+    still, nothing = np.zeros_like(x), np.full(len(x), REACH)
+    came = own.find(x, still, REACH, before, nothing)
+    assert came.gap.min() == pytest.approx(-0.03, abs=0.01)  # a slope of 0.5, edges of samples
+    # What was there before anything was looked at was not crossed: shells may overlap at rest.
+    was = own.find(x, still, REACH, x, nothing)
+    assert was.gap.min() >= 0.0
+    # What is known to be inside stays so.
+    gap = nothing.copy()
+    gap[came.rows] = came.gap
+    again = own.find(x, still, REACH, x, gap)
+    np.testing.assert_array_equal(again.rows[again.gap < 0.0], came.rows[came.gap < 0.0])
+
+
+def test_the_two_sides_of_a_leg_that_is_squeezed_flat_do_not_face_each_other():
+    own, samples = made()
+    x = samples.X.copy()
+    x[:, 2] *= 0.2  # from four spacings to less than one
+    found = own.find(x, np.zeros_like(x), REACH, x, np.full(len(x), REACH))
+    assert len(found.rows) == 0
+
+
+def test_what_moves_together_holds():
+    own, samples = made()
+    x, nothing = closed(samples.X, 0.25), np.full(len(samples.X), REACH)
+    v = np.tile([3.0, -2.0, 1.0], (len(x), 1))
+    assert own.judge(x, v)[1] > 1e6
+    assert own.find(x, v, REACH, x, nothing).hold > 1e6
+    assert not own.imminent(x, v, 1.0, x, nothing)
+    v = np.where(samples.X[:, :1] > 0.4 + 0.5 * GAP, [[-2.0, 0.0, 0.0]], 0.0)
+    assert own.imminent(x, v, 0.2, x, nothing), "0.25 m at 2 m/s"
