@@ -23,6 +23,7 @@ from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
 from gf_usd.physics.contact.carriers import Triples, spin
 from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
+from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.reference import Rows
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
@@ -31,9 +32,6 @@ TRAVEL = 0.5  # [spacings] that samples may move between two detections
 # first; the rest is for speeds that grow and for what the surface does between its samples.
 CLOSER = 1.5 * TRAVEL
 APART = 4.0  # [spacings] at rest, from where on a body meets itself
-# Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
-# 0.41 spacings at most; with 1 by 0.52 (measured).
-STIFFER = 2.0
 CROWD = 24  # samples asked for around one that may meet its own body: most are its neighbors
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 
@@ -206,22 +204,20 @@ def facing_itself(
 
 def pair_values(
     planes: ContactPlanes,
-    stiffness: Floats,
-    mass: Floats,
-    friction: Floats,
-    restitution: Floats,
+    contact: FloorContact,
     walls: Sequence[tuple[float | None, float | None]],
 ) -> dict[str, Floats]:
     """k, m, friction and restitution of each sample with what it faces.
 
-    Stiffer than the floor, since here both sides give way.  Two bodies meet with the softer's
+    Two bodies meet with the softer's
     stiffness, their reduced mass, the geometric mean of their frictions and the lower restitution;
     walls : (friction, restitution) of each obstacle, None: the sample's own.
     """
-    k, m, mu, e = (np.array(v, float) for v in (STIFFER * stiffness, mass, friction, restitution))
-    a = np.flatnonzero(planes.partner >= 0)
+    mass, friction, restitution = contact.mass, contact.friction, contact.restitution
+    k, m, mu, e = (np.array(v, float) for v in (contact.stiffness, mass, friction, restitution))
+    a = planes.carried
     b = planes.partner[a]
-    k[a] = STIFFER * np.minimum(stiffness[a], stiffness[b])
+    k[a] = np.minimum(contact.meeting[a], contact.meeting[b])
     m[a] = mass[a] * mass[b] / (mass[a] + mass[b])
     mu[a], e[a] = np.sqrt(friction[a] * friction[b]), np.minimum(restitution[a], restitution[b])
     for number, (wall_friction, wall_restitution) in enumerate(walls):
