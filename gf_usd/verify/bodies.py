@@ -42,14 +42,19 @@ def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
 
 
 def ball(
-    particles: int, radius: float = 1.0, *, seed: int = 0, rejection: bool = False
+    particles: int,
+    radius: float = 1.0,
+    *,
+    seed: int = 0,
+    rejection: bool = False,
+    subdivisions: int = 3,
 ) -> tuple[Particles, SurfaceSamples]:
     """About so many particles of production sampling in a ball, and its contact samples."""
     facts = StageFacts(
         path=Path("ball"), units=StageUnits(), up_axis="Y", time_codes_per_second=None,
         start_time_code=None, end_time_code=None, root_prims=("/Ball",), default_prim="/Ball",
     )  # fmt: skip
-    solid = build_solid(Asset(facts=facts, surfaces=(sphere(radius),)))
+    solid = build_solid(Asset(facts=facts, surfaces=(sphere(radius, subdivisions),)))
     made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
     return made, sample_surface(solid, made.spacing, seed)
 

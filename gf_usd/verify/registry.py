@@ -15,14 +15,17 @@ from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     bar,
     cantilever,
+    collisions,
     drop,
     flight,
     floor,
+    hertz,
     law,
     locking,
     manufactured,
     patch,
     sides,
+    slope,
 )
 
 CASES: tuple[Case, ...] = (
@@ -35,6 +38,9 @@ CASES: tuple[Case, ...] = (
     *locking.CASES,
     *manufactured.CASES,
     *floor.CASES,
+    *slope.CASES,
+    *hertz.CASES,
+    *collisions.CASES,
     *drop.CASES,
     *sides.CASES,
 )

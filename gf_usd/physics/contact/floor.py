@@ -30,9 +30,9 @@ from gf_usd.physics.taichi_arrays import DeviceState
 # of 0, .3 and .45 alike (measured); scaled by c^2 in place of E* they would not be.
 HALF_SPACE = 1.3
 STOPPING_DISTANCE = 0.25  # of s
-# Of the second and third term where two bodies meet: at each other they come twice as fast, which
-# takes twice the stiffness for a mass of half; rubber and jelly balls overlap by .41 spacings with
-# it, by .54 without (measured, at 3 m/s each).
+# Of the second and third term where two bodies meet, or a body and an obstacle, which may come
+# twice as fast as one body alone: twice the stiffness for a mass of half.  Balls of jelly overlap
+# by .41 spacings with it, by .54 without (measured, at 3 m/s each).
 MEETING = 2.0
 REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
 
@@ -51,7 +51,7 @@ class FloorContact:
     constants: sparse.csr_matrix | None  # (n, followers) of their constants, where there are pins
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
-    meeting: Floats  # (n,) [N/m] where it meets a body
+    meeting: Floats  # (n,) [N/m] where it meets a body or an obstacle
     damping: Floats  # (n,) [N s/m]
     tangential: Floats  # (n,) [N/m] of the springs by which friction sticks; 0: none
     friction: Floats  # (n,)

@@ -214,7 +214,7 @@ def pair_values(
     walls : (friction, restitution) of each obstacle, None: the sample's own.
     """
     mass, friction, restitution = contact.mass, contact.friction, contact.restitution
-    k, m, mu, e = (np.array(v, float) for v in (contact.stiffness, mass, friction, restitution))
+    k, m, mu, e = (np.array(v, float) for v in (contact.meeting, mass, friction, restitution))
     a = planes.carried
     b = planes.partner[a]
     k[a] = np.minimum(contact.meeting[a], contact.meeting[b])
