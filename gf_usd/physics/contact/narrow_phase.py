@@ -21,7 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
-from gf_usd.physics.contact.carriers import Triples, spin
+from gf_usd.physics.contact.carriers import Triples, cross, spin
 from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.reference import Rows
@@ -81,13 +81,6 @@ class ContactPlanes:
         out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
         return out
 
-    def spin(self, x: Floats, v: Floats) -> Floats:
-        """(n, 3) [1/s] at which the carriers of each plane turn; 0 for obstacles."""
-        out, who = np.zeros_like(x), self.carried
-        if len(who):
-            out[who] = spin(x[self.carriers[who]], v[self.carriers[who]])
-        return out
-
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
@@ -117,15 +110,18 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
     x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
     slip of their samples.
     """
-    p, spin = planes, planes.spin(x, v)
-    normal = p.normal + time * np.cross(spin, p.normal)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = normal / np.where(length > 0.0, length, 1.0)
-    point = p.point + np.where((p.partner >= 0)[:, None], time * np.cross(spin, p.point), 0.0)
-    spring = p.spring.copy()
+    p, who = planes, planes.carried
+    turn = np.zeros_like(x)
+    normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
+    if len(who):
+        carriers = p.carriers[who]
+        turn[who] = time * spin(x[carriers], v[carriers])
+        turned = normal[who] + cross(turn[who], normal[who])
+        normal[who] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        point[who] += cross(turn[who], point[who])
     if (stuck := np.flatnonzero(spring.any(1))).size:
-        slip = v - p.ridden(v) - p.velocity - np.cross(spin, x - p.ridden(x))
-        spring[stuck] += time * (slip + np.cross(spin, spring))[stuck]
+        way = time * (v - p.ridden(v) - p.velocity) - cross(turn, x - p.ridden(x))
+        spring[stuck] += (way + cross(turn, spring))[stuck]
         spring[stuck] = along(spring[stuck], normal[stuck])
     return replace(p, normal=normal, point=point, spring=spring)
 
