@@ -24,6 +24,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CellCopies:
+    """Cells of the grid that a solid fills, each once for every connected part of the solid in it.
+
+    Where limbs are near each other a cell has several copies, and so have nodes (docs/physics.md).
+    """
+
+    h: float  # [m] edge of a cell; cells start at `Particles.corner`
+    cell: Ints  # (K, 3) cell of each copy, counted from there
+    body: Ints  # (K,) as in Particles
+    links: Ints  # (E, 2) copies of cells with a common face, across which the solid is connected
+    of: Ints  # (N,) copy of each particle; some copies have none
+
+
+@dataclass(frozen=True, kw_only=True)
 class Particles:
     """Quadrature points of the solid and their rest Gaussians."""
 
@@ -36,11 +50,14 @@ class Particles:
     opacity: Floats  # (N,)
     surface: Ints  # (N,) index of the nearest surface: where the particle came from
     spacing: float  # [m] mean distance s = (V / N)^(1/3)
-    volume: float  # [m^3] of the solid
-    lattice: float  # [m] edge of the strata the particles were drawn from
-    corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
+    volume: float  # [m^3] of the solid: the sum of V0
+    lattice: float  # [m] half the edge of the cells the particles were made for
+    corner: Floats  # (3,) [m] a corner of these cells: those of the solver's grid are laid along it
+    corners: Floats | None = None  # (bodies, 3) [m] the same of each body; None: all have `corner`
+    outside: int = 0  # particles that lie outside of the solid they stand for
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
+    copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
 
     def __len__(self) -> int:
         return len(self.X)
@@ -59,6 +76,7 @@ class SurfaceSamples:
     area: Floats  # (n,) [m^2] of surface that each stands for
     normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
     body: Ints | None = None  # (n,) as in Particles
+    cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +170,8 @@ class Health:
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
+    inside_share: float | None = None  # of the surface, inside a body; None: not looked at
+    inside_depth: float | None = None  # [m] of the deepest of it
 
 
 @dataclass(frozen=True, kw_only=True)

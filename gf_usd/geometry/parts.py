@@ -18,13 +18,13 @@ from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components, kd_tree
 from gf_usd.geometry import winding
-from gf_usd.geometry.sampling import GAUSS, JITTER
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import nearest
 
 FEW = 8  # particles: a full cell of the solver's grid
-# [lattice edges] wherever its planes lie, a wall as thick holds one whole layer of particles
-WHOLE_LAYER = 2.0 * GAUSS[1] + JITTER
+# [lattice edges] three quarters of a cell: a thinner wall may have no cell of its own that is more
+# than half full, and bends by one layer of cells whichever way it lies
+WHOLE_LAYER = 1.5
 THIN = 0.75  # [spacings] thinner, and a quarter of a wall has no particle in it
 # Surface points lie within 1.5 spacings of a particle wherever a body is filled (measured on balls,
 # boxes, the samples and a car kit, 300 to 30000 particles); a region is bare beyond that, if part

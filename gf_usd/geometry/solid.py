@@ -7,7 +7,7 @@ that overlap, that are inside out or that miss a few faces are judged right.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -22,7 +22,8 @@ from gf_usd.core.neighbors import components
 
 OPEN_FRACTION = 0.25  # holes above this share of the closed area leave no inside worth the name
 FLAT_FRACTION = 1e-4  # volume below this share of (area)^(3/2): flat
-PROBES = 200_000  # points of the lattice that measures a volume which has no closed form
+PROBES = 200_000  # points that measure a volume which has no closed form
+RECURRENCE = 1.2207440846057596
 INSIDE = 0.5
 
 
@@ -49,6 +50,22 @@ class Solid:
                 w = igl.fast_winding_number(surface.points - center, triangles, X[near] - center)
                 out[np.flatnonzero(near)] |= np.abs(w) > INSIDE
         return out
+
+    def part(self, members: Ints) -> Solid:
+        """The solid of some of the surfaces; its volume is not known (nan) unless they are all."""
+        if len(members) == len(self.surfaces):
+            return self
+        surfaces = tuple(self.surfaces[k] for k in members)
+        points = np.concatenate([s.points for s in surfaces])
+        return replace(
+            self,
+            surfaces=surfaces,
+            triangles=tuple(self.triangles[k] for k in members),
+            sources=tuple(self.sources[k] for k in members),
+            volume=np.nan,
+            low=points.min(0),
+            high=points.max(0),
+        )
 
     def outward(self, index: int) -> tuple[Floats, Ints]:
         """Points and triangles of a surface, counter-clockwise as seen from outside.
@@ -150,6 +167,15 @@ def _welded(surface: Surface) -> tuple[Ints, Ints, str]:
     return welded, source, ""
 
 
+def spread_evenly(count: int) -> NDArray[np.float64]:
+    """(count, 3) points of the unit cube: the additive recurrence of three dimensions.
+
+    x_k = 1/2 + k (1/g, 1/g^2, 1/g^3) mod 1 with g^4 = g + 1 (Roberts 2018).  A lattice would miss
+    or take whole layers of what has faces along its planes.
+    """
+    return (0.5 + np.arange(count)[:, None] / RECURRENCE ** np.arange(1, 4)) % 1.0
+
+
 def _volume(solid: Solid, asset: Asset, repaired: bool) -> float:
     """Volume of the union: the divergence theorem for one closed shell, else a count."""
     if len(solid.surfaces) == 1:
@@ -157,10 +183,7 @@ def _volume(solid: Solid, asset: Asset, repaired: bool) -> float:
         if len(boundary_edges(triangles)) == 0 and shells(triangles).max() == 0:
             return abs(signed_volume(points, triangles))
     size = solid.high - solid.low
-    a = float(np.cbrt(np.prod(size) / PROBES))
-    n = np.maximum(1, np.ceil(size / a).astype(int))
-    axes = [solid.low[d] + (np.arange(n[d]) + 0.5) * size[d] / n[d] for d in range(3)]
-    X = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    X = solid.low + size * spread_evenly(PROBES)
     volume = float(solid.inside(X).mean() * np.prod(size))
     if volume <= 0.0:
         raise InputError(

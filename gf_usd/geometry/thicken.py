@@ -16,7 +16,7 @@ from gf_usd.core.mesh import proper, shells, signed_volume, weld
 from gf_usd.geometry import winding
 from gf_usd.geometry.parts import THIN
 from gf_usd.geometry.repair import Repairs
-from gf_usd.geometry.sampling import LEAST_PARTICLES
+from gf_usd.geometry.sampling.particles import LEAST_PARTICLES
 from gf_usd.geometry.solid import FLAT_FRACTION, OPEN_FRACTION, hole_fraction
 from gf_usd.geometry.winding import Edges
 

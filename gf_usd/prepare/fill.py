@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
     SHAPES,
     Choices,
+    Particles,
     Settings,
     SurfaceSamples,
     clip_length,
@@ -31,12 +32,18 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
-from gf_usd.prepare.bodies import contact_setup, plan_bodies, start_velocities
+from gf_usd.prepare.bodies import (
+    LimbPlan,
+    contact_setup,
+    keep_limbs_apart,
+    plan_bodies,
+    start_velocities,
+)
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import make_pins
-from gf_usd.prepare.plan import Plan, frame_bytes
+from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
@@ -66,7 +73,8 @@ def fill(
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
     from gf_usd.geometry.repair import notes
-    from gf_usd.geometry.sampling import sample_solid, sample_surface
+    from gf_usd.geometry.sampling.contact_samples import sample_surface
+    from gf_usd.geometry.sampling.particles import sample_solid
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
 
@@ -88,27 +96,33 @@ def fill(
         request, spec, unit,
         lambda: {s.path: abs(signed_volume(s.points, triangles)) for s, triangles in closed},
     )  # fmt: skip
-    particles = sample_solid(
-        solid,
-        particles=asked.particles if asked.spacing is None else None,
-        spacing=asked.spacing,
-        seed=request.seed or 0,
-        uniform=paper,
-        up=asset.facts.up_axis,
-    )
+
+    def sample(of: Ints) -> Particles:
+        return sample_solid(
+            solid,
+            particles=asked.particles if asked.spacing is None else None,
+            spacing=asked.spacing,
+            seed=request.seed or 0,
+            uniform=paper,
+            up=asset.facts.up_axis,
+            bodies=of,
+        )
+
     owners = {path: body.owner for path, body in spec.bodies.items()}
-    bodies, particles = plan_bodies(
-        asset, solid, particles, owners, combine=request.combine or paper or request.solver == "ul"
-    )
+    spacing = asked.spacing or float(np.cbrt(solid.volume / (asked.particles or 1)))
+    combine = request.combine or paper or request.solver == "ul"
+    bodies, particles = plan_bodies(asset, solid, spacing, sample, owners, combine=combine)
     _require_one_body(request, bodies.count)
     if paper:
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
         samples = sample_surface(
-            solid, particles.spacing, request.seed or 0,
-            bodies.of_surface if bodies.count > 1 else None, asset.facts.up_axis,
-        )  # fmt: skip
+            solid,
+            particles.spacing,
+            bodies.of_surface if bodies.count > 1 else None,
+            asset.facts.up_axis,
+        )
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)
@@ -160,10 +174,20 @@ def fill(
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
-    plan = Plan(
-        asset=asset,
+    limbs = LimbPlan(
         particles=particles,
         samples=samples,
+        contact_setup=contact_setup(
+            solid, bodies, physics,
+            self_contact=False if paper or settings.solver == "ul" else request.self_contact,
+        ),
+    )  # fmt: skip
+    if not paper and request.solver != "ul":
+        limbs = keep_limbs_apart(solid, bodies, limbs, riding_points(asset))
+    plan = Plan(
+        asset=asset,
+        particles=limbs.particles,
+        samples=limbs.samples,
         materials=made,
         tables=tuple(tables),
         settings=each[0],
@@ -175,12 +199,13 @@ def fill(
         pins=pins,
         choices=choices,
         bodies=bodies,
-        contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
+        contact_setup=limbs.contact_setup,
+        riding=limbs.riding,
         velocity=tuple(start_velocities(asset, bodies, spec.bodies, settings.time_scale)),
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
             *regional, *own, *physics.notes, *embedded_points, *left, *skin,
             *_options(made, each), *split,
         ),

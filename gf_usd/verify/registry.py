@@ -15,18 +15,17 @@ from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     bar,
     cantilever,
-    collisions,
     drop,
     flight,
     floor,
-    hertz,
     law,
+    limbs,
     locking,
     manufactured,
     patch,
     sides,
-    slope,
 )
+from gf_usd.verify.cases.contact import collisions, hertz, slope
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -35,6 +34,7 @@ CASES: tuple[Case, ...] = (
     *bar.CASES,
     *bar.VERTICAL_CASES,
     *cantilever.CASES,
+    *limbs.CASES,
     *locking.CASES,
     *manufactured.CASES,
     *floor.CASES,

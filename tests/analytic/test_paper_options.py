@@ -11,7 +11,7 @@ from solids import look, settings, solid, sphere
 
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import slopes
-from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.frame_loop import GAIN, energy
 from gf_usd.physics.total_lagrangian.shape_correction import wls_gradient
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

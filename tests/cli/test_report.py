@@ -85,7 +85,7 @@ def test_without_the_json_the_root_layer_is_asked(gf_usd, work):
     text = (work / "block.soft.html").read_text(encoding="utf-8")
     assert "Missing: block.soft.report.json is not next to the file" in text
     assert "Smallest volume ratio" in text
-    assert "corotated" in text
+    assert "neoHookean" in text
     titles = [plot["title"] for plot in data(work / "block.soft.html")["looks"][0]["plots"]]
     assert titles == ["Height", "Stretch", "Volume ratio J"]
 

@@ -173,14 +173,10 @@ def test_every_surface_is_named_where_none_can_be_filled():
 
 
 def test_walls_thinner_than_any_probe_are_refused_in_words():
-    # Two plates of a millimeter, a meter apart: the lattice of 200 000 points in their box, 17 mm
-    # apart, has no layer within either.
-    plates = [
-        cube(low=(0.0, 1.0003 * k, 0.0), edge=(1.0, 1e-3, 1.0), path=f"/P{k}") for k in (0, 1)
-    ]
-    n = round(PROBES ** (1.0 / 3.0))
-    middles = (np.arange(n) + 0.5) / n * 1.0013
-    assert np.abs(middles - 5e-4).min() > 5e-4
+    # Two plates of a millimeter, 10 km apart: of 200 000 points spread evenly over their box about
+    # .04 lie in them.
+    plates = [cube(low=(0.0, 1e4 * k, 0.0), edge=(1.0, 1e-3, 1.0), path=f"/P{k}") for k in (0, 1)]
+    assert PROBES * 2.0 * 1e-3 / 1e4 < 0.05
     with pytest.raises(InputError, match="points probed lies inside") as caught:
         build_solid(asset(*plates))
     assert "2 surfaces" in caught.value.message

@@ -8,7 +8,7 @@ from solids import asset, cube, joined, sphere, surface
 
 from gf_usd.core.mesh import boundary_edges
 from gf_usd.geometry.repair import repair_asset
-from gf_usd.geometry.sampling import sample_solid
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import build_solid
 from gf_usd.geometry.thicken import LAYER, offsets, thicken_asset
 
@@ -37,8 +37,9 @@ def test_a_plane_becomes_a_slab_of_one_layer(n: int) -> None:
     assert solid.orientation(0) == 1.0
     assert solid.volume == pytest.approx(done.thickness, rel=1e-9)
     filled = sample_solid(solid, particles=400, spacing=None, seed=0)
-    # one stratum thick, and 20 or 21 of them along each side
-    assert 400 <= len(filled) <= 441
+    # one layer of cells of twice the spacing, 11 along each side, with four or eight particles each
+    # but for the corners, a fifth of the next ones
+    assert 4 * (11**2 - 4) <= len(filled) <= 8 * 11**2
     assert np.abs(filled.X[:, 1]).max() < 0.5 * done.thickness
 
 

@@ -11,8 +11,9 @@ from solids import look, settings, solid, surface
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Frame
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec
-from gf_usd.geometry.bodies import find_bodies
-from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.geometry.connected.bodies import find_bodies
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.prepare.bodies import skins
 
@@ -36,14 +37,13 @@ def meeting(
     changes : fields of the material; said : settings.  Every surface rides along by its path.
     """
     made = solid(*surfaces)
-    filled = sample_solid(made, particles=particles, spacing=None, seed=0)
-    of = find_bodies(made, filled.spacing)
-    filled = type(filled)(**{**filled.__dict__, "body": of[filled.surface]})
+    of = find_bodies(made, float(np.cbrt(made.volume / particles)))
+    filled = sample_solid(made, particles=particles, spacing=None, seed=0, bodies=of)
     return TotalLagrangian(
         filled,
         [look(material, filled, **(changes or {}))],
         settings(**{"filter_rate": FILTER, **said}),
-        samples=sample_surface(made, filled.spacing, 0, of),
+        samples=sample_surface(made, filled.spacing, of),
         embedded={s.path: s.points for s in surfaces},
         embedded_body={s.path: int(k) for s, k in zip(surfaces, of)},
         velocity=velocity,
@@ -52,7 +52,7 @@ def meeting(
             colliders=colliders,
             through=through,
             through_colliders=through_colliders,
-            self_contact=self_contact,
+            self_contact=frozenset(range(len(set(of.tolist())))) if self_contact else frozenset(),
         ),
     )
 

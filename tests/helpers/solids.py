@@ -17,7 +17,8 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.mesh import signed_volume, weld
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid, build_solid
 
 # Corners are numbered x + 2 y + 4 z; faces look outward.
@@ -86,7 +87,7 @@ def solid(*surfaces: Surface) -> Solid:
 def fill(body: Solid, particles: int, seed: int = 0) -> tuple[Particles, SurfaceSamples]:
     """About so many particles, and the contact samples that go with them."""
     made = sample_solid(body, particles=particles, spacing=None, seed=seed)
-    return made, sample_surface(body, made.spacing, seed)
+    return made, sample_surface(body, made.spacing)
 
 
 def ball(particles: int, radius: float = 1.0, seed: int = 0) -> tuple[Particles, SurfaceSamples]:

@@ -21,11 +21,16 @@ def body():
 
 
 def made(
-    real: type = np.float64, velocity=(0.0, 0.0, 0.0), embedded=None, pins=(), law=None, **options
+    real: type = np.float64,
+    velocity=(0.0, 0.0, 0.0),
+    embedded=None,
+    pins=(),
+    law="corotated",
+    **options,
 ):
-    """A rubber ball that floats, in two substeps a frame so short that it hardly moves."""
+    """A ball like rubber that floats, in two substeps a frame so short that it hardly moves."""
     said = {"frames": 2, "fps": 1e5, "substeps": 2, **options}
-    material = look("rubber", body(), damping_time=0.0, **({"law": law} if law else {}))
+    material = look("rubber", body(), damping_time=0.0, law=law)
     return TotalLagrangian(
         body(),
         [material],

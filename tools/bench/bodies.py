@@ -21,8 +21,9 @@ from gf_usd.core.frames import Settings
 from gf_usd.core.materials import DIMENSIONLESS
 from gf_usd.core.stage import ContactSetup
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.bodies import find_bodies
-from gf_usd.geometry.sampling import sample_solid, sample_surface
+from gf_usd.geometry.connected.bodies import find_bodies
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.prepare.bodies import skins
@@ -58,7 +59,7 @@ def row(count: int) -> TotalLagrangian:
         replace(particles, body=of[particles.surface]),
         [DIMENSIONLESS["rubber"].material(1.0)],
         settings,
-        samples=sample_surface(solid, particles.spacing, 0, of),
+        samples=sample_surface(solid, particles.spacing, of),
         velocity=[(SPEED * (1 - 2 * (k % 2)), 0.0, 0.0) for k in range(count)],
         contact_setup=ContactSetup(skins=skins(solid, of)),
     )

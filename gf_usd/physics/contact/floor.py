@@ -121,7 +121,7 @@ def build_contact(
     rate : [1/s^2] stiffness per mass in place of the formula.  Then friction has no springs, as the
     paper's: it only slows down.
     """
-    rows, constants = stencil.rows(samples.X, samples.body), None
+    rows, constants = stencil.rows(samples.X, samples.body, samples.cell_copy), None
     if stencil.held.any:
         free = stencil.free_count
         constants = rows.W[:, free:]

@@ -31,8 +31,6 @@ TRAVEL = 0.5  # [spacings] that samples may move between two detections
 # [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first; the rest is for speeds that grow and for what the surface does between its samples.
 CLOSER = 1.5 * TRAVEL
-APART = 4.0  # [spacings] at rest, from where on a body meets itself
-CROWD = 24  # samples asked for around one that may meet its own body: most are its neighbors
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 
 
@@ -156,14 +154,14 @@ class ContactSearch:
     def offer(
         self, rows: Ints, gap: Floats, normal: Floats, point: Floats,
         carriers: Ints | None = None, weights: Floats | None = None,
-        *, velocity: Floats | None = None, obstacle: int = -1,
+        *, velocity: Floats | None = None, obstacle: int = -1, sure: bool = False,
     ) -> None:  # fmt: skip
         """Offer samples `rows` (k,) a plane each, carried by samples, or by an obstacle.
 
         gap : (k,) [m]; point : (k, 3) [m] on it; carriers, weights : (k, 3), see `BodySkin`; None:
-        an obstacle's, that moves with velocity (k, 3) [m/s].
+        an obstacle's, that moves with velocity (k, 3) [m/s].  sure : how they came there is known.
         """
-        likely = gap >= self._least[rows]
+        likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
         rows, f = rows[nearer], self.planes
@@ -178,24 +176,6 @@ class ContactSearch:
         who, w = carriers[nearer], weights[nearer]
         f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
         f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
-
-
-def facing_itself(
-    x: Floats, normal: Floats, X: Floats, members: Ints, reach: float, spacing: float
-) -> tuple[Ints, Ints]:
-    """Samples of one body, and for each the nearest one far off at rest that faces it.
-
-    x, normal, X : (n, 3) of all samples, now, now and at rest; members : (m,) those of the body.
-    """
-    k = min(CROWD, len(members))
-    distance, at = kd_tree(x[members]).query(x[members], k=k, distance_upper_bound=reach)
-    distance, at = distance.reshape(len(members), k), at.reshape(len(members), k)
-    there = at < len(members)
-    b = members[np.where(there, at, 0)]
-    fit = there & (np.einsum("na,nka->nk", normal[members], normal[b]) < 0.0)
-    fit &= np.linalg.norm(X[b] - X[members][:, None], axis=2) > APART * spacing
-    rows = np.flatnonzero(fit.any(1))
-    return members[rows], b[rows, fit[rows].argmax(1)]
 
 
 def pair_values(

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials import time_scale
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
@@ -29,13 +30,12 @@ from gf_usd.physics.contact.narrow_phase import (
     BodySkin,
     ContactPlanes,
     ContactSearch,
-    facing_itself,
     moved,
     nothing,
     obstacles,
     pair_values,
 )
-from gf_usd.physics.grid.embedding import deform_normals
+from gf_usd.physics.contact.self_contact import SelfContact
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -59,18 +59,24 @@ class BodyContact:
         assert body.contact is not None
         self._body, self.contact_setup, self.contact = body, body.contact_setup, body.contact
         samples, skins = body.contact.samples, body.contact_setup.skins
-        self._normal, self._X = samples.normal, samples.X
+        self._X = samples.X
         of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
         self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
-            BodySkin(skin, body.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
-                     samples.X[m])
+            BodySkin(
+                skin,
+                body.stencil.rows(skin.points, np.full(len(skin.points), k), skin.cell_copy),
+                m,
+                samples.X[m],
+            )
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
         g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
         self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
+        self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
+        self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
@@ -81,12 +87,23 @@ class BodyContact:
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(len(samples.X), -np.inf)
 
+    def _meets(self, body: int) -> bool:
+        """Whether a body meets itself; one without samples, or all of which is held, does not."""
+        return body in self.contact_setup.self_contact and len(self._members[body]) > 0
+
+    def _itself(self, body: int, samples: SurfaceSamples) -> SelfContact:
+        m = self._members[body]
+        assert samples.normal is not None
+        skin = self.contact_setup.skins[body]
+        return SelfContact(skin, samples.X[m], samples.normal[m], self._spacing)
+
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
         return {
             **{f"contact_{name}": getattr(self.planes, name) for name in ARRAYS},
             "contact_detected": self._detected,
             "contact_gap": self._gap,
+            "contact_x": self._x,
             "contact_stiffness": self._k,
         }
 
@@ -96,6 +113,7 @@ class BodyContact:
         self.planes = ContactPlanes(**planes)
         self._detected = float(saved["contact_detected"])
         self._gap = np.asarray(saved["contact_gap"])
+        self._x = np.asarray(saved["contact_x"])
         self._k = np.asarray(saved["contact_stiffness"])
 
     def begin(self, state: State) -> None:
@@ -128,8 +146,15 @@ class BodyContact:
         time : [s] of the state.
         """
         span = self._body.settings.frame_time
-        near, hold = self._schedule(*self._motion(now), time / span, span, still)
-        return bool(near) or hold < span
+        x, v = self._motion(now)
+        near, hold = self._schedule(x, v, time / span, span, still)
+        if near or hold < span:
+            return True
+        return any(
+            own.imminent(x[m := self._members[k]], v[m], span, *self._known(k, x))
+            for k, own in self._own.items()
+            if still is None or not still[k]
+        )
 
     def pass_by(self, flying: Ints, time: float) -> None:
         """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
@@ -172,11 +197,8 @@ class BodyContact:
             if other < 0:
                 self._face_obstacle(search, near, -1 - other, frame, min(hold, left * dt))
                 continue
-            if other in near:
-                self._face_itself(search, other, now.nodes[0])
-                near.remove(other)
-            if near:
-                self._face_body(search, near, other, now.nodes[0], now.offset)
+            self._face_body(search, near, other, now.nodes[0], now.offset)
+        hold = min(hold, self._face_themselves(search, v))
         values = pair_values(
             search.planes, self.contact,
             [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
@@ -192,7 +214,7 @@ class BodyContact:
             new = continued(old, new, ease=EASE * self._spacing, budget=budget)
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
-        self._gap, self._detected = search.gap, time
+        self._gap, self._detected, self._x = search.gap, time, x
         self._overlap = max(self._overlap, -float(search.gap.min()))
         self.released = max(self.released, search.released)
         hold = min(hold, TRAVEL * self._spacing / max(self._sliding(v), 1e-30))
@@ -253,16 +275,33 @@ class BodyContact:
             rows[found.rows], found.gap, found.normal, found.point, *skin.carriers(rest)
         )  # fmt: skip
 
-    def _face_itself(self, search: ContactSearch, body: int, nodes: Floats) -> None:
-        members = self._members[body]
-        G = self.contact.rows.G
-        u = nodes[: G[0].shape[1]]
-        F = np.eye(3) + np.stack([g[members] @ u for g in G], -1)
-        normal = np.zeros_like(search.x)
-        normal[members] = deform_normals(self._normal[members], np.arange(len(members)), F)
-        a, b = facing_itself(search.x, normal, self._X, members, search.reach, self._spacing)
-        gap = np.einsum("na,na->n", search.x[a] - search.x[b], normal[b])
-        search.offer(a, gap, normal[b], search.x[b], *self._skins[body].carriers(self._X[b]))
+    def _face_themselves(self, search: ContactSearch, v: Floats) -> float:
+        """Offer what bodies have near of themselves; returns for how long [s] that is all."""
+        hold = float("inf")
+        for k, own in self._own.items():
+            m = self._members[k]
+            near, until = own.judge(search.x[m], v[m])
+            hold = min(hold, until)
+            if not near:
+                continue
+            found = own.find(search.x[m], search.reach, *self._known(k, search.x))
+            order = np.argsort(-found.weights, axis=1, kind="stable")
+            search.offer(
+                m[found.rows], found.gap, found.normal, found.point,
+                m[np.take_along_axis(found.carriers, order, 1)],
+                np.take_along_axis(found.weights, order, 1), sure=True,
+            )  # fmt: skip
+        return hold
+
+    def _known(self, body: int, x: Floats) -> tuple[Floats, Floats]:
+        """Where the samples of a body were at the last detection, and their gaps [m].
+
+        Before the first one they were where they are, x (n, 3) [m] of all, and faced nothing.
+        """
+        m = self._members[body]
+        new = np.isinf(self._gap[m])
+        before = np.where(new[:, None], x[m], self._x[m])
+        return before, np.where(new, (FACING + TRAVEL) * self._spacing, self._gap[m])
 
     def _face_obstacle(
         self, search: ContactSearch, near: Sequence[int], which: int, frame: float, span: float

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples, spread
+from gf_usd.core.frames import CellCopies, Particles, Pose, Settings, SurfaceSamples, spread
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
@@ -91,6 +91,7 @@ def build_body(
     pins: Sequence[Pin],
     contact_setup: ContactSetup | None,
     embedded_body: Mapping[str, int] | None,
+    embedded_copy: Mapping[str, Ints] | None,
     h: float | None,
     real: type,
     plain: bool | None,
@@ -110,14 +111,16 @@ def build_body(
     )
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
+    copies = _copies(particles, h)
     stencil = build_stencil(
         particles.X,
         m,
         h,
-        particles.corner,
+        particles.corner if particles.corners is None else particles.corners,
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
+        copies=copies,
     )
     held = {}
     if pin_constraint:
@@ -148,9 +151,11 @@ def build_body(
         m=m,
         h=h,
         stencil=stencil,
-        rows=stencil.rows(particles.X, particles.body),
+        rows=stencil.rows(particles.X, particles.body, copies.of if copies else None),
         embedded={
-            name: embedded_rows(stencil, X, np.full(len(X), on.get(name, 0)))
+            name: embedded_rows(
+                stencil, X, np.full(len(X), on.get(name, 0)), (embedded_copy or {}).get(name)
+            )
             for name, X in (embedded or {}).items()
         },
         pin_constraint=pin_constraint,
@@ -171,6 +176,13 @@ def build_body(
     )
 
 
+def _copies(particles: Particles, h: float) -> CellCopies | None:
+    """Those of the particles, which are made for cells of one size."""
+    if particles.copies is not None and not np.isclose(particles.copies.h, h, rtol=1e-9):
+        raise ValueError(f"cells are copied at an edge of {particles.copies.h} m, not {h} m")
+    return particles.copies
+
+
 def per_particle(
     particles: Particles, materials: Sequence[Material], held: Ints | None = None
 ) -> dict[str, Floats]:
@@ -188,7 +200,7 @@ def surface_contact(
     particles: Particles,
     stencil: Stencil,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
     pins: Sequence[Pin] = (),
     *,
     meets: bool = False,
@@ -211,6 +223,7 @@ def surface_contact(
         area=samples.area[free],
         normal=None if samples.normal is None else samples.normal[free],
         body=None if samples.body is None else samples.body[free],
+        cell_copy=None if samples.cell_copy is None else samples.cell_copy[free],
     )
     bodies = bodies_of(particles, per["density"])
     body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
@@ -252,7 +265,7 @@ def largest_step(
     h: float,
     contact: FloorContact | None,
     settings: Settings,
-    per: dict[str, Floats],
+    per: Mapping[str, Floats],
 ) -> StableStep:
     """The stable step of the stiffest material with this contact."""
     share = 2.0 * per["mu"] / (per["lam"] + 2.0 * per["mu"])
@@ -265,6 +278,17 @@ def largest_step(
         contact_damping=contact.damping_rate if contact else 0.0,
         safety=settings.safety,
     )
+
+
+def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
+    """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
+
+    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
+    """
+    from gf_usd.physics.laws.stress import SHOCK
+
+    tau = per["damping_time"]
+    return np.column_stack([2.0 * per["mu"] * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
 
 
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
@@ -285,7 +309,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, body.law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, 2.0 * per["mu"] * per["damping_time"]),
+        "viscosity": layout.lanes(batches, viscosities(per, body.h)),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "inverse_mass": 1.0 / stencil.mass,

@@ -189,7 +189,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
         for b in range((n + LANES - 1) // LANES):
             ids = in_order(b, n)
             strain = admissible(body, ids, laws, 0.0 * converged, converged, False)
-            P = piola(body, ids, strain, laws, False, capped, cap, converged)
+            P = piola(body, ids, strain, laws, False, capped, cap, 0.0 * cap, converged)
             value = von_mises(P, strain)
             for lane in ti.static(range(LANES)):
                 out[ids[lane]] = value[lane]

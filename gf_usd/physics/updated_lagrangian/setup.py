@@ -22,6 +22,7 @@ from gf_usd.physics.total_lagrangian.setup import (
     largest_step,
     per_particle,
     surface_contact,
+    viscosities,
 )
 from gf_usd.physics.updated_lagrangian.riding import CARRIERS, Ride, board
 
@@ -173,7 +174,7 @@ def arrays(body: Body) -> dict[str, Floats]:
         "V0": per["V0"],
         "constants": body.law.constants.ravel(),
         "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
-        "viscosity": 2.0 * per["mu"] * per["damping_time"],
+        "viscosity": viscosities(per, body.h).ravel(),
         "push": np.zeros(12 * n),
         "box": np.zeros(9, int),
         **whole,

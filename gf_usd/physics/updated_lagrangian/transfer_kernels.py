@@ -78,7 +78,7 @@ def admissible(
 @ti.func
 def piola(
     body: ti.template(), ids: ti.template(), F: ti.template(), laws: ti.template(),
-    damped: ti.template(), capped: ti.template(), cap, converged,
+    damped: ti.template(), capped: ti.template(), cap, dt, converged,
 ):  # fmt: skip
     """P of eight particles, with the viscous part, cut to |P| <= cap where that is asked for."""
     q, which = values(body, ids, laws)
@@ -87,7 +87,7 @@ def piola(
         # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), dF/dt = L F.
         L = matrix(body.L, ids)
         D = product(L, F)
-        k = pick(body.viscosity, ids, 1, 0)
+        k = pick(body.viscosity, ids, 2, 0)
         for a in ti.static(range(3)):
             for c in ti.static(range(3)):
                 s = 0.5 * k * (F[a] * D[c] + F[3 + a] * D[3 + c] + F[6 + a] * D[6 + c])
@@ -95,6 +95,9 @@ def piola(
                 for r in ti.static(range(3)):
                     P[3 * r + c] = P[3 * r + c] + F[3 * r + a] * s
                     P[3 * r + a] = P[3 * r + a] + F[3 * r + c] * s
+        pressure, cof = stress.shock(F, D, 1.0, pick(body.viscosity, ids, 2, 1), dt)
+        for a in ti.static(range(9)):
+            P[a] = P[a] + pressure * cof[a]
     if ti.static(capped):
         size = ti.sqrt(double_dot(P, P))
         cut = ti.min(cap / ti.max(size, 1e-30), 1.0)
@@ -122,7 +125,7 @@ def scatter_cell(
         m = live(body, cell, b, pick(body.m, ids, 1, 0))
         volume = live(body, cell, b, pick(body.V0, ids, 1, 0))
         F = admissible(body, ids, laws, dt, converged, True)
-        P = piola(body, ids, F, laws, damped, capped, cap, converged)
+        P = piola(body, ids, F, laws, damped, capped, cap, dt, converged)
         for i in ti.static(range(3)):
             for j in ti.static(range(3)):
                 for k in ti.static(range(3)):

@@ -45,8 +45,10 @@ def drop(particles: int, device: str) -> Squash:
     heights, spreads, sigmas = [], [], []
     for frame in solver.frames():
         heights.append(np.ptp(frame.embedded["skin"].x[:, 1]))
-        spreads.append(frame.particles.x[:, 1].std())
-        sigmas.append(strains(frame.particles.F)[0][:, 0].mean())
+        y = frame.particles.x[:, 1]
+        y = y - body.V0 @ y / body.volume
+        spreads.append(np.sqrt(body.V0 @ y**2 / body.volume))
+        sigmas.append(body.V0 @ strains(frame.particles.F)[0][:, 0] / body.volume)
     return Squash(
         height=float(min(heights) / heights[0]),
         spread=float(min(spreads) / spreads[0]),

@@ -46,6 +46,10 @@ ROWS: tuple[Row, ...] = (
     Row("deepest_overlap_m", "Deepest overlap", "m", "with another body or an obstacle"),
     Row("deepest_overlap_spacings", "The same", "spacings", "distances between particles"),
     Row("let_go_max", "Contacts let go", "", "points at once, where a surface is inside out"),
+    Row("inside_at_end_share", "Inside at the end", "", "part of the surface inside a body"),
+    Row("inside_at_end_m", "How deep", "m", "the deepest of it, in the last frame"),
+    Row("inside_max_share", "Inside at most", "", "in a frame that was looked at"),
+    Row("inside_max_m", "How deep", "m", "in a frame that was looked at"),
     Row("penetration_at_end_spacings", "Deep at the end", "spacings", "in the last frame"),
     Row("resting_penetration_m", "The same", "m", "in the last frame, where it lies still"),
     Row("resting_penetration_spacings", "Deep at rest", "spacings", "where it lies still"),
@@ -98,6 +102,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
     "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
     "let-go": ("let_go_max",),
+    "inside": ("inside_at_end_share", "inside_at_end_m"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),
     "free-flight": ("momentum_drift", "angular_momentum_drift"),
 }

@@ -21,7 +21,7 @@ def body():
 def first(body, *, velocity=(0.0, 0.0, 0.0), samples=None, **changes):
     """The solver and the health of its first frame."""
     particles, _ = body
-    material = look("rubber", particles, damping_time=0.0)
+    material = look("rubber", particles, damping_time=0.0, law="corotated")
     solver = TotalLagrangian(
         particles, [material], settings(**changes), samples=samples, velocity=velocity
     )

@@ -24,7 +24,7 @@ def test_another_step_stiffness_and_count_compile_nothing() -> None:
         orientation=p.orientation[half], scale=p.scale[half], color=p.color[half],
         opacity=p.opacity[half], surface=p.surface[half],
     )  # fmt: skip
-    stiffer = look("rubber", p, damping_time=0.0, youngs_modulus=7.7e5)
+    stiffer = look("rubber", p, damping_time=0.0, youngs_modulus=7.7e5, law="corotated")
     other = TotalLagrangian(fewer, [stiffer], replace(first.settings, fps=31.0), real=np.float32)
     assert other.body.kernels is first.body.kernels
     other.advance(1, 5)

@@ -182,7 +182,7 @@ def particle_stress(
     body: ti.template(), p, nodes, laws: ti.template(), damped: ti.template(), dt, ih, converged,
     options: ti.template(),
 ):  # fmt: skip
-    """T_p = V0 P(F_p), with Kelvin-Voigt's 2 mu tau F sym(F^T dF/dt) where bodies are damped."""
+    """T_p = V0 P(F_p), with 2 mu tau F sym(F^T dF/dt) of Kelvin-Voigt and the shock viscosity."""
     F, Pi = elastic(
         body, p, particle_strain(body, p, ih, options), laws, dt, converged, options, True
     )
@@ -192,7 +192,10 @@ def particle_stress(
         if ti.static(laws.flows):
             D = D @ Pi
         E = F.transpose() @ D
-        P += (0.5 * number(body.viscosity, 0, 1, p, 0)) * (F @ (E + E.transpose()))
+        P += (0.5 * number(body.viscosity, 0, 2, p, 0)) * (F @ (E + E.transpose()))
+        k = ti.Vector([number(body.viscosity, 0, 2, p, 1)])
+        pressure, cof = stress.shock(listed(F), listed(D), 1.0, k, dt)
+        P += pressure[0] * matrix(cof)
     if ti.static(options.capped):
         P = cut_matrix(body, p, P)
     if ti.static(laws.flows):

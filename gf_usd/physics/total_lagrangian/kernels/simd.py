@@ -130,8 +130,10 @@ def stress_group(
             D = gradient(rate, s, h)
             if ti.static(laws.flows):
                 assign(D, product(D, Pi))
-            k = body.viscosity[b] * (0.25 * ih)
+            k = body.viscosity[2 * b] * (0.25 * ih)
             add_viscous(P, k, F, D)
+            pressure, cof = stress.shock(F, D, 0.5 * ih, body.viscosity[2 * b + 1], dt)
+            add_pressure(P, pressure, cof)
         if ti.static(options.capped):
             cut(body, b, P, True)
         if ti.static(laws.flows):
@@ -159,6 +161,13 @@ def add_viscous(P, k, F, D):
             for r in range(0, 9, 3):
                 put(P[r + c], P[r + c] + F[r + a] * e)
                 put(P[r + a], P[r + a] + F[r + c] * e)
+
+
+@unrolled
+def add_pressure(P, p, cof):
+    """P += p cof F."""
+    for a in range(9):
+        put(P[a], P[a] + p * cof[a])
 
 
 @ti.func

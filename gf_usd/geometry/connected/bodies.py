@@ -90,6 +90,7 @@ def _meets(X: Floats, solid: Solid, surface: int, reach: float) -> bool:
     return bool((np.abs(np.asarray(w)) > INSIDE).any())
 
 
+NEARER = 1e-7  # [1] of the distance
 BORDER_TOUCHING = 1e-12  # [1] of the distance: closer than this two closest points are one
 
 
@@ -106,11 +107,12 @@ def part_weights(
     parts : points (V, 3) [m] and triangles (T, 3) of each; width : [m] over which one turns into
     the other.
     """
-    found: list[Any] = [
-        igl.point_mesh_squared_distance(X, points, faces) for points, faces in parts
-    ]
-    squared = np.stack([np.asarray(one[0]) for one in found], 1)
-    closest = np.stack([np.asarray(one[2]) for one in found], 1)
+    closest = _closest(X, parts)
+    squared = ((closest - X[:, None]) ** 2).sum(2)
+    # What is as near to two faces takes the same of both for all parts: from a hair nearer to one.
+    best = closest[np.arange(len(X)), squared.argmin(1)]
+    closest = _closest(X + NEARER * (best - X), parts)
+    squared = ((closest - X[:, None]) ** 2).sum(2)
     out = np.ones(squared.shape)
     for k in range(len(parts)):
         others = [j for j in range(len(parts)) if j != k]
@@ -123,6 +125,12 @@ def part_weights(
         beyond = np.where(one_point, 0.0, more / np.where(one_point, 1.0, 2.0 * apart)).min(1)
         out[:, k] = smoothstep(0.5 + 2.0 * beyond / width)
     return out / out.sum(1, keepdims=True)
+
+
+def _closest(X: Floats, parts: Sequence[tuple[Floats, Ints]]) -> NDArray[np.float64]:
+    """(n, K, 3) [m] closest points of each part to X (n, 3)."""
+    found: list[Any] = [igl.point_mesh_squared_distance(X, p, faces) for p, faces in parts]
+    return np.stack([np.asarray(one[2]) for one in found], 1)
 
 
 def smoothstep(t: Floats) -> NDArray[np.float64]:

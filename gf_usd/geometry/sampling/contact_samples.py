@@ -1,0 +1,209 @@
+"""Contact samples, spread over the surface of each body about a spacing apart.
+
+Without random numbers, and alike on both sides of the planes that a body is symmetric about
+(`mirror`): a body that is its own mirror image has samples that are theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.geometry.sampling.mirror import SAME, mirror_axes
+from gf_usd.geometry.sampling.particles import TURNS
+from gf_usd.geometry.sampling.pieces import cut_along
+from gf_usd.geometry.solid import Solid
+
+EXCLUDED = 0.7  # [spacings] no two samples are as near to each other
+DENSITY = 12.0  # candidates in a square of a spacing
+LEAST_DRAWS = 64  # candidates on a surface
+ALIKE = 0.1  # [spacings] by which mirror images may differ where polygons are cut otherwise
+PLASTIC = 1.3247179572447460  # x^3 = x + 1: fills the square evenly (Roberts 2018)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Candidates:
+    """Points of a surface, those that come first preferred."""
+
+    X: Floats  # (n, 3) [m]
+    normal: Floats  # (n, 3) of any length
+    area: Floats  # (n,) [m^2] that each stands for before any is chosen
+
+
+def sample_surface(
+    solid: Solid, spacing: float, bodies: Ints | None = None, up: str = "Y"
+) -> SurfaceSamples:
+    """Contact samples about a spacing [m] apart; corners of a coarse mesh are among them.
+
+    Candidates are the vertices, then points by area; kept are some that are no nearer to each other
+    than 0.7 spacings and leave no other candidate farther than that.  The area a sample stands for
+    is that of the candidates nearest to it.
+    bodies : (S,) the body of each surface, each sampled by itself; None: all are one.
+    """
+    body = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    turn = TURNS[up]
+    kept: list[tuple[Floats, Floats, Floats]] = []
+    for k in range(int(body.max()) + 1):
+        members = [solid.outward(int(s)) for s in np.flatnonzero(body == k)]
+        kept.append(_sample_body([(p @ turn.T, t) for p, t in members], spacing))
+    X, area, normal = (np.concatenate(part) for part in zip(*kept))
+    of = np.repeat(np.arange(len(kept)), [len(part[0]) for part in kept])
+    return SurfaceSamples(
+        X=X @ turn, area=area, normal=normal @ turn, body=None if bodies is None else of
+    )
+
+
+def _sample_body(
+    surfaces: Sequence[tuple[Floats, Ints]], spacing: float
+) -> tuple[Floats, Floats, Floats]:
+    """Places (n, 3) [m], areas (n,) [m^2] and normals (n, 3) on (points, triangles) of a body.
+
+    Of a symmetric body one side is sampled, with its rim: points on the plane itself.  One that is
+    so near to the plane that it would exclude its own image comes last: it is needed where the
+    body is as thin as that.
+    """
+    low = np.min([p[np.unique(t)].min(0) for p, t in surfaces], axis=0)
+    high = np.max([p[np.unique(t)].max(0) for p, t in surfaces], axis=0)
+    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    mirrored = np.flatnonzero(mirror_axes(surfaces, ALIKE * spacing))
+    radius = EXCLUDED * spacing
+    corners, vertices = [], []
+    for points, triangles in surfaces:
+        local = points - middle
+        corners.append(_one_side(local[triangles], mirrored, size))
+        vertices.append(_vertices(local, triangles))
+    every = [
+        *vertices,
+        *(_rim(one, int(axis), spacing) for axis in mirrored for one in corners),
+        *(_draws(one, spacing) for one in corners),
+    ]
+    X, normal, area = (
+        np.concatenate([getattr(one, name) for one in every]) for name in ("X", "normal", "area")
+    )
+    for axis in mirrored:
+        on_plane = np.abs(X[:, axis]) <= SAME * size
+        X[on_plane, axis] = 0.0
+        normal[on_plane, axis] = 0.0
+    sides = X[:, mirrored]
+    free = ((sides == 0.0) | (sides > 0.5 * radius)).all(1)
+    chosen = np.flatnonzero(free)
+    chosen = chosen[thin(X[chosen], radius)]
+    near = np.flatnonzero(~free & (sides >= 0.0).all(1))
+    if len(chosen) and len(near):
+        near = near[kd_tree(X[chosen]).query(X[near])[0] > radius]
+    chosen = np.concatenate([chosen, near[thin(X[near], radius)]])
+    drawn = np.flatnonzero(area > 0.0)
+    share = np.bincount(kd_tree(X[chosen]).query(X[drawn])[1], area[drawn], len(chosen))
+    chosen, area = chosen[share > 0.0], share[share > 0.0]
+    X, normal = X[chosen], normal[chosen]
+    for axis in mirrored:
+        flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+        off = X[:, axis] > 0.0
+        area = np.concatenate([np.where(off, 1.0, 2.0) * area, area[off]])
+        normal = np.concatenate([normal, normal[off] * flip])
+        X = np.concatenate([X, X[off] * flip])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return middle + X, area, normal / np.where(length > 0.0, length, 1.0)
+
+
+def _one_side(corners: Floats, mirrored: Ints, size: float) -> NDArray[np.float64]:
+    """Triangles (n, 3, 3) cut at the planes through 0, and those on the upper side of them."""
+    # Cut at whole numbers: none but 0 is within the body.
+    corners, rows = corners / (2.0 * size), np.arange(len(corners))
+    for axis in mirrored:
+        corners, rows = cut_along(corners, rows, int(axis))
+        corners = corners[corners[:, :, axis].mean(1) > 0.0]
+        rows = np.arange(len(corners))
+    return 2.0 * size * corners
+
+
+def _cross(corners: Floats) -> Floats:
+    """(n, 3) normals of triangles, as long as twice their area."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return np.cross(b - a, c - a)
+
+
+def _areas(corners: Floats) -> Floats:
+    """(n,)"""
+    return 0.5 * np.linalg.norm(_cross(corners), axis=1)
+
+
+def _vertices(points: Floats, triangles: Ints) -> _Candidates:
+    """Vertices, with the mean normal of the triangles around."""
+    cross, around = _cross(points[triangles]), np.zeros_like(points)
+    for k in range(3):
+        np.add.at(around, triangles[:, k], cross)
+    used = np.unique(triangles)
+    return _Candidates(X=points[used], normal=around[used], area=np.zeros(len(used)))
+
+
+def _draws(corners: Floats, spacing: float) -> _Candidates:
+    """Points spread evenly over triangles (n, 3, 3), each for the same area."""
+    area = _areas(corners)
+    if area.sum() <= 0.0:
+        return _Candidates(X=np.zeros((0, 3)), normal=np.zeros((0, 3)), area=np.zeros(0))
+    count = max(LEAST_DRAWS, int(np.ceil(DENSITY * area.sum() / spacing**2)))
+    # Along the cumulated area: every stretch of surface gets its share.
+    at = (np.arange(count) + 0.5) / count * area.sum()
+    face = np.minimum(np.searchsorted(np.cumsum(area), at), len(area) - 1)
+    r = (0.5 + np.arange(count)[:, None] / PLASTIC ** np.arange(1, 3)) % 1.0
+    flip = r.sum(1) > 1.0
+    r[flip] = 1.0 - r[flip]
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    X = a + r[:, :1] * (b - a) + r[:, 1:] * (c - a)
+    share = np.full(count, area.sum() / count)
+    return _Candidates(X=X, normal=_cross(corners)[face], area=share)
+
+
+def _rim(corners: Floats, axis: int, spacing: float) -> _Candidates:
+    """Points along the edges that triangles (n, 3, 3) have in the plane through 0."""
+    normal = _cross(corners)
+    X, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for k in range(3):
+        start, end = corners[:, k], corners[:, (k + 1) % 3]
+        mine = np.flatnonzero((start[:, axis] == 0.0) & (end[:, axis] == 0.0))
+        length = np.linalg.norm(end[mine] - start[mine], axis=1)
+        steps = np.ceil(np.sqrt(DENSITY) * length / spacing).astype(int) + 1
+        row = np.repeat(mine, steps)
+        t = np.concatenate([np.linspace(0.0, 1.0, n) for n in steps] or [np.zeros(0)])[:, None]
+        X.append(start[row] + t * (end - start)[row])
+        normals.append(normal[row])
+    places = np.concatenate(X)
+    return _Candidates(X=places, normal=np.concatenate(normals), area=np.zeros(len(places)))
+
+
+def thin(points: Floats, radius: float) -> Ints:
+    """Indices of a subset, no two within radius [m] of each other and no point farther from it.
+
+    Of points that exclude each other the first one tends to stay.
+    """
+    kept = np.zeros(0, np.int64)
+    left = np.arange(len(points))
+    while len(left):
+        kept = np.concatenate([kept, left[_thin_once(points[left], radius)]])
+        left = left[kd_tree(points[kept]).query(points[left])[0] > radius]
+    return kept
+
+
+def _thin_once(points: Floats, radius: float) -> Ints:
+    """Indices, in order, no two within radius; may leave out points that would still fit."""
+    # Points in one cell of edge radius/sqrt(3) exclude each other: drop those first, then search.
+    cell = np.floor((points - points.min(0)) / (radius / np.sqrt(3.0))).astype(np.int64)
+    _, first = np.unique(cell, axis=0, return_index=True)
+    first.sort()
+    few = points[first]
+    pairs = kd_tree(few).query_pairs(radius, output_type="ndarray")
+    pairs = pairs[np.argsort(pairs[:, 1], kind="stable")]
+    start = np.searchsorted(pairs[:, 1], np.arange(len(few) + 1))
+    lower = pairs[:, 0]
+    kept = np.ones(len(few), bool)
+    for i in range(len(few)):
+        if start[i] < start[i + 1]:
+            kept[i] = not kept[lower[start[i] : start[i + 1]]].any()
+    return first[kept]

@@ -1,0 +1,322 @@
+"""How much of each cell of a grid a solid fills, where, and how it is spread: exact moments.
+
+Over the part of a cell that the solid fills, of volume f and in coordinates about the middle of the
+cell, all in cells,
+
+    M = integral of (1, x, y, z, x^2, y^2, z^2, xy, xz, yz) dV
+
+By the divergence theorem, column by column along z: with F the antiderivative of f along z, the
+integral of the winding number w times f over the column under z_k is
+
+    sum over the pieces of surface under z_k of  integral of (F(z) - F(z_k)) n_z dA
+
+so that only pieces of surface enter, each in one cell (`pieces`), and polynomials over triangles
+are integrated exactly.  That is the moment of the solid where w is 0 or 1.  In a cell that one
+shell cuts w has two values that differ by 1, and the solid is where |w| > 1/2 (`Solid.inside`):
+this follows from the moments of w.  Where several shells overlap in a cell, or where a surface is
+open, probes inside are counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import shells, signed_volume
+from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
+from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
+
+# Powers of x, y, z, in the order of the moments.
+POWERS = np.array(
+    [
+        (0, 0, 0),
+        (1, 0, 0), (0, 1, 0), (0, 0, 1),
+        (2, 0, 0), (0, 2, 0), (0, 0, 2),
+        (1, 1, 0), (1, 0, 1), (0, 1, 1),
+    ]
+)  # fmt: skip
+PLANE = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)]  # of x, y, where z is left out
+FULL = np.where((POWERS == 2).any(1), 1.0 / 12.0, 0.0)  # moments of a full cell
+FULL[0] = 1.0
+ROUNDING = 1e-9  # [cells] of volume: sums of pieces are no more exact
+NOTHING = 1e-12  # [cells] of volume: no content
+PROBES = (64, 512)  # points in a cell, where the inside is counted: least and most
+MOST_PROBES = 200_000  # in all cells
+SLAB = 1 << 20  # cells at once: bounds memory
+BATCH = 1 << 18  # probes at once
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Cells laid over a solid, in a frame whose axes are those of the world, permuted."""
+
+    corner: Floats  # (3,) [m] lowest corner, in the frame
+    h: float  # [m] edge of a cell
+    count: Ints  # (3,) cells
+    turn: Floats  # (3, 3) world to frame: a signed permutation
+
+    def to_cells(self, X: Floats) -> Floats:
+        """World positions (..., 3) [m] in cells from the corner."""
+        return (X @ self.turn.T - self.corner) / self.h
+
+    def to_world(self, cells: Floats) -> Floats:
+        """The reverse of `to_cells`."""
+        return (self.corner + self.h * cells) @ self.turn
+
+    def key(self, ijk: Ints) -> Ints:
+        """One number for each cell (..., 3)."""
+        return (ijk[..., 0] * self.count[1] + ijk[..., 1]) * self.count[2] + ijk[..., 2]
+
+    def ijk(self, key: Ints) -> NDArray[np.int64]:
+        """The reverse of `key`."""
+        return np.stack(np.unravel_index(key, tuple(self.count)), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """The cells that hold some of a solid."""
+
+    ijk: Ints  # (n, 3)
+    moments: Floats  # (n, 10) in cells, about the middle of the cell
+    faces: Floats  # (n, 2, 3) [cells^2] area of the solid in the lower and upper face of each axis
+    counted: int = 0  # cells whose moments are a count of probes
+
+
+def find_content(solid: Solid, grid: Grid) -> Content:
+    """The content of all cells of a grid that covers a solid."""
+    found = [_of_surface(solid, k, grid) for k in range(len(solid.surfaces))]
+    full = np.unique(np.concatenate([one.full for one in found]))
+    key, which = np.unique(np.concatenate([one.part for one in found]), return_inverse=True)
+    moments, faces = np.zeros((len(key), 10)), np.zeros((len(key), 2, 3))
+    np.add.at(moments, which, np.concatenate([one.moments for one in found]))
+    np.add.at(faces, which, np.concatenate([one.faces for one in found]))
+    doubtful = np.zeros(len(key), bool)
+    np.logical_or.at(doubtful, which, np.concatenate([one.doubtful for one in found]))
+    several = np.bincount(which, minlength=len(key)) > 1
+    open_ = ~np.isin(key, full)
+    key, moments, faces = key[open_], moments[open_], faces[open_]
+    doubtful = (doubtful | several)[open_]
+    counted = 0
+    if doubtful.any():
+        moments[doubtful], counted = _count(solid, grid, key[doubtful], moments[doubtful])
+    some = moments[:, 0] > NOTHING
+    rest = moments[:, 0] > 1.0 - NOTHING
+    moments[rest] = FULL
+    return Content(
+        ijk=grid.ijk(np.concatenate([full, key[some]])),
+        moments=np.concatenate([np.tile(FULL, (len(full), 1)), moments[some]]),
+        faces=np.concatenate([np.ones((len(full), 2, 3)), faces[some]]),
+        counted=counted,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SurfaceContent:
+    """What one surface encloses."""
+
+    full: Ints  # keys of the cells it encloses
+    part: Ints  # (n,) keys of those it cuts
+    moments: Floats  # (n, 10)
+    faces: Floats  # (n, 2, 3)
+    doubtful: NDArray[np.bool_]  # (n,) moments are those of a winding number that is not 0 or 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Cut:
+    """A surface cut into pieces."""
+
+    at: Ints  # (n, 3) cell of each piece
+    integrals: Floats  # (n, 16), see `_integrals`
+    vector: Floats  # (n, 3) [cells^2] area vectors
+    shell: Ints  # (n,) connected part of the surface each belongs to
+    facing: Floats  # (S,) 1 where a part faces outward, -1 inward
+    closed: bool
+
+    def __getitem__(self, rows: Ints) -> _Cut:
+        return replace(
+            self, at=self.at[rows], integrals=self.integrals[rows], vector=self.vector[rows],
+            shell=self.shell[rows],
+        )  # fmt: skip
+
+
+def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
+    """Cells of one surface, some layers of columns at a time."""
+    points, triangles = solid.outward(index)
+    pieces = cut(grid.to_cells(points)[triangles])
+    at = np.floor(pieces.corners.mean(1)).astype(np.int64)
+    at = np.clip(at, 0, grid.count - 1)  # what rounding puts beyond counts to the last cell
+    vector, shell = pieces.area_vectors, shells(triangles)
+    made = _Cut(
+        at=at,
+        integrals=_integrals(pieces.corners - (at + 0.5)[:, None, :], vector[:, 2]),
+        vector=vector,
+        shell=shell[pieces.source],
+        facing=np.array(
+            [np.sign(signed_volume(points, triangles[shell == k])) for k in range(shell.max() + 1)]
+        ),
+        closed=_is_closed(triangles),
+    )
+    low, high = at.min(0), at.max(0) + 1
+    layers = max(1, SLAB // int(np.prod((high - low)[1:])))
+    area = np.zeros((high - low)[1:])  # of the solid in the face between two slabs
+    out: list[_SurfaceContent] = []
+    for first in range(int(low[0]), int(high[0]), layers):
+        box_low = np.array([first, low[1], low[2]])
+        box = np.minimum([first + layers, high[1], high[2]], high) - box_low
+        mine = np.flatnonzero((at[:, 0] >= first) & (at[:, 0] < first + layers))
+        content, area = _of_box(solid, index, grid, box_low, box, made[mine], area)
+        out.append(content)
+    names = ("full", "part", "moments", "faces", "doubtful")
+    return _SurfaceContent(
+        **{name: np.concatenate([getattr(one, name) for one in out]) for name in names}
+    )
+
+
+def _of_box(
+    solid: Solid, index: int, grid: Grid, low: Ints, box: Ints, pieces: _Cut, area: Floats
+) -> tuple[_SurfaceContent, Floats]:
+    """Cells of a box of whole columns, and the area of the solid in its far face across x."""
+    place = np.ravel_multi_index((pieces.at - low).T, tuple(box))
+    cells = int(np.prod(box))
+
+    def dense(values: Floats) -> Floats:
+        return np.bincount(place, values, minlength=cells).reshape(box)
+
+    def below(values: Floats) -> Floats:
+        """Sum over the cells under each one."""
+        return np.cumsum(values, axis=2) - values
+
+    touched, first = np.unique(place, return_index=True)
+    over = [below(dense(pieces.integrals[:, 10 + k])).ravel() for k in range(len(PLANE))]
+    w = np.empty((cells, 10))
+    for k, (a, b, c) in enumerate(POWERS):
+        w[:, k] = dense(pieces.integrals[:, k]).ravel()
+        if c != 1:  # an odd function of z over a whole cell: nothing
+            w[:, k] += over[PLANE.index((a, b))] * (1.0 if c == 0 else 1.0 / 12.0)
+    faces = np.empty((2, 3, *box))
+    for axis in range(3):
+        own = -dense(pieces.vector[:, axis])
+        upper = np.cumsum(own, axis=axis) + (area if axis == 0 else 0.0)
+        faces[:, axis] = upper - own, upper
+    is_cut = np.zeros(cells, bool)
+    is_cut[touched] = True
+    key = grid.key(low + np.stack(np.unravel_index(np.arange(cells), tuple(box)), -1))
+    rest = key[~is_cut]
+    if pieces.closed:
+        inside = np.round(w[~is_cut, 0]) != 0.0
+    else:
+        inside = _winding_near(solid, index, grid.to_world(grid.ijk(rest) + 0.5)) > INSIDE
+    doubtful = np.full(len(touched), not pieces.closed)
+    lowest = np.full(cells, len(pieces.facing))
+    np.minimum.at(lowest, place, pieces.shell)
+    highest = np.zeros(cells, np.int64)
+    np.maximum.at(highest, place, pieces.shell)
+    doubtful |= (highest > lowest)[touched]
+    moments = w[touched]
+    if pieces.closed:
+        facing = pieces.facing[pieces.shell[first]]
+        one_shell, wrong = _where_nonzero(moments, facing)
+        moments = np.where(doubtful[:, None], moments, one_shell)
+        doubtful |= wrong
+    else:
+        moments[:] = np.nan
+    content = _SurfaceContent(
+        full=rest[inside],
+        part=key[touched],
+        moments=moments,
+        faces=np.moveaxis(faces.reshape(2, 3, cells)[:, :, touched], 2, 0),
+        doubtful=doubtful,
+    )
+    return content, faces[1, 0, -1]
+
+
+def _where_nonzero(w: Floats, facing: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Moments of where w != 0 from the moments of w, for cells that one shell cuts.
+
+    w is n outside of the shell and n + facing inside it.  Second: where that cannot be.
+    """
+    sign = np.where(facing < 0.0, -1.0, 1.0)[:, None]
+    outer = np.floor(sign[:, 0] * w[:, 0] + ROUNDING)[:, None] * sign
+    within = sign * (w - outer * FULL)
+    in_outer, in_inner = outer != 0.0, outer + sign != 0.0
+    moments = np.where(in_outer, FULL, 0.0) + np.where(in_inner, 1.0, 0.0) * within
+    moments -= np.where(in_outer, 1.0, 0.0) * within
+    return moments, (within[:, 0] > 1.0 + ROUNDING) | (within[:, 0] < -ROUNDING)
+
+
+def _integrals(local: Floats, nz: Floats) -> Floats:
+    """(n, 16) of each piece: of F(z) - F(1/2) for the ten moments, and of x^a y^b, times -n_z dA.
+
+    local : (n, 3, 3) corners about the middle of the cell; nz : (n,) z of the area vector.
+    """
+    out = np.zeros((len(local), 16))
+    for point, weight in zip(POINTS, WEIGHTS):
+        x, y, z = np.einsum("k,nkd->dn", point, local)
+        share = -weight * nz
+        depth = [(0.5 ** (c + 1) - z ** (c + 1)) / (c + 1) * share for c in range(3)]
+        for k, (a, b, c) in enumerate(POWERS):
+            out[:, k] += x**a * y**b * depth[c]
+        for k, (a, b) in enumerate(PLANE):
+            out[:, 10 + k] += x**a * y**b * share
+    return out
+
+
+def _is_closed(triangles: Ints) -> bool:
+    """Whether every edge is run through as often one way as the other: w is a whole number."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = edges.min(1), edges.max(1)
+    _, which = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True)
+    return bool((np.bincount(which, np.where(edges[:, 0] == low, 1.0, -1.0)) == 0.0).all())
+
+
+def _winding(solid: Solid, index: int, X: Floats) -> Floats:
+    """(n,) |w| of a surface at X (n, 3) [m]."""
+    points = solid.surfaces[index].points
+    center = points.mean(0)
+    parts = [
+        np.atleast_1d(
+            igl.fast_winding_number(
+                points - center, solid.triangles[index], X[k : k + BATCH] - center
+            )
+        )
+        for k in range(0, len(X), BATCH)
+    ]
+    return np.abs(np.concatenate(parts)) if parts else np.zeros(0)
+
+
+def _count(solid: Solid, grid: Grid, key: Ints, exact: Floats) -> tuple[Floats, int]:
+    """(n, 10) moments of cells from probes inside, and in how many they are that.
+
+    Where all surfaces are closed and no probe lies in two of them, `exact` is right: the moments of
+    the sum of the winding numbers.
+    """
+    probe = spread_evenly(int(np.clip(MOST_PROBES // len(key), *PROBES))) - 0.5
+    values = np.prod(probe[:, None, :] ** POWERS[None], 2)
+    out = exact.copy()
+    counted = 0
+    step = max(1, BATCH // len(probe))
+    for k in range(0, len(key), step):
+        some = slice(k, k + step)
+        X = grid.to_world(grid.ijk(key[some])[:, None, :] + 0.5 + probe).reshape(-1, 3)
+        w = np.array([_winding_near(solid, index, X) for index in range(len(solid.surfaces))])
+        inside = (w > INSIDE).any(0).reshape(-1, len(probe))
+        once = (w.sum(0) < 1.0 + INSIDE).reshape(-1, len(probe)).all(1)
+        volume = exact[some, 0]
+        sound = once & (volume > -ROUNDING) & (volume < 1.0 + ROUNDING)
+        out[some] = np.where(sound[:, None], exact[some], inside @ values / len(probe))
+        counted += int((~sound).sum())
+    return out, counted
+
+
+def _winding_near(solid: Solid, index: int, X: Floats) -> Floats:
+    """(n,) |w| of a surface at X (n, 3) [m]; 0 out of its box."""
+    points = solid.surfaces[index].points
+    near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
+    out = np.zeros(len(X))
+    if near.any():
+        out[near] = _winding(solid, index, X[near])
+    return out

@@ -1,0 +1,154 @@
+"""Particles of a solid on a grid: those of its cells, slivers merged, and mirror images alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.geometry.sampling.content import POWERS, Content, Grid, find_content
+from gf_usd.geometry.sampling.mirror import mirror_axes
+from gf_usd.geometry.sampling.rules import moment_points
+from gf_usd.geometry.solid import Solid
+
+Flags = NDArray[np.bool_]
+
+SLIVER = 0.24  # [cells] of volume: what holds less goes to a neighbor
+SAME_SURFACE = 0.05  # [cells] by which mirror images may differ where polygons are cut otherwise
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filling:
+    """Particles of a solid."""
+
+    X: Floats  # (N, 3) [m] world
+    V0: Floats  # (N,) [m^3]
+    outside: int  # particles outside of the solid: no rule keeps all of their cell's in it
+    counted: int  # cells whose moments are a count, where surfaces overlap or are open
+
+
+def fill_cells(solid: Solid, grid: Grid) -> Filling:
+    """Particles whose volume, center and second moments are those of the solid, cell by cell."""
+    content = find_content(solid, grid)
+    parts = [(grid.to_cells(s.points), t) for s, t in zip(solid.surfaces, solid.triangles)]
+    mirrored = mirror_axes(parts, SAME_SURFACE)
+    half = fold(content, grid.count, mirrored)
+    own_image = mirrored & (grid.count % 2 == 1) & (half.ijk == grid.count // 2)
+    kept, moments, reach = merge_slivers(half, grid, mirrored, own_image)
+    ijk, own_image = half.ijk[kept], own_image[kept]
+    middle = ijk + 0.5
+
+    def inside(cells: Ints, place: Floats) -> Flags:
+        return solid.inside(grid.to_world(middle[cells] + place))
+
+    points = moment_points(moments, reach, own_image, inside)
+    # From the middle of the grid, so that mirror images differ by their sign alone.
+    place = middle[points.cell] - 0.5 * grid.count + points.place
+    volume, image = points.volume, own_image[points.cell]
+    for axis in np.flatnonzero(mirrored):
+        other = ~image[:, axis]
+        flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+        place = np.concatenate([place, place[other] * flip])
+        volume = np.concatenate([volume, volume[other]])
+        image = np.concatenate([image, image[other]])
+    cell = np.clip(np.floor(place + 0.5 * grid.count).astype(np.int64), 0, grid.count - 1)
+    order = np.argsort(grid.key(cell), kind="stable")
+    center = grid.to_world(0.5 * grid.count)
+    return Filling(
+        X=center + grid.h * place[order] @ grid.turn,
+        V0=grid.h**3 * volume[order],
+        outside=points.outside,
+        counted=content.counted,
+    )
+
+
+def flipped(moments: Floats, axis: int) -> NDArray[np.float64]:
+    """Moments (n, 10) of the mirror images of contents."""
+    return moments * np.where(POWERS[:, axis] % 2 == 1, -1.0, 1.0)
+
+
+def moved(moments: Floats, by: Floats) -> NDArray[np.float64]:
+    """Moments (10,) of a content shifted by (3,)."""
+    f, m, x, y, z = moments[0], moments[1:4], *by
+    dx, dy, dz = m
+    return np.concatenate([
+        [f], m + f * by,
+        moments[4:7] + 2.0 * by * m + f * by**2,
+        moments[7:] + [
+            x * dy + y * dx + f * x * y, x * dz + z * dx + f * x * z, y * dz + z * dy + f * y * z,
+        ],
+    ])  # fmt: skip
+
+
+def fold(content: Content, count: Ints, mirrored: Flags) -> Content:
+    """The cells of the upper half across each mirrored axis: the mean of both halves."""
+    for axis in np.flatnonzero(mirrored):
+        other = content.ijk.copy()
+        other[:, axis] = count[axis] - 1 - other[:, axis]
+        faces = content.faces.copy()
+        faces[:, :, axis] = faces[:, ::-1, axis]
+        ijk = np.concatenate([content.ijk, other])
+        kept = ijk[:, axis] >= count[axis] // 2
+        ijk, which = np.unique(ijk[kept], axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        moments, areas = np.zeros((len(ijk), 10)), np.zeros((len(ijk), 2, 3))
+        both = np.concatenate([content.moments, flipped(content.moments, int(axis))])
+        np.add.at(moments, which, 0.5 * both[kept])
+        np.add.at(areas, which, 0.5 * np.concatenate([content.faces, faces])[kept])
+        content = replace(content, ijk=ijk, moments=moments, faces=areas)
+    return content
+
+
+def merge_slivers(
+    content: Content, grid: Grid, mirrored: Flags, own_image: Flags
+) -> tuple[Ints, Floats, tuple[Floats, Floats]]:
+    """Rows that keep particles, their moments, and the lowest and highest place of their content.
+
+    What holds less than `SLIVER` goes to the neighbor it shares the largest face with.  A sliver
+    that has none stays.
+    """
+    n = len(content.ijk)
+    moments = content.moments.copy()
+    low, high = np.full((n, 3), -0.5), np.full((n, 3), 0.5)
+    key = grid.key(content.ijk)
+    by_key = np.argsort(key)
+    into = np.arange(n)
+
+    def row_of(ijk: Ints) -> int:
+        """Row of a cell, or of its image in this half; -1 where there is none."""
+        ijk = np.where(mirrored & (ijk < grid.count // 2), grid.count - 1 - ijk, ijk)
+        if (ijk < 0).any() or (ijk >= grid.count).any():
+            return -1
+        at = int(np.searchsorted(key[by_key], grid.key(ijk)))
+        found = at < n and key[by_key[at]] == grid.key(ijk)
+        return int(by_key[at]) if found else -1
+
+    few = np.flatnonzero(moments[:, 0] < SLIVER)
+    for row in few[np.argsort(moments[few, 0], kind="stable")]:
+        if moments[row, 0] >= SLIVER:
+            continue
+        area = np.where(own_image[row], 0.0, content.faces[row])
+        sides = [divmod(int(k), 3) for k in np.argsort(-area.ravel(), kind="stable")]
+        sides = [(side, axis) for side, axis in sides if area[side, axis] > 0.0]
+        steps = [(2 * side - 1) * np.eye(3, dtype=np.int64)[axis] for side, axis in sides]
+        rows = [row_of(content.ijk[row] + step) for step in steps]
+        alive = [t for t in rows if t >= 0 and t != row and into[t] == t]
+        gone = [int(into[t]) for t in rows if t >= 0 and into[t] not in (t, row)]
+        target = next(iter(alive + [t for t in gone if into[t] == t]), row)
+        if target == row:
+            continue
+        by = content.ijk[row] - content.ijk[target]
+        added = moved(moments[row], by)
+        low[target] = np.minimum(low[target], low[row] + by)
+        high[target] = np.maximum(high[target], high[row] + by)
+        for axis in np.flatnonzero(own_image[target] & ~own_image[row]):
+            # The image of the sliver goes to the same cell.
+            added = added + flipped(added, int(axis))
+            both = max(-low[target, axis], high[target, axis])
+            low[target, axis], high[target, axis] = -both, both
+        moments[target] += added
+        into[row] = target
+    kept = np.flatnonzero(into == np.arange(n))
+    return kept, moments[kept], (low[kept], high[kept])

@@ -1,0 +1,175 @@
+"""Filling a solid with particles.
+
+Particles are quadrature points: those of a cell of the solver's grid integrate the part of it that
+the solid fills exactly up to second moments (`filling`; docs/physics.md).  A full cell has the
+eight points of Gauss's rule, each of volume a^3, and a cell that the surface cuts four or eight.
+Each body has a grid of its own, centered on it.
+
+The grid lies in a frame whose Y is up, so that an asset has the same particles whichever axis is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import Particles
+from gf_usd.geometry.sampling.content import Grid
+from gf_usd.geometry.sampling.filling import Filling, fill_cells
+from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.surface import colors, nearest
+
+SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbors
+SIGMA_R = 0.25  # along the normal
+LEAST_PARTICLES = 16  # fewer do not hold a grid
+MOST_PARTICLES = 50_000_000
+# World to the frame of the grid: signed permutations, which lose no digit.
+TURNS = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
+CELL_PER_LATTICE = 2  # edges of a cell and of the cubes of its eight particles
+ALIGNED = 1e-6  # [cells] by which a solid may reach out of its cells
+
+
+def sample_solid(
+    solid: Solid,
+    *,
+    particles: int | None,
+    spacing: float | None,
+    seed: int,
+    uniform: bool = False,
+    up: str = "Y",
+    bodies: Ints | None = None,
+) -> Particles:
+    """Particles at a spacing [m], or about `particles` of them.
+
+    uniform : drawn one by one anywhere in the solid, as the paper does, in place of quadrature
+    points; seed : of these draws.
+    bodies : (S,) the body of each surface; None: all are one.
+
+    Raises InputError where the solid holds too few or too many at that spacing.
+    """
+    a = spacing if spacing else float(np.cbrt(solid.volume / (particles or 1)))
+    expected = solid.volume / a**3
+    if expected > MOST_PARTICLES:
+        raise InputError(
+            f"a spacing of {a:.3g} m would take {expected:.3g} particles"
+            f" (at most {MOST_PARTICLES})",
+            "raise --spacing or lower --particles",
+        )
+    turn = TURNS[up]
+    if uniform:
+        filled = _uniform(solid, round(expected), np.random.default_rng(seed), turn)
+    else:
+        filled = _quadrature(solid, a, turn, bodies)
+    X, V0 = filled.X, filled.V0
+    n = len(X)
+    if n < LEAST_PARTICLES:
+        raise InputError(
+            f"only {n} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
+            f" (at least {LEAST_PARTICLES})",
+            "lower --spacing or raise --particles",
+        )
+    surface, normal, color = _look(solid, X, filled.body, bodies)
+    volume = float(V0.sum())
+    s = float(np.cbrt(volume / n))
+    return Particles(
+        X=X,
+        V0=V0,
+        material=np.zeros(n, np.int64),
+        orientation=quaternion_from_axis(normal),
+        scale=np.tile(s * np.array([SIGMA_R, SIGMA_T, SIGMA_T]), (n, 1)),
+        color=color,
+        opacity=np.ones(n),
+        surface=surface,
+        spacing=s,
+        volume=volume,
+        lattice=a,
+        corner=filled.corner[0],
+        corners=filled.corner if len(filled.corner) > 1 else None,
+        body=filled.body,
+        outside=filled.outside,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Filled:
+    """What fills a solid."""
+
+    X: Floats  # (n, 3) [m]
+    V0: Floats  # (n,) [m^3]
+    corner: Floats  # (bodies, 3) [m] of the grid of each body
+    body: Ints | None = None  # (n,); None: all are one
+    outside: int = 0  # particles outside of the solid
+
+
+def _look(
+    solid: Solid, X: Floats, body: Ints | None, bodies: Ints | None
+) -> tuple[Ints, Floats, Floats]:
+    """Nearest surface (n,), its normal and its color (n, 3), each of the particle's own body."""
+    surface = np.zeros(len(X), np.int64)
+    normal, color = np.empty((len(X), 3)), np.empty((len(X), 3))
+    body = np.zeros(len(X), np.int64) if body is None else body
+    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    for k in range(int(of.max()) + 1):
+        mine, members = np.flatnonzero(body == k), np.flatnonzero(of == k)
+        part = solid.part(members)
+        at = nearest(part, X[mine])
+        surface[mine], normal[mine] = members[at.surface], at.normal
+        color[mine] = colors(part, at)
+    return surface, normal, color
+
+
+def _box(solid: Solid, turn: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corner in the frame of the grid."""
+    ends = np.stack([solid.low, solid.high]) @ turn.T
+    return ends.min(0), ends.max(0)
+
+
+def _quadrature(solid: Solid, a: float, turn: Floats, bodies: Ints | None) -> _Filled:
+    """Quadrature points of each body on cells of edge 2 a [m]."""
+    of = np.zeros(len(solid.surfaces), np.int64) if bodies is None else bodies
+    made = [_of_body(solid.part(np.flatnonzero(of == k)), a, turn) for k in range(of.max() + 1)]
+    filled = [one for one, _ in made]
+    return _Filled(
+        X=np.concatenate([one.X for one in filled]),
+        V0=np.concatenate([one.V0 for one in filled]),
+        corner=np.array([corner for _, corner in made]),
+        body=np.repeat(np.arange(len(made)), [len(one.X) for one in filled])
+        if len(made) > 1
+        else None,
+        outside=sum(one.outside for one in filled),
+    )
+
+
+def _of_body(solid: Solid, a: float, turn: Floats) -> tuple[Filling, Floats]:
+    """The particles of one body, and the corner (3,) [m] of its grid.
+
+    The grid is centered on the body, so that the planes of a symmetric body are planes of the grid.
+    """
+    low, high = _box(solid, turn)
+    h = CELL_PER_LATTICE * a
+    count = np.maximum(1, np.ceil((high - low) / h - ALIGNED).astype(np.int64))
+    corner = 0.5 * (low + high - h * count)
+    return fill_cells(solid, Grid(corner=corner, h=h, count=count, turn=turn)), corner @ turn
+
+
+def _uniform(solid: Solid, n: int, rng: np.random.Generator, turn: Floats) -> _Filled:
+    """Exactly n points by rejection, that share the volume; the corner of the bounding box."""
+    low, high = _box(solid, turn)
+    kept: list[Floats] = []
+    while (have := sum(len(k) for k in kept)) < n:
+        X = (low + rng.random((4 * (n - have) + 64, 3)) * (high - low)) @ turn
+        kept.append(X[solid.inside(X)])
+    V0 = np.full(n, solid.volume / n)
+    return _Filled(X=np.concatenate(kept)[:n], V0=V0, corner=(low @ turn)[None])
+
+
+def quaternion_from_axis(n: Floats) -> NDArray[np.float64]:
+    """(k, 4) the shortest rotation (w, x, y, z) that takes axis 0 to n (k, 3), unit."""
+    w = 1.0 + n[:, 0]
+    q = np.stack([w, np.zeros(len(n)), -n[:, 2], n[:, 1]], 1)
+    q[w < 1e-9] = (0.0, 0.0, 1.0, 0.0)  # half a turn: any axis across will do
+    return q / np.linalg.norm(q, axis=1, keepdims=True)

@@ -1,0 +1,161 @@
+"""Particles of a cell: points of equal weight that integrate its content up to second moments.
+
+With the volume f, the mean c and the covariance C of what a solid fills of a cell, and k vectors v
+with sum v = 0 and sum v v^T = k I, the points
+
+    x = c + C^(1/2) v,      each of weight f / k
+
+have the same volume, mean and covariance, so that they integrate all polynomials of degree two
+exactly over the content, whatever its shape.  The corners of a cube are such vectors, of length
+sqrt 3, and give a full cell its 2 x 2 x 2 Gauss points; so are the corners of a regular
+tetrahedron, the least number that can do it (Stroud 1971, Approximate Calculation of Multiple
+Integrals, degree two).  Any rotation of them does as well, which leaves the freedom to keep all
+points in the solid and in the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+
+Flags = NDArray[np.bool_]
+
+MANY = 0.76  # of a full cell: with more content it has the eight points of a full one, else four
+TURNS = 48  # rotations that are tried in turn
+VOID = 10  # points out of their cell that are as bad as one out of the solid
+WORST = np.iinfo(np.int64).max
+EDGE = 1e-9  # [cells] points this near to the cell's faces are in it
+
+CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+TETRAHEDRON = CUBE[[0, 3, 5, 6]]
+OCTAHEDRON = np.sqrt(3.0) * np.concatenate([np.eye(3), -np.eye(3)])
+# A tetrahedron with two edges across the z axis, its own image across x and across y.
+_UPRIGHT = np.sqrt(2.0) * np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)], float)
+_UPRIGHT[:, 2] = (1.0, 1.0, -1.0, -1.0)
+
+
+def _rotations(count: int) -> NDArray[np.float64]:
+    """(count, 3, 3) spread evenly: super-Fibonacci spirals (Alexa 2022)."""
+    psi = 1.533751168755204288118041  # the real solution of psi^4 = psi + 4
+    s = np.arange(count) + 0.5
+    r, q = np.sqrt(s / count), np.sqrt(1.0 - s / count)
+    alpha, beta = 2.0 * np.pi * s / np.sqrt(2.0), 2.0 * np.pi * s / psi
+    x, y, z, w = r * np.sin(alpha), r * np.cos(alpha), q * np.sin(beta), q * np.cos(beta)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _rules() -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+    """Those of four points, then six and eight, and those of eight, then six and four."""
+    upright = [s * np.roll(_UPRIGHT, k, axis=1) for k in range(3) for s in (1.0, -1.0)]
+    turned = _rotations(TURNS)
+    four = [TETRAHEDRON, -TETRAHEDRON, *upright, *(TETRAHEDRON @ R for R in turned)]
+    eight = [CUBE, *(CUBE @ R for R in turned[: TURNS // 2])]
+    return (*four, OCTAHEDRON, CUBE), (*eight, OCTAHEDRON, *four)
+
+
+FEW_FIRST, MANY_FIRST = _rules()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellPoints:
+    """Points of cells."""
+
+    cell: Ints  # (N,) row of the cell of each
+    place: Floats  # (N, 3) from the middle of the cell, in cells
+    volume: Floats  # (N,) in cells
+    outside: int  # points that lie outside of the solid: no rule keeps all of a cell in
+
+
+def moment_points(
+    moments: Floats,
+    reach: tuple[Floats, Floats],
+    own_image: Flags,
+    inside: Callable[[Ints, Floats], Flags],
+) -> CellPoints:
+    """The points of cells.
+
+    moments : (n, 10) of `content`; reach : (n, 3), (n, 3) lowest and highest place of what each
+    holds, about the middle; own_image : (n, 3) axes across which a cell is its own mirror image,
+    as its points are to be; inside : of cells (m,) and places in them (m, 3), (m,) which lie in
+    the solid.
+    """
+    mean, root = _spread(moments)
+    full = (moments[:, 0] > 1.0 - EDGE) & (np.abs(mean) < EDGE).all(1)
+    best = np.where(full, 0, WORST)
+    chosen = np.zeros(len(moments), np.int64)
+    many = moments[:, 0] > MANY
+    groups = ((many, MANY_FIRST), (~many, FEW_FIRST))
+    tried = 1
+    # Twice as many rules at a time: the test of points has a cost of its own each time.
+    first = 0
+    while first < len(FEW_FIRST):
+        trials = [
+            (number, rule, np.flatnonzero(group & (best > 0) & _keeps(rule, own_image)))
+            for group, rules in groups
+            for number, rule in enumerate(rules[first : first + tried], first)
+        ]
+        places = [mean[r, None] + np.einsum("nab,kb->nka", root[r], v) for _, v, r in trials]
+        owner = np.concatenate([np.repeat(r, len(v)) for _, v, r in trials])
+        within = inside(owner, np.concatenate([place.reshape(-1, 3) for place in places]))
+        ends = np.cumsum([place.shape[0] * place.shape[1] for place in places])
+        for (number, rule, rows), place, mine in zip(trials, places, np.split(within, ends[:-1])):
+            low, high = reach[0][rows, None] - EDGE, reach[1][rows, None] + EDGE
+            out_of_cell = ~((place >= low) & (place <= high)).all(2)
+            out_of_solid = ~mine.reshape(len(rows), len(rule))
+            # A point in the void is worse than all in the solid of a neighbor.
+            wrong = VOID * out_of_solid.sum(1) + out_of_cell.sum(1)
+            better = wrong < best[rows]
+            best[rows[better]] = wrong[better]
+            chosen[rows[better]] = number
+        first, tried = first + tried, 2 * tried
+    parts = []
+    for group, rules in groups:
+        for number in np.unique(chosen[group]):
+            rule = rules[number]
+            mine = np.flatnonzero(group & (chosen == number))
+            place = mean[mine, None] + np.einsum("nab,kb->nka", root[mine], rule)
+            volume = np.repeat(moments[mine, 0] / len(rule), len(rule))
+            parts.append((np.repeat(mine, len(rule)), place.reshape(-1, 3), volume))
+    cell, place, volume = (np.concatenate(part) for part in zip(*parts))
+    order = np.argsort(cell, kind="stable")
+    return CellPoints(
+        cell=cell[order],
+        place=place[order],
+        volume=volume[order],
+        outside=int((best // VOID).sum()),
+    )
+
+
+def _spread(moments: Floats) -> tuple[Floats, Floats]:
+    """Mean (n, 3) and symmetric root (n, 3, 3) of the covariance of contents, in cells."""
+    mean = moments[:, 1:4] / moments[:, :1]
+    second = moments[:, 4:] / moments[:, :1]
+    C = second[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]] - mean[:, :, None] * mean[:, None, :]
+    values, vectors = np.linalg.eigh(C)
+    root = np.sqrt(np.maximum(values, 0.0))  # rounding of a content that is next to flat
+    return mean, np.einsum("nab,nb,ncb->nac", vectors, root, vectors)
+
+
+def _keeps(rule: Floats, own_image: Flags) -> Flags:
+    """(n,) whether a rule is its own image across all axes (n, 3) that a cell is."""
+    return np.asarray(~(own_image & ~_images(rule)).any(1))
+
+
+def _images(rule: Floats) -> Flags:
+    """(3,) axes across which a rule is its own mirror image."""
+    out = np.zeros(3, bool)
+    for axis in range(3):
+        mirrored = rule * np.where(np.arange(3) == axis, -1.0, 1.0)
+        apart = np.linalg.norm(rule[:, None] - mirrored[None], axis=2).min(1)
+        out[axis] = (apart < 1e-12).all()
+    return out
