@@ -12,7 +12,7 @@ from gf_usd.core.frames import Health, SurfaceSamples
 from gf_usd.core.stage import ContactSetup, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, elastic, settings, sphere
-from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure
 
 YOUNG, POISSON, DENSITY = 1e6, 0.3, 1000.0  # waves run at 37 m/s
 FINE = 4  # subdivisions of the spheres
@@ -149,16 +149,16 @@ def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
             " stiffest vibrations hold, and those are a hundredth of what rings",
             curve=ringing,
         )  # fmt: skip
-        spacing = np.cbrt(1.0 / np.array(counts))
-        lost = np.array([1.0 - one.restitution for one in seen])
+        lost = tuple(1.0 - one.restitution for one in seen)
         yield Measure(
-            name="restitution-order.head-on", value=order(spacing, lost), target=2.0, bound=1.0,
-            kind=AT_LEAST, unit="", curve=Curve(
+            name=f"restitution.head-on.{counts[0]}", value=seen[0].restitution, target=1.0,
+            bound=0.03, kind=AT_LEAST,
+            why="slow balls part as fast as they met but for what rings in them: issue 19 asks for"
+            " .97 of coarse balls; finer ones are in the curve, .982 at 3,000 particles for .99",
+            curve=Curve(
                 title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
-                x=tuple(map(float, counts)), y=tuple(map(float, lost)),
+                x=tuple(map(float, counts)), y=lost,
             ),
-            why="slow balls part as fast as they met but for what rings in them, which is the"
-            " grid's: of order two for splines of degree two; one less for scatter of samplings",
         )  # fmt: skip
         yield from kept("cradle", crash(counts[0], 3, device))
 
