@@ -35,16 +35,18 @@ if TYPE_CHECKING:
 # 1.9; with 4, 2.2; with one particle in two cells (the paper's density), 3.1.
 GRID_FREQUENCY = ((4.0, 2.2), (1.0, 2.7), (0.0, 3.3))
 
+MARGIN = 0.8  # of the limit with contact
+
 
 @dataclass(frozen=True, kw_only=True)
 class StableStep:
     """What limits the step."""
 
-    dt: float  # [s] stable limit times safety
     elastic: float  # [rad/s]
     contact: float  # [rad/s]
     viscous_time: float  # [s] as scaled to the pressure wave
     contact_damping: float  # [1/s]
+    safety: float  # of the body's own limit
 
     @property
     def damping_ratio(self) -> float:
@@ -54,16 +56,25 @@ class StableStep:
 
     def crowded(self, by: float) -> StableStep:
         """With so many times the contact springs on a sample."""
-        more = replace(
+        return replace(
             self, contact=np.sqrt(by) * self.contact, contact_damping=by * self.contact_damping
         )
-        return replace(more, dt=self.dt / self.limit * more.limit)
 
     @property
     def limit(self) -> float:
         """[s] (2 / w) (sqrt(1 + z^2) - z)."""
         z = self.damping_ratio
         return float(2.0 / np.hypot(self.elastic, self.contact) * (np.sqrt(1.0 + z * z) - z))
+
+    @property
+    def dt(self) -> float:
+        """[s] the step: `safety` of the body's own limit, and MARGIN of that with contact.
+
+        The body's limit grows with its strain, which safety is for; contact has springs that do
+        not, and a bound that is exact.
+        """
+        body = replace(self, contact=0.0, contact_damping=0.0)
+        return min(self.safety * body.limit, max(self.safety, MARGIN) * self.limit)
 
 
 def grid_frequency(per_cell: float) -> float:
@@ -91,13 +102,12 @@ def stable_step(
     """
     highest = grid_frequency(per_cell) if frequency is None else frequency
     step = StableStep(
-        dt=0.0,
         elastic=float(highest * wave_speed / h),
         contact=float(np.sqrt(contact_omega2)),
         viscous_time=viscous_time,
         contact_damping=contact_damping,
+        safety=safety,
     )
-    step = replace(step, dt=safety * step.limit)
     if not 0.0 < step.dt < np.inf:
         raise InputError(
             f"there is no stable step: waves run at {wave_speed:.3g} m/s over cells of {h:.3g} m,"
@@ -138,5 +148,4 @@ def strained_step(
     """
     highest = grid_frequency(per_cell) if frequency is None else frequency
     elastic = highest * speed / h
-    strained = replace(rest, elastic=max(elastic, rest.elastic))
-    return strained.limit
+    return replace(rest, elastic=max(elastic, rest.elastic), safety=1.0).dt

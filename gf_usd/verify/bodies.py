@@ -74,10 +74,15 @@ def comb(teeth: int, width: float, gap: float, length: float, root: float, depth
 
 
 def ball(
-    particles: int, radius: float = 1.0, *, seed: int = 0, rejection: bool = False
+    particles: int,
+    radius: float = 1.0,
+    *,
+    seed: int = 0,
+    rejection: bool = False,
+    subdivisions: int = 3,
 ) -> tuple[Particles, SurfaceSamples]:
     """About so many particles of production sampling in a ball, and its contact samples."""
-    solid = solid_of(sphere(radius))
+    solid = solid_of(sphere(radius, subdivisions))
     made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
     return made, sample_surface(solid, made.spacing)
 

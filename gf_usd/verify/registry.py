@@ -27,6 +27,7 @@ from gf_usd.verify.cases import (
     sides,
     vibration,
 )
+from gf_usd.verify.cases.contact import collisions, hertz, slope
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -41,6 +42,9 @@ CASES: tuple[Case, ...] = (
     *manufactured.CASES,
     *vibration.CASES,
     *floor.CASES,
+    *slope.CASES,
+    *hertz.CASES,
+    *collisions.CASES,
     *drop.CASES,
     *sides.CASES,
 )

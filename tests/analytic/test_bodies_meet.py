@@ -73,24 +73,37 @@ def test_energy_is_never_made_out_of_nothing(material):
     scale = h[0].kinetic
     # What new planes store is told apart (injected); 1e-5 is rounding of energies in float32.
     assert max(gain_of_frames(h)) <= 1e-5 * scale
-    # ... and it is what the budget gives them: 1e-4 m g0 r in T for each of the two pairs.
-    assert abs(sum(f.injected for f in h)) <= 1e-3 * scale
+    # ... and none is put in: where nothing presses bodies together there is no budget.  Springs
+    # of friction whose samples face something else are lost (measured: 4e-5 of it).
+    assert sum(max(0.0, f.injected) for f in h) <= 1e-5 * scale
+    assert sum(abs(f.injected) for f in h) <= 1e-3 * scale
     assert h[-1].kinetic + h[-1].elastic < h[0].kinetic
 
 
-def test_what_new_planes_store_is_counted():
-    """A look moves nothing, so that all it changes of the contact energy is injected."""
+@pytest.mark.parametrize("g", [0.0, 10.0 * G0])
+def test_new_planes_store_what_the_old_ones_did(g):
+    """A look moves nothing: all that it changes of the contact energy is injected."""
     solver = meeting(
-        LEFT, RIGHT, particles=300, frames=7, velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)]
-    )
+        LEFT, RIGHT, particles=300, frames=7, gravity=(0.0, 0.0, -g),
+        velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],
+    )  # fmt: skip
     last = list(solver.frames())[-1].health
     assert last.contact > 0.0
-    assert solver.pairs is not None
-    solver.pairs.begin(solver.state)
-    solver.pairs.detect(solver.state, 7, solver.dt, 0, solver.substeps)
+    pairs = solver.pairs
+    assert pairs is not None
+    # They are those of a detection some substeps ago.
+    before = pairs.planes
+    pairs.begin(solver.state)
+    pairs.detect(solver.state, 7, solver.dt, 0, solver.substeps)
+    met = (before.partner >= 0) & (pairs.planes.partner >= 0)
+    assert np.abs(pairs.planes.normal - before.normal)[met].max() > 1e-3
     change = solver.read(6).health.contact - last.contact
-    assert abs(change) > 1e-4 * last.contact
-    assert solver.pairs.injected == pytest.approx(change, rel=1e-6)
+    assert pairs.injected == pytest.approx(change, abs=1e-9 * last.contact)
+    if g == 0.0:
+        assert abs(change) <= 1e-9 * last.contact
+    else:  # a budget of 1e-4 m g r in T for each of two pairs, and T is .32 s
+        budget = 1e-4 * last.mass * g * solver.particles.radius / 0.32
+        assert 0.0 < abs(change) <= 2.0 * budget * solver.frame_time
 
 
 def test_equal_bodies_swap_velocities_up_to_restitution():

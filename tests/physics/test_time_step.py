@@ -10,7 +10,7 @@ from solids import ball
 
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.reference import build_stencil
-from gf_usd.physics.time_step import GRID_FREQUENCY, StableStep, grid_frequency, stable_step
+from gf_usd.physics.time_step import GRID_FREQUENCY, MARGIN, StableStep, grid_frequency, stable_step
 
 GRID = {"wave_speed": 3.0, "h": 0.1, "per_cell": 8.0}
 
@@ -57,6 +57,15 @@ def test_each_of_its_parts_shortens_the_step():
     assert step(contact_damping=50.0).dt < base.dt
     assert step(per_cell=3.0).dt < base.dt
     assert step(safety=0.5).dt == pytest.approx(0.5 * base.dt)
+
+
+def test_safety_is_for_the_body_and_a_margin_for_contact():
+    alone = step(safety=0.5)
+    # Springs of contact as stiff as the body: 1 / sqrt(2) of its limit is more than safety leaves.
+    like = step(safety=0.5, contact_omega2=alone.elastic**2)
+    assert like.dt == pytest.approx(alone.dt)
+    stiffer = step(safety=0.5, contact_omega2=8.0 * alone.elastic**2)
+    assert stiffer.dt == pytest.approx(MARGIN * 2.0 / (3.0 * alone.elastic))
 
 
 def test_contact_alone_obeys_the_limit_of_its_own_spring():

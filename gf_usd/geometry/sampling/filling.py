@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +129,8 @@ def _parts(
     held = inside(P)
     if not held.any():
         return []
-    label = ndimage.label(held.reshape((LATTICE,) * 3))[0].ravel()
+    labeled: Any = ndimage.label(held.reshape((LATTICE,) * 3))
+    label = labeled[0].ravel()
     if label.max() == 1:
         away = P - P[held].mean(0)
         longest = np.linalg.svd(away[held], full_matrices=False)[2][0]

@@ -52,9 +52,9 @@ class Triples:
             return np.repeat(near[:, :1], 3, 1), alone
         chosen = TRIPLES[(count > TRIPLES).all(1)]
         away = self._X[near] - places[:, None]  # (k, near, 3)
-        corners = away[:, chosen]  # (k, triples, 3, 3)
-        weights, height, fatness = triangle(corners)
-        far = np.linalg.norm(away, axis=2)[:, chosen]
+        dots = away @ away.swapaxes(1, 2)
+        weights, height, fatness = triangle(dots, chosen)
+        far = np.sqrt(np.einsum("nkk->nk", dots))[:, chosen]
         cost = (np.abs(weights) * far).sum(2) + height + SPREAD * far.mean(2)
         cost = cost / np.where(fatness > FAT, fatness, 1e-3 * fatness + 1e-12)
         row, best = np.arange(len(places)), cost.argmin(1)
@@ -63,23 +63,25 @@ class Triples:
         return np.take_along_axis(samples, order, 1), np.take_along_axis(w, order, 1)
 
 
-def triangle(corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """Of triangles (..., 3, 3) [m]: weights (..., 3) of the origin, its height [m], the fatness.
+def triangle(dots: Floats, corners: Ints) -> tuple[Floats, Floats, Floats]:
+    """Of triangles (t, 3) of points: weights (k, t, 3) of the origin, its height [m], the fatness.
 
-    The weights are barycentric of the origin's projection; where a triangle has no area, a third.
-    Fatness is 1 for an equilateral triangle, 0 for a line.
+    dots : (k, n, n) [m^2] products of the points, from the origin.  The weights are barycentric of
+    the origin's projection; where a triangle has no area, the first corner's is 1.  Fatness is 1
+    for an equilateral triangle, 0 for a line.
     """
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    normal = np.cross(b - a, c - a)
-    square = (normal * normal).sum(-1)
-    edges = ((b - a) ** 2).sum(-1) + ((c - b) ** 2).sum(-1) + ((a - c) ** 2).sum(-1)
-    safe = np.where(square > 0.0, square, 1.0)
-    parts = [(np.cross(p, q) * normal).sum(-1) / safe for p, q in ((b, c), (c, a))]
-    weights = np.stack([*parts, 1.0 - parts[0] - parts[1]], -1)
-    weights = np.where((square > 0.0)[..., None], weights, 1.0 / 3.0)
-    height = np.abs((a * normal).sum(-1)) / np.sqrt(safe)
+    a, b, c = corners.T
+    aa, ab, ac = dots[:, a, a], dots[:, a, b], dots[:, a, c]
+    u, v = dots[:, b, b] - 2.0 * ab + aa, dots[:, c, c] - 2.0 * ac + aa
+    uv = dots[:, b, c] - ab - ac + aa
+    pu, pv = aa - ab, aa - ac
+    square = np.maximum(u * v - uv * uv, 0.0)
+    safe = np.where(square > 0.0, square, np.inf)
+    s, t = (v * pu - uv * pv) / safe, (u * pv - uv * pu) / safe
+    height = np.sqrt(np.maximum(aa - s * pu - t * pv, 0.0))
+    edges = 2.0 * (u + v - uv)
     fatness = 2.0 * np.sqrt(3.0 * square) / np.where(edges > 0.0, edges, 1.0)
-    return weights, height, fatness
+    return np.stack([1.0 - s - t, s, t], -1), height, fatness
 
 
 FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on a line
@@ -88,11 +90,20 @@ FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on 
 def spin(x: Floats, v: Floats) -> Floats:
     """omega (k, 3) [1/s] of triples at x (k, 3, 3) [m] with v (k, 3, 3) [m/s]; 0 on a line."""
     r = x - x.mean(1, keepdims=True)
-    J = (r * r).sum((1, 2))[:, None, None] * np.eye(3) - np.einsum("nka,nkb->nab", r, r)
-    size = np.trace(J, axis1=1, axis2=2)
-    J /= np.where(size > 0.0, size, 1.0)[:, None, None]
+    products = r.swapaxes(1, 2) @ r
+    size = 2.0 * np.trace(products, axis1=1, axis2=2)
+    scale = np.where(size > 0.0, size, 1.0)
+    J = (0.5 * size)[:, None, None] * np.eye(3) - products
+    J /= scale[:, None, None]
+    moment = cross(r.reshape(-1, 3), v.reshape(-1, 3)).reshape(-1, 3, 3).sum(1) / scale[:, None]
     fit = np.linalg.det(J) > FLAT
-    moment = np.cross(r, v).sum(1) / np.where(size > 0.0, size, 1.0)[:, None]
-    out = np.zeros_like(moment)
-    out[fit] = np.linalg.solve(J[fit], moment[fit][..., None])[..., 0]
-    return out
+    J[~fit] = np.eye(3)
+    return np.where(fit[:, None], np.linalg.solve(J, moment[..., None])[..., 0], 0.0)
+
+
+NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """a x b of rows (n, 3): `numpy.cross` without its questions about axes and shapes."""
+    return a.take(NEXT, 1) * b.take(LAST, 1) - a.take(LAST, 1) * b.take(NEXT, 1)

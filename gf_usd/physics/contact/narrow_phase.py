@@ -21,8 +21,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
-from gf_usd.physics.contact.carriers import Triples, spin
+from gf_usd.physics.contact.carriers import Triples, cross, spin
 from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
+from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.reference import Rows
 
 FACING = 1.5  # [spacings] a sample stands for the surface this far around it
@@ -30,9 +31,6 @@ TRAVEL = 0.5  # [spacings] that samples may move between two detections
 # [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first; the rest is for speeds that grow and for what the surface does between its samples.
 CLOSER = 1.5 * TRAVEL
-# Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
-# 0.41 spacings at most; with 1 by 0.52 (measured).
-STIFFER = 2.0
 ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 
 
@@ -81,13 +79,6 @@ class ContactPlanes:
         out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
         return out
 
-    def spin(self, x: Floats, v: Floats) -> Floats:
-        """(n, 3) [1/s] at which the carriers of each plane turn; 0 for obstacles."""
-        out, who = np.zeros_like(x), self.carried
-        if len(who):
-            out[who] = spin(x[self.carriers[who]], v[self.carriers[who]])
-        return out
-
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
@@ -117,15 +108,18 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
     x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
     slip of their samples.
     """
-    p, spin = planes, planes.spin(x, v)
-    normal = p.normal + time * np.cross(spin, p.normal)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = normal / np.where(length > 0.0, length, 1.0)
-    point = p.point + np.where((p.partner >= 0)[:, None], time * np.cross(spin, p.point), 0.0)
-    spring = p.spring.copy()
+    p, who = planes, planes.carried
+    turn = np.zeros_like(x)
+    normal, point, spring = p.normal.copy(), p.point.copy(), p.spring.copy()
+    if len(who):
+        carriers = p.carriers[who]
+        turn[who] = time * spin(x[carriers], v[carriers])
+        turned = normal[who] + cross(turn[who], normal[who])
+        normal[who] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        point[who] += cross(turn[who], point[who])
     if (stuck := np.flatnonzero(spring.any(1))).size:
-        slip = v - p.ridden(v) - p.velocity - np.cross(spin, x - p.ridden(x))
-        spring[stuck] += time * (slip + np.cross(spin, spring))[stuck]
+        way = time * (v - p.ridden(v) - p.velocity) - cross(turn, x - p.ridden(x))
+        spring[stuck] += (way + cross(turn, spring))[stuck]
         spring[stuck] = along(spring[stuck], normal[stuck])
     return replace(p, normal=normal, point=point, spring=spring)
 
@@ -186,22 +180,20 @@ class ContactSearch:
 
 def pair_values(
     planes: ContactPlanes,
-    stiffness: Floats,
-    mass: Floats,
-    friction: Floats,
-    restitution: Floats,
+    contact: FloorContact,
     walls: Sequence[tuple[float | None, float | None]],
 ) -> dict[str, Floats]:
     """k, m, friction and restitution of each sample with what it faces.
 
-    Stiffer than the floor, since here both sides give way.  Two bodies meet with the softer's
+    Two bodies meet with the softer's
     stiffness, their reduced mass, the geometric mean of their frictions and the lower restitution;
     walls : (friction, restitution) of each obstacle, None: the sample's own.
     """
-    k, m, mu, e = (np.array(v, float) for v in (STIFFER * stiffness, mass, friction, restitution))
-    a = np.flatnonzero(planes.partner >= 0)
+    mass, friction, restitution = contact.mass, contact.friction, contact.restitution
+    k, m, mu, e = (np.array(v, float) for v in (contact.meeting, mass, friction, restitution))
+    a = planes.carried
     b = planes.partner[a]
-    k[a] = STIFFER * np.minimum(stiffness[a], stiffness[b])
+    k[a] = np.minimum(contact.meeting[a], contact.meeting[b])
     m[a] = mass[a] * mass[b] / (mass[a] + mass[b])
     mu[a], e[a] = np.sqrt(friction[a] * friction[b]), np.minimum(restitution[a], restitution[b])
     for number, (wall_friction, wall_restitution) in enumerate(walls):

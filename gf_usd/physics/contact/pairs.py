@@ -16,7 +16,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials import time_scale
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
@@ -26,7 +26,6 @@ from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
     FACING,
-    STIFFER,
     TRAVEL,
     BodySkin,
     ContactPlanes,
@@ -43,12 +42,11 @@ from gf_usd.physics.total_lagrangian.state import State, StateView
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 STAY = 1.0  # [spacings]
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
-# Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
-# each other strain them twice as fast as one that comes at a wall does.
-CROWD = 4.0 * STIFFER
-# Of m g0 r in T: what planes may give to a pair so that its samples come to be as deep as they
-# truly are.  At rest, where that matters, springs hold a ten-thousandth of m g0 r; in a whole bake
-# of ten T it is a thousandth.
+# Springs that a sample may feel, over the one on the floor: its own, those of planes it carries,
+# and each of the two strained by both bodies.
+CROWD = 4.0
+# Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
+# are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
 BUDGET = 1e-4
 
 
@@ -77,13 +75,14 @@ class BodyContact:
             )
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
+        g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
+        self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
         self._x = samples.X  # [m] at the last detection
-        weight = body.particles.radius * G0 * float(body.m.sum())
-        self._budget = BUDGET * weight / time_scale(body.particles.radius)  # [W]
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
+        self.crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
@@ -203,8 +202,7 @@ class BodyContact:
         hold = min(hold, self._face_themselves(search, v))
         self._keep(search, old.depth)
         values = pair_values(
-            search.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
-            self.contact.restitution,
+            search.planes, self.contact,
             [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
         )  # fmt: skip
         new = Stored(

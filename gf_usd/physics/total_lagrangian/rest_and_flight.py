@@ -27,7 +27,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials import G0, time_scale
 from gf_usd.physics.bodies import bodies_of
-from gf_usd.physics.contact.pairs import CROWD, BodyContact
+from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
@@ -139,7 +139,7 @@ def strained_substeps(
         return 1
     step = body.step
     if pairs and pairs.imminent(now, time):
-        step = step.crowded(CROWD)
+        step = step.crowded(pairs.crowd)
     k = stiffness(body.law, stretch, J)
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)

@@ -21,7 +21,7 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
-from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure
+from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
@@ -255,19 +255,19 @@ def surface_contact(
     fall = np.maximum(0.0, lowest - ground)[body]
     # What lies on top of a body presses as its own weight does.
     weight = g * np.minimum(bodies.mass.sum(), PILE * bodies.mass)[body]
+    modulus = plane_modulus(per["youngs_modulus"][near], per["poissons_ratio"][near])
     return build_contact(
         samples,
         stencil,
         spacing=particles.spacing,
         density=per["density"][near],
-        wave_speed=per["wave_speed"][near],
+        modulus=modulus,
         friction=per["friction"][near],
         restitution=per["restitution"][near],
         pressure=hertz_pressure(
             weight=weight,
             radius=bodies.radius[body],
-            youngs=per["youngs_modulus"][near],
-            poisson=per["poissons_ratio"][near],
+            modulus=modulus,
         ),
         impact_speed=np.sqrt(speed**2 + 2.0 * g * fall),
         rate=settings.contact_rate,

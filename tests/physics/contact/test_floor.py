@@ -10,13 +10,14 @@ from solids import ball
 
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.contact.floor import (
-    ELASTIC_SHARE,
+    HALF_SPACE,
     REST_DEPTH,
     STOPPING_DISTANCE,
     build_contact,
     damping_coefficient,
     hertz_pressure,
     largest_eigenvalue,
+    plane_modulus,
     stiffness_per_mass,  # fmt: skip
 )
 from gf_usd.physics.grid.reference import build_stencil
@@ -68,23 +69,24 @@ def test_hertz_pressure_agrees_with_radius_and_load_of_the_contact():
     W, R, E, nu = 30.0, 0.4, 2e5, 0.3
     effective = E / (1.0 - nu**2)
     a = np.cbrt(3.0 * W * R / (4.0 * effective))  # Johnson 1985, eq. 4.22
-    p0 = hertz_pressure(weight=W, radius=R, youngs=np.array([E]), poisson=np.array([nu]))
+    p0 = hertz_pressure(weight=W, radius=R, modulus=plane_modulus(np.array([E]), np.array([nu])))
     assert p0[0] == pytest.approx(1.5 * W / (np.pi * a**2), rel=1e-14)  # mean is 2/3 of the peak
 
 
 def test_the_stiffness_meets_each_of_its_three_purposes():
-    c, s, v = np.array([20.0, 1.0, 1.0]), 0.05, np.array([0.1, 9.0, 0.1])
+    E, s, v = np.array([4e5, 1e3, 1e3]), 0.05, np.array([0.1, 9.0, 0.1])
     p, rho = np.array([1.0, 1.0, 5e4]), np.array([1e3, 1e3, 1e3])
     got = np.array(
         [
             stiffness_per_mass(
-                wave_speed=c[i : i + 1], spacing=s, impact_speed=v[i],
+                modulus=E[i : i + 1], spacing=s, impact_speed=v[i],
                 pressure=p[i : i + 1], density=rho[i : i + 1],
             )[0]
             for i in range(3)
         ]
     )  # fmt: skip
-    assert got[0] == pytest.approx(ELASTIC_SHARE * (c[0] / s) ** 2)
+    # Per area it is 1.3 E* / s, of m = rho A s.
+    assert rho[0] * s * got[0] == pytest.approx(HALF_SPACE * E[0] / s)
     # m v^2 / 2 = k d^2 / 2: stopped within a quarter of a spacing.
     assert v[1] / np.sqrt(got[1]) == pytest.approx(STOPPING_DISTANCE * s)
     # A sample of mass rho A s under p A sinks by p / (rho s k/m).
@@ -100,7 +102,7 @@ def built():
     n = len(samples.X)
     contact = build_contact(
         samples, stencil, spacing=particles.spacing, density=np.full(n, 1000.0),
-        wave_speed=np.full(n, 20.0), friction=np.array(0.8), restitution=np.full(n, 0.85),
+        modulus=np.full(n, 4e5), friction=np.array(0.8), restitution=np.full(n, 0.85),
         impact_speed=5.0, pressure=np.full(n, 2e4),
     )  # fmt: skip
     return particles, samples, stencil, contact
@@ -120,7 +122,7 @@ def test_a_given_rate_replaces_the_formula(built):
     n = len(samples.X)
     soft = build_contact(
         samples, stencil, spacing=particles.spacing, density=np.full(n, 1000.0),
-        wave_speed=np.full(n, 20.0), friction=np.array(0.8), restitution=np.full(n, 0.85),
+        modulus=np.full(n, 4e5), friction=np.array(0.8), restitution=np.full(n, 0.85),
         impact_speed=5.0, pressure=np.full(n, 2e4), rate=2000.0,
     )  # fmt: skip
     np.testing.assert_allclose(soft.stiffness, 2000.0 * soft.mass, rtol=1e-14)
@@ -159,7 +161,7 @@ def test_samples_out_of_reach_of_any_particle_still_have_rows(built):
     _, _, stencil, _ = built
     far = SurfaceSamples(X=np.array([[0.0, -1.8, 0.0]]), area=np.ones(1))
     out = build_contact(
-        far, stencil, spacing=0.1, density=np.ones(1), wave_speed=np.ones(1),
+        far, stencil, spacing=0.1, density=np.ones(1), modulus=np.ones(1),
         friction=np.zeros(1), restitution=np.ones(1), impact_speed=0.0, pressure=np.zeros(1),
     )  # fmt: skip
     assert out.rows.W.sum() == pytest.approx(1.0, abs=1e-10)

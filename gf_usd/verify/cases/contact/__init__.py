@@ -1,0 +1,1 @@
+"""Contact against closed forms: friction, Hertz's impact, collisions."""

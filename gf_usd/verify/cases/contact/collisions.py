@@ -1,0 +1,178 @@
+"""Balls that run into each other: what momentum, angular momentum and energy are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Health, SurfaceSamples
+from gf_usd.core.stage import ContactSetup, Skin
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import ball, elastic, settings, sphere
+from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure
+
+YOUNG, POISSON, DENSITY = 1e6, 0.3, 1000.0  # waves run at 37 m/s
+FINE = 4  # subdivisions of the spheres
+ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crash:
+    """A row of equal balls of 1 m, the first at a speed v along x."""
+
+    speed: float  # [m/s]
+    health: tuple[Health, ...]  # of every frame
+    velocity: Floats  # (B,) [m/s] of each ball along x at the end
+    mass: Floats  # (B,) [kg]
+
+    @property
+    def momentum_change(self) -> float:
+        """Largest change of any component, over m v of the first ball."""
+        p = np.array([h.momentum for h in self.health])
+        return float(np.abs(p - p[0]).max() / (self.mass[0] * self.speed))
+
+    @property
+    def angular_change(self) -> float:
+        """Of angular momentum about the origin, over m v r."""
+        L = np.array([h.angular_momentum for h in self.health])
+        return float(np.abs(L - L[0]).max() / (self.mass[0] * self.speed))
+
+    @property
+    def scale(self) -> float:
+        """[J] kinetic energy at the start."""
+        return self.health[0].kinetic
+
+    @property
+    def put_in(self) -> float:
+        """Energy that new planes gave, all gains and losses, over that at the start."""
+        return float(sum(abs(h.injected) for h in self.health) / self.scale)
+
+    @property
+    def restitution(self) -> float:
+        """Of the relative speed of the first and the last ball."""
+        return float((self.velocity[-1] - self.velocity[0]) / self.speed)
+
+    @property
+    def ringing(self) -> float:
+        """What is left in the balls, but the motion of their centers, over the start."""
+        last = self.health[-1]
+        centers = 0.5 * float(self.mass @ self.velocity**2)
+        return (last.kinetic + last.elastic + last.contact - centers) / self.scale
+
+
+def crash(
+    particles: int, balls: int, device: str, *, speed: float = 1.0, aside: float = 0.0,
+    friction: float = 0.0,
+) -> Crash:  # fmt: skip
+    """The balls are copies of one, whole cells of the grid apart; the last is `aside` [m] of x."""
+    body, samples = ball(particles, subdivisions=FINE)
+    h = 2.0 * body.lattice
+    apart = h * np.ceil(2.0 / h + 0.5)
+    shift = np.zeros((balls, 3))
+    shift[:, 0] = apart * (np.arange(balls) - 0.5 * (balls - 1))
+    shift[-1, 1] = aside
+    of = np.repeat(np.arange(balls), len(body))
+    many = replace(
+        body, volume=balls * body.volume, body=of,
+        X=copies(body.X, shift),
+        **{name: np.concatenate([getattr(body, name)] * balls) for name in (
+            "V0", "material", "orientation", "scale", "color", "opacity", "surface"
+        )},
+    )  # fmt: skip
+    assert samples.normal is not None
+    on = SurfaceSamples(
+        X=copies(samples.X, shift), area=np.tile(samples.area, balls),
+        normal=np.tile(samples.normal, (balls, 1)),
+        body=np.repeat(np.arange(balls), len(samples.X)),
+    )  # fmt: skip
+    skin = sphere(1.0, FINE)
+    setup = ContactSetup(
+        skins=tuple(Skin(points=skin.points + at, triangles=skin.triangles) for at in shift)
+    )
+    made = elastic(E=YOUNG, nu=POISSON, density=DENSITY, restitution=1.0, friction=friction)
+    # The gaps, and some contact times (a tenth of a second each).
+    seconds = (balls - 1) * ((apart - 2.0) / speed + 0.6)
+    frames = 24 * (balls - 1)
+    s = settings(device, frames=frames, fps=frames / seconds)
+    start = [(speed, 0.0, 0.0)] + [(0.0, 0.0, 0.0)] * (balls - 1)
+    solver = TotalLagrangian(many, [made], s, samples=on, velocity=start, contact_setup=setup)
+    seen = list(solver.frames())
+    m = solver.body.m
+    mass = np.bincount(of, m)
+    along = np.bincount(of, m * seen[-1].particles.v[:, 0]) / mass
+    return Crash(
+        speed=speed, health=tuple(f.health for f in seen), velocity=along, mass=mass
+    )  # fmt: skip
+
+
+def copies(X: Floats, shift: Floats) -> Floats:
+    """X (n, 3) at each shift (B, 3), one after the other."""
+    return np.concatenate([X + at for at in shift])
+
+
+def kept(name: str, seen: Crash) -> Iterator[Measure]:
+    """What no collision changes."""
+    for what, value in (
+        ("momentum", seen.momentum_change), ("angular-momentum", seen.angular_change)
+    ):  # fmt: skip
+        yield Measure(
+            name=f"{what}.{name}", value=value, target=0.0, bound=ROUNDING,
+            why="forces of a pair have no sum and no moment: float32 sums over some hundred"
+            " substeps, 6e-8 each",
+        )  # fmt: skip
+    yield Measure(
+        name=f"planes.{name}", value=seen.put_in, target=0.0, bound=1e-3,
+        why="new contact planes store what the old ones did; a thousandth is what issue 19 allows",
+    )  # fmt: skip
+
+
+def collisions(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
+    """Two balls aside and in line, and a cradle of three; those in line at all counts."""
+
+    def run(device: str) -> Iterator[Measure]:
+        yield from kept("aside", crash(counts[0], 2, device, aside=0.5, friction=0.5))
+        seen = [crash(count, 2, device) for count in counts]
+        yield from kept("head-on", seen[-1])
+        ringing = Curve(
+            title="energy left ringing in two balls", x_label="particles a ball",
+            y_label="of the energy at the start", x=tuple(map(float, counts)),
+            y=tuple(one.ringing for one in seen),
+        )  # fmt: skip
+        last = seen[-1].health[-1]
+        total = (last.kinetic + last.elastic + last.contact) / seen[-1].scale
+        yield Measure(
+            name="energy.head-on", value=total, target=1.0, bound=5e-3,
+            why="nothing damps: position Verlet's energy swings by up to (w dt)^2 / 4 of what the"
+            " stiffest vibrations hold, and those are a hundredth of what rings",
+            curve=ringing,
+        )  # fmt: skip
+        lost = tuple(1.0 - one.restitution for one in seen)
+        yield Measure(
+            name=f"restitution.head-on.{counts[0]}", value=seen[0].restitution, target=1.0,
+            bound=0.03, kind=AT_LEAST,
+            why="slow balls part as fast as they met but for what rings in them: issue 19 asks for"
+            " .97 of coarse balls; finer ones are in the curve, .982 at 3,000 particles for .99",
+            curve=Curve(
+                title="speed lost by two balls", x_label="particles a ball", y_label="1 - e",
+                x=tuple(map(float, counts)), y=lost,
+            ),
+        )  # fmt: skip
+        yield from kept("cradle", crash(counts[0], 3, device))
+
+    return run
+
+
+CASES = (
+    Case(
+        name="collisions",
+        what="Equal elastic balls run into each other, nothing damps: two in line, two aside with"
+        " friction, three in a row.  Momentum, angular momentum, the energy that contact gives,"
+        " and the restitution.",
+        source="conservation laws; Hertz: slow elastic balls part as fast as they met",
+        quick=collisions((600, 1500)),
+        full=collisions((600, 1500, 3000)),
+    ),
+)

@@ -1,0 +1,101 @@
+"""A block on a slope: it sticks below the angle of friction, and slides as Coulomb says above."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.materials import G0
+from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Skin
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, settings
+from gf_usd.verify.case import RELATIVE, Case, Measure
+
+FRICTION = 0.5  # its angle is 26.6 degrees
+SECONDS = 2  # that are watched; the last of them is measured
+
+
+def base(cells: int) -> SurfaceSamples:
+    """Samples of the lower face of a cube of 1 m, each of the same area."""
+    n = 2 * cells
+    at = (np.arange(n) + 0.5) / n
+    X = np.array([[x, 0.0, z] for x in at for z in at])
+    down = np.tile([0.0, -1.0, 0.0], (len(X), 1))
+    return SurfaceSamples(X=X, area=np.full(len(X), 1.0 / len(X)), normal=down)
+
+
+def plane() -> Collider:
+    """The half space below y = 0."""
+    corners = np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]])
+    return Collider(
+        path="/Slope", shape="plane", points=corners, triangles=np.array([[0, 1, 2], [0, 2, 3]]),
+        linear=np.eye(3)[None], offset=np.zeros((1, 3)),
+        spec=PhysicsMaterialSpec(dynamic_friction=FRICTION, restitution=None),
+    )  # fmt: skip
+
+
+def speeds(degrees: float, cells: int, obstacle: bool, device: str) -> Floats:
+    """Speed [m/s] down the slope at each frame of a block that is put on it.
+
+    The slope is level and gravity leans.  obstacle : it is a collider in place of the floor.
+    """
+    lean = np.radians(degrees)
+    s = settings(
+        device, frames=int(SECONDS * FPS) + 1, floor=None if obstacle else 0.0,
+        gravity=(G0 * np.sin(lean), -G0 * np.cos(lean), 0.0),
+    )  # fmt: skip
+    made = elastic(
+        E=1e6, nu=0.3, density=1000.0, friction=FRICTION, restitution=0.1, damping_time=0.01
+    )
+    body = block(np.zeros(3), (cells,) * 3, 1.0 / cells, places=GAUSS)
+    cube = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    floor = np.array([[0, 4, 5], [0, 5, 1]])  # nobody faces the block: a part of its skin will do
+    setup = ContactSetup(skins=(Skin(points=cube, triangles=floor),), colliders=(plane(),))
+    solver = TotalLagrangian(
+        body, [made], s, samples=base(cells), contact_setup=setup if obstacle else None
+    )
+    return np.array([f.health.momentum[0] / f.health.mass for f in solver.frames()])
+
+
+def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
+    """Blocks of so many cells along an edge, on the floor and on an obstacle."""
+
+    def run(device: str) -> Iterator[Measure]:
+        second = slice(-int(FPS) - 1, None)
+        for n in cells:
+            for obstacle in (False, True):
+                what = f"{'obstacle' if obstacle else 'floor'}.{n}"
+                free = G0 * np.sin(np.radians(20.0)) * (SECONDS - 0.5)
+                creep = float(speeds(20.0, n, obstacle, device)[second].mean())
+                yield Measure(
+                    name=f"creep.{what}", value=abs(creep) / free, target=0.0, bound=1e-3,
+                    why="below the angle of friction nothing moves; mean of the last second, over"
+                    " the speed that gravity alone would give",
+                )  # fmt: skip
+                v = speeds(35.0, n, obstacle, device)[second]
+                lean = np.radians(35.0)
+                yield Measure(
+                    name=f"slide.{what}", value=float(v[-1] - v[0]),
+                    target=float(G0 * (np.sin(lean) - FRICTION * np.cos(lean))), bound=0.01,
+                    kind=RELATIVE, unit="m/s^2",
+                    why="all samples slip, so that friction is mu times what presses; the block"
+                    " trembles by less than .01 m/s, of 1.6 m/s gained in a second",
+                )  # fmt: skip
+
+    return run
+
+
+CASES = (
+    Case(
+        name="slope",
+        what="A block of 1 m with a friction of .5 is put on slopes of 20 and 35 degrees, floor"
+        " and obstacle.  On the first it must not creep, on the second slide with Coulomb's"
+        " acceleration.",
+        source="Coulomb: a = g (sin - mu cos) above atan(mu), 0 below",
+        quick=friction((3,)),
+        full=friction((3, 6)),
+    ),
+)
