@@ -48,7 +48,8 @@ def surface(of: Distance, low: tuple, high: tuple, step: float) -> Mesh:
     axes = [np.arange(a - step, b + 2.0 * step, step) for a, b in zip(low, high)]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     X = np.stack([x.ravel(), y.ravel(), z.ravel()], 1)
-    points, triangles, _ = igl.marching_cubes(of(X), X, *(len(a) for a in axes), 0.0)
+    nx, ny, nz = map(len, axes)
+    points, triangles, _ = igl.marching_cubes(of(X), X, nx, ny, nz, 0.0)
     triangles = triangles.astype(np.int64)
     return points, triangles if signed_volume(points, triangles) > 0.0 else triangles[:, ::-1]
 
