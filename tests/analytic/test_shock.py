@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -22,7 +24,7 @@ def behind() -> tuple[float, float]:
     def momentum(J: float) -> float:
         return -(MU * (J - 1.0 / J) + LAM * np.log(J) / J) - DENSITY * SPEED**2 / (1.0 - J)
 
-    J = float(brentq(momentum, 0.05, 0.9))
+    J: Any = brentq(momentum, 0.05, 0.9)
     return J, SPEED / (1.0 - J)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import igl
 import numpy as np
@@ -48,7 +49,9 @@ def surface(of: Distance, low: tuple, high: tuple, step: float) -> Mesh:
     axes = [np.arange(a - step, b + 2.0 * step, step) for a, b in zip(low, high)]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     X = np.stack([x.ravel(), y.ravel(), z.ravel()], 1)
-    points, triangles, _ = igl.marching_cubes(of(X), X, *(len(a) for a in axes), 0.0)
+    nx, ny, nz = map(len, axes)
+    made: Any = igl.marching_cubes(of(X), X, nx, ny, nz, 0.0)
+    points, triangles, _ = made
     triangles = triangles.astype(np.int64)
     return points, triangles if signed_volume(points, triangles) > 0.0 else triangles[:, ::-1]
 

@@ -76,6 +76,10 @@ def test_a_sample_is_bakeable_and_its_numbers_are_those_of_the_plan(tmp_path, mo
     assert (body["fill"], body["watertight"], body["quads"]) == ("filled", True, 3488)
     assert out["body"]["particles"] == len(plan.particles)
     assert out["body"]["volume_m3"] == pytest.approx(body["volume_m3"])
+    across = out["body"]["thickness_5_percent"] / out["body"]["spacing"]
+    assert out["body"]["particles_across"] == pytest.approx(across)
+    assert 0.0 < out["body"]["thickness_5_percent"] < out["body"]["thickness_median"]
+    assert out["body"]["thickness_median"] < max(out["size"])
     assert out["materials"][0]["substeps_per_frame"] == prepared.solvers.substeps(plan.variants[0])
     assert list(tmp_path.iterdir()) == []
 
