@@ -16,6 +16,7 @@ nodes with: it moves with its body.  So do shells that touch.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import igl
 import numpy as np
@@ -273,7 +274,7 @@ def _through_open_faces(rows: Patches, parts: _Parts) -> Ints:
         middles.append(rows.keys.ijk(known[here]) + 0.5 + 0.5 * np.eye(3)[axis])
     cells, middle = np.concatenate(pairs), np.concatenate(middles)
     # A face of a full cell lies in the solid.
-    inside = (cut[cells] < 0).any(1)
+    inside: Any = (cut[cells] < 0).any(1)
     between = ~inside
     body = rows.keys.body(known[cells[between, 0]])
     inside[between] = rows.skins.inside(middle[between], body)

@@ -142,13 +142,17 @@ class NodeCopies:
         """Rows (n, M) of a fit at places `at` (n, 3) [cells] that knows nodes of their limbs only.
 
         copy : (n,) of the cell that each belongs to; node_ijk : (M, 3); counts : (M,) the nodes it
-        may use.
+        may use.  A row is empty where the solid leads to none.
         """
         home, group = np.unique(copy, return_inverse=True)
         group = group.ravel()
         of, node = self.around(home, counts)
         # Each group far from the others, about its own cell.
-        local, nodes = at - self.cell[home][group], node_ijk[node] - self.cell[home][of]
+        some = np.flatnonzero(np.bincount(of, minlength=len(home))[group])
+        if not len(some):
+            return sparse.csr_matrix((len(at), len(node_ijk)))
+        group = group[some]
+        local, nodes = at[some] - self.cell[home][group], node_ijk[node] - self.cell[home][of]
         span = 8.0 * (1.0 + max(np.abs(local).max(initial=0.0), np.abs(nodes).max(initial=0.0)))
         aside = np.array([np.ceil(span), 0.0, 0.0])
         rows = fit(
@@ -157,7 +161,10 @@ class NodeCopies:
         put = sparse.csr_matrix(
             (np.ones(len(node)), (np.arange(len(node)), node)), shape=(len(node), len(node_ijk))
         )
-        return sparse.csr_matrix(rows @ put)
+        back = sparse.csr_matrix(
+            (np.ones(len(some)), (some, np.arange(len(some)))), shape=(len(at), len(some))
+        )
+        return sparse.csr_matrix(back @ (rows @ put))
 
 
 def number_nodes(copies: CellCopies, shift: Ints) -> tuple[Ints, Ints, Ints, Ints]:

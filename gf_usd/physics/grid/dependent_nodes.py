@@ -90,6 +90,16 @@ def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
     return np.where(beyond, np.inf, distance)[:, :width], near[:, :width]
 
 
+def replaced(rows: sparse.csr_matrix, which: Ints, by: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Rows (n, m) with some of them (k,) replaced by others (k, m)."""
+    if not len(which):
+        return rows
+    back = np.arange(rows.shape[0])
+    back[which] = rows.shape[0] + np.arange(len(which))
+    both: sparse.csr_matrix = sparse.csr_matrix(sparse.vstack([rows, by]))
+    return sparse.csr_matrix(both[back])
+
+
 class Fits:
     """Rows over nodes for places between and beyond them; each knows the nodes of its limb only.
 
@@ -111,25 +121,24 @@ class Fits:
         seed : (n,) node that each belongs to; None: the nearest.
         """
         nodes = np.flatnonzero(counts)
-        rows = self._fit(affine_fit, at, nodes, home)
+        rows = self._or_nearest(self._fit(affine_fit, at, nodes, home), at, nodes)
         if self._cells is None or not len(at):
             return rows
-        if seed is None:
-            seed = kd_tree(self.ijk).query(at)[1]
-        astray = self._cells.astray(rows, nodes, seed)
+        own: Ints = kd_tree(self.ijk).query(at)[1] if seed is None else seed
+        astray = self._cells.astray(rows, nodes, own)
         if len(home):
             astray = astray[home[astray] < 0]
         if not len(astray):
             return rows
         cells = self._cells.as_copies
-        within = cells.through_solid(
-            affine_fit, at[astray], cells.home[seed[astray]], self.ijk, counts
-        )[:, nodes]
-        # A fleck that has no such nodes of its own goes with whatever is nearest.
-        own = np.diff(within.indptr) > 0
-        back = np.arange(len(at))
-        back[astray[own]] = len(at) + np.flatnonzero(own)
-        return sparse.csr_matrix(sparse.vstack([rows, within], format="csr")[back])
+        home = cells.home[own[astray]]
+        within = cells.through_solid(affine_fit, at[astray], home, self.ijk, counts)[:, nodes]
+        return replaced(rows, astray, self._or_nearest(within, at[astray], nodes))
+
+    def _or_nearest(self, rows: sparse.csr_matrix, at: Ints, nodes: Ints) -> sparse.csr_matrix:
+        """Rows with the nearest of nodes in those that have none: a fleck without free nodes."""
+        empty = np.flatnonzero(np.diff(rows.indptr) == 0)
+        return replaced(rows, empty, affine_fit(at[empty], self.ijk[nodes]))
 
     def between(self, at: Floats, nodes: Ints, home: Ints) -> sparse.csr_matrix:
         """`interpolation` at (n, 3) [cells] of a field on nodes (m,); home as in `affine`."""

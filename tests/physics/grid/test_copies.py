@@ -18,7 +18,7 @@ from gf_usd.physics.grid.dependent_nodes import affine_fit
 from gf_usd.physics.grid.embedding import embedded_rows, pose
 from gf_usd.physics.grid.reference import build_stencil
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, comb, elastic, put, settings
+from gf_usd.verify.bodies import ball, block, comb, elastic, put, settings
 from gf_usd.verify.cases import limbs as case
 
 SPACING, WIDTH, LENGTH, GAP = 0.1, 0.43, 2.2, 0.05
@@ -265,3 +265,17 @@ def test_each_body_has_the_copies_that_it_has_alone() -> None:
         a = together.rows(both.X, both.body, both.copies.of).W[mine][:, np.flatnonzero(free)]
         b = single.rows(alone.X, None, copies.of).W
         np.testing.assert_allclose((a @ a.T).toarray(), (b @ b.T).toarray(), atol=1e-9)
+
+
+def test_a_fleck_without_free_nodes_goes_with_what_is_nearest() -> None:
+    """Eight light particles off a block: no node of theirs is free, and none is left at rest."""
+    body = block((0.0, 0.0, 0.0), (4, 4, 4), 1.0)
+    fleck = np.array([[7.3, 2.1, 2.2], [7.4, 2.3, 2.1]])
+    X = np.concatenate([body.X, fleck])
+    m = np.concatenate([body.V0, np.full(2, 1e-6)])
+    made = build_stencil(X, m, 1.0, np.zeros(3))
+    rows = made.follow
+    np.testing.assert_allclose(np.asarray(rows.sum(1)).ravel(), 1.0, atol=1e-9)
+    far = made.node_X[made.free_count :, 0] > 6.0
+    assert far.any()
+    np.testing.assert_allclose(made.rows(fleck).W @ made.free_X, fleck, atol=1e-8)
