@@ -23,7 +23,7 @@ from scipy.sparse import coo_matrix
 from gf_usd.core.arrays import Floats, Ints, lengths
 from gf_usd.core.mesh import shells
 from gf_usd.core.neighbors import components
-from gf_usd.geometry.connected.pieces import cut
+from gf_usd.geometry.sampling.pieces import cut
 from gf_usd.geometry.solid import Solid
 from gf_usd.geometry.surface import barycentric
 from gf_usd.geometry.winding import Edges, winding_inside
