@@ -128,7 +128,9 @@ def _parts(
     held = inside(P)
     if not held.any():
         return []
-    label = ndimage.label(held.reshape((LATTICE,) * 3))[0].ravel()
+    label: Ints = np.zeros((LATTICE,) * 3, np.int64)
+    ndimage.label(held.reshape(label.shape), output=label)
+    label = label.ravel()
     if label.max() == 1:
         away = P - P[held].mean(0)
         longest = np.linalg.svd(away[held], full_matrices=False)[2][0]

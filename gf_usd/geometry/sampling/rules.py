@@ -159,7 +159,7 @@ def mean_and_root(moments: Floats) -> tuple[Floats, Floats]:
 
 def _keeps(rule: Floats, own_image: Flags) -> Flags:
     """(n,) whether a rule is its own image across all axes (n, 3) that a cell is."""
-    return ~(own_image & ~_images(rule)).any(1)
+    return np.asarray(~(own_image & ~_images(rule)).any(1))
 
 
 def _images(rule: Floats) -> Flags:
