@@ -13,21 +13,17 @@ from collections.abc import Iterator, Sequence
 from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
-    bar,
-    cantilever,
     drop,
     flight,
     floor,
     law,
     limbs,
-    locking,
-    manufactured,
     patch,
     sampling,
     sides,
-    vibration,
 )
 from gf_usd.verify.cases.contact import collisions, hertz, slope
+from gf_usd.verify.cases.elastic import bar, cantilever, locking, manufactured, vibration
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,

@@ -18,9 +18,9 @@ from gf_usd.verify.bodies import (
     virial,
 )
 from gf_usd.verify.cases import manufactured
-from gf_usd.verify.cases.cantilever import Beam
+from gf_usd.verify.cases.elastic.cantilever import Beam
+from gf_usd.verify.cases.elastic.locking import standard
 from gf_usd.verify.cases.floor import no_pull
-from gf_usd.verify.cases.locking import standard
 
 
 @pytest.mark.parametrize("places", [GAUSS, MIDDLE])

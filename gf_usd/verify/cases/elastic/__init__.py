@@ -1,0 +1,1 @@
+"""Elastic bodies against closed forms and finite elements."""
