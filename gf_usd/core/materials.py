@@ -62,6 +62,18 @@ class LawSpec:
     internal: tuple[Internal, ...] = ()
 
 
+YIELD_STRESS = Parameter(
+    name="yield_stress", unit="Pa", attribute="yieldStress", default=1e9,
+    meaning="Stress at which the material begins to flow: equivalent, before any hardening.",
+    label="Yield stress",
+)  # fmt: skip
+HARDENING = Parameter(
+    name="hardening", unit="Pa", attribute="hardening", default=0.0,
+    meaning="Growth of the yield stress with the equivalent plastic strain, or, of crushable"
+    " materials, with the logarithm of the volume that they have lost for good.",
+    label="Hardening",
+)  # fmt: skip
+
 LAWS: dict[str, LawSpec] = {
     row.token: row
     for row in (
@@ -71,8 +83,53 @@ LAWS: dict[str, LawSpec] = {
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
         LawSpec(token="neoHookean", code=".neo_hookean", source="Bonet and Wood 2008, eq. 6.28"),
+        LawSpec(
+            token="vonMises",
+            code=".von_mises",
+            source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                Parameter(
+                    name="saturation", unit="Pa", attribute="saturation", default=0.0,
+                    meaning="Hardening that saturates: what the yield stress gains by it at most.",
+                    label="Saturating hardening",
+                ),
+                Parameter(
+                    name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
+                    meaning="Plastic strains e-fold the rest of the saturating hardening this many"
+                    " times per unit.",
+                    label="Saturation rate",
+                ),
+                Parameter(
+                    name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
+                    meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
+                    " once.",
+                    label="Viscosity of flow",
+                ),
+            ),
+            flows=True,
+            internal=(Internal(name="plastic_strain", rest=0.0),),
+        ),
+        LawSpec(
+            token="crushable",
+            code=".crushable",
+            source="Deshpande and Fleck 2000 (isotropic crushable foam)",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                Parameter(
+                    name="cap_shape", unit="", attribute="capShape", default=2.12,
+                    meaning="Shape alpha of the yield surface, an ellipse of pressure and shear:"
+                    " 3 / sqrt(2) keeps the width of what is pressed along one axis.",
+                    label="Shape of the cap", low=0.1, high=2.9,
+                ),
+            ),
+            flows=True,
+            internal=(Internal(name="lost_volume", rest=0.0),),
+        ),
     )
-}
+}  # fmt: skip
 
 
 def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]:

@@ -1,0 +1,158 @@
+"""Hencky's elastic law, in principal stretches: what laws with plastic flow are built on.
+
+    psi = mu sum e_i^2 + lam/2 (sum e_i)^2,   e_i = ln s_i,   F = U diag(s) V^T
+    P = U diag((2 mu e_i + lam sum e) / s_i) V^T
+
+[Hencky 1928; Simo and Hughes 1998, section 9.3].  The logarithm is continued below s = 0.1 as in
+`neo_hookean`, so that both are defined for every F; where det F < 0 the smallest stretch counts as
+negative.  A return mapping in e is the one of small strains (box 9.1 there).
+"""
+
+import numpy as np
+import taichi as ti
+
+from gf_usd.physics.laws.neo_hookean import log_extended, log_extended_slope
+from gf_usd.physics.laws.simd3x3 import (
+    cofactor,
+    determinant,
+    let,
+    product,
+    put,
+    unrolled,
+)
+
+SWEEPS = 6  # of Jacobi's iteration, which converges quadratically
+SMALL = 1e-6  # a stretch that is divided by is at least this large
+J_EXTENSION = 0.1  # s from which the logarithm is continued
+
+
+@unrolled
+def turn(D, C, V, p, q, r):
+    """Jacobi's rotation in the plane of p and q; C[r] is the entry at p and q."""
+    d = let(D[q] - D[p])
+    size = let(ti.sqrt(d * d + 4.0 * C[r] * C[r]) + ti.select(d >= 0.0, d, 0.0 - d) + 1e-30)
+    t = let(ti.select(d >= 0.0, 2.0 * C[r], -2.0 * C[r]) / size)
+    c = let(1.0 / ti.sqrt(1.0 + t * t))
+    s = let(t * c)
+    put(D[p], D[p] - t * C[r])
+    put(D[q], D[q] + t * C[r])
+    put(C[r], C[r] * 0.0)
+    rp = let(C[q])
+    put(C[q], c * rp - s * C[p])
+    put(C[p], s * rp + c * C[p])
+    for a in range(0, 9, 3):
+        v = let(V[a + p])
+        put(V[a + p], c * v - s * V[a + q])
+        put(V[a + q], s * v + c * V[a + q])
+
+
+@unrolled
+def gram(F):
+    """Diagonal and other entries of F^T F; those of the plane of p and q at the third number."""
+
+    def dot(p, q):
+        return F[p] * F[q] + F[3 + p] * F[3 + q] + F[6 + p] * F[6 + q]
+
+    return [dot(0, 0), dot(1, 1), dot(2, 2)], [dot(1, 2), dot(0, 2), dot(0, 1)]
+
+
+@ti.func
+def stretches(F):
+    """Signed stretches s and their directions at rest, F^T F = V diag(s^2) V^T."""
+    zero = F[0] * 0.0
+    one = zero + 1.0
+    V = [one, zero, zero, zero, one, zero, zero, zero, one]
+    D, C = gram(F)
+    for _ in range(SWEEPS):
+        turn(D, C, V, 0, 1, 2)
+        turn(D, C, V, 0, 2, 1)
+        turn(D, C, V, 1, 2, 0)
+    J = determinant(F, cofactor(F))
+    first = (D[0] <= D[1]) & (D[0] <= D[2])
+    second = (D[1] < D[0]) & (D[1] <= D[2])
+    third = (D[2] < D[0]) & (D[2] < D[1])
+    s0 = ti.sqrt(ti.max(D[0], 0.0))
+    s1 = ti.sqrt(ti.max(D[1], 0.0))
+    s2 = ti.sqrt(ti.max(D[2], 0.0))
+    s0 = ti.select((J < 0.0) & first, 0.0 - s0, s0)
+    s1 = ti.select((J < 0.0) & second, 0.0 - s1, s1)
+    s2 = ti.select((J < 0.0) & third, 0.0 - s2, s2)
+    return [s0, s1, s2], V
+
+
+@unrolled
+def spectral(d, V):
+    """V diag(d) V^T."""
+    left = let([V[3 * a + i] * d[i] for a in range(3) for i in range(3)])
+    return let(product(left, [V[3 * b + a] for a in range(3) for b in range(3)]))
+
+
+@ti.func
+def over(p, s):
+    """p / s, finite where s is not."""
+    return p / ti.select(s >= 0.0, ti.max(s, SMALL), ti.min(s, -SMALL))
+
+
+@ti.func
+def exp(x):
+    """e^x, lane by lane."""
+    return ti.Vector([ti.exp(x[lane]) for lane in ti.static(range(x.n))])
+
+
+@ti.func
+def strains(F):
+    """Deviator d_i and trace of e, and the directions V."""
+    s, V = stretches(F)
+    e0 = log_extended(s[0])
+    e1 = log_extended(s[1])
+    e2 = log_extended(s[2])
+    trace = e0 + e1 + e2
+    mean = trace / 3.0
+    return [e0 - mean, e1 - mean, e2 - mean], trace, V
+
+
+@ti.func
+def psi(F, q, converged):
+    """psi = mu sum e_i^2 + lam/2 (sum e_i)^2."""
+    s, _ = stretches(F)
+    e0 = log_extended(s[0])
+    e1 = log_extended(s[1])
+    e2 = log_extended(s[2])
+    trace = e0 + e1 + e2
+    return q[0] * (e0 * e0 + e1 * e1 + e2 * e2) + 0.5 * q[1] * trace * trace
+
+
+@ti.func
+def pk1(F, q, converged):
+    """P = F V diag(p_i / s_i) V^T, p_i = (2 mu e_i + lam sum e) de_i/ds_i."""
+    s, V = stretches(F)
+    e0 = log_extended(s[0])
+    e1 = log_extended(s[1])
+    e2 = log_extended(s[2])
+    m = 2.0 * q[0]
+    pressure = q[1] * (e0 + e1 + e2)
+    p0 = over((m * e0 + pressure) * log_extended_slope(s[0]), s[0])
+    p1 = over((m * e1 + pressure) * log_extended_slope(s[1]), s[1])
+    p2 = over((m * e2 + pressure) * log_extended_slope(s[2]), s[2])
+    return product(F, spectral([p0, p1, p2], V))
+
+
+def logarithms(s):
+    """e (N, 3) of signed stretches."""
+    t = (np.minimum(s, J_EXTENSION) - J_EXTENSION) / J_EXTENSION
+    return np.log(np.maximum(s, J_EXTENSION)) + t - 0.5 * t * t
+
+
+def stored(s, J, q):
+    """psi of signed stretches."""
+    del J
+    e = logarithms(s)
+    return q[0] * (e * e).sum(1) + 0.5 * q[1] * e.sum(1) ** 2
+
+
+def moduli(s, J, q):
+    """2 mu (1 - e) / s^2 of the smallest stretch, lam (1 - ln J) / J^2; not less than at rest."""
+    least = np.clip(s.min(1), J_EXTENSION, 1.0)
+    volume = np.clip(J, J_EXTENSION, 1.0)
+    shear = 2.0 * q[0] * (1.0 - np.log(least)) / least**2
+    return shear, q[1] * (1.0 - np.log(volume)) / volume**2
