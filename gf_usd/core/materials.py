@@ -230,7 +230,7 @@ DIMENSIONLESS: dict[str, DimensionlessPreset] = {
             parameters={"yield_stress": 3.0, "hardening": 3.0, "flow_viscosity": 0.3},
         ),
         DimensionlessPreset(
-            name="foam", mu=26.0, lam=13.0, density=60.0, damping=0.005, friction=0.9,
+            name="styrofoam", mu=26.0, lam=13.0, density=60.0, damping=0.005, friction=0.9,
             restitution=0.1, law="crushable", note="is crushed where it is hit, and stays smaller",
             parameters={"yield_stress": 4.0, "hardening": 15.0, "cap_shape": 2.12},
         ),
@@ -305,8 +305,8 @@ PHYSICAL: dict[str, Physical] = {
             source="a filled, hard elastomer such as a tyre's tread, to an order of magnitude",
         ),
         Physical(
-            name="flexible-foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
-            damping_time=1e-4, restitution=0.5,
+            name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
+            damping_time=2e-3, restitution=0.5,
             source=f"{ASHBY} 1-3 MPa (flexible polymer foam, low density)",
         ),
         Physical(

@@ -29,7 +29,7 @@ def Material "Clay"
     float physics:youngsModulus = 1000
     float physics:poissonsRatio = 0.4
     float physics:density = 0.0016
-    uniform token gaussianFlesh:law = "vonMises"
+    uniform token gaussianFlesh:law = "testFlow"
     uniform float gaussianFlesh:yieldStress = %s
 }
 """
@@ -128,7 +128,7 @@ def test_the_schema_gets_its_token_and_attributes() -> None:
     )
     law = material.attributes["gaussianFlesh:law"]
     assert list(law.allowedTokens) == list(LAWS)
-    assert law.documentation.endswith("Range: corotated, neoHookean, vonMises")
+    assert law.documentation.endswith("Range: corotated, neoHookean, vonMises, crushable, testFlow")
     one, each = (p.attributes["gaussianFlesh:yieldStress"] for p in (material, particles))
     assert (one.typeName, one.default) == (Sdf.ValueTypeNames.Float, 1e9)
     assert each.typeName == Sdf.ValueTypeNames.FloatArray
