@@ -22,6 +22,7 @@ from gf_usd.verify.cases import (
     locking,
     manufactured,
     patch,
+    plastic,
     sides,
 )
 
@@ -36,6 +37,7 @@ CASES: tuple[Case, ...] = (
     *manufactured.CASES,
     *floor.CASES,
     *drop.CASES,
+    *plastic.CASES,
     *sides.CASES,
 )
 
