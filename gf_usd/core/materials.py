@@ -48,6 +48,9 @@ class Internal:
 
     name: str
     rest: float  # before anything has happened
+    attribute: str = ""  # in the namespace gaussianFlesh, of particles; "": it is never written
+    meaning: str = ""  # a sentence, for the schema
+    label: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +112,13 @@ LAWS: dict[str, LawSpec] = {
                 ),
             ),
             flows=True,
-            internal=(Internal(name="plastic_strain", rest=0.0),),
+            internal=(
+                Internal(
+                    name="plastic_strain", rest=0.0, attribute="plasticStrain",
+                    meaning="Equivalent plastic strain of each particle, summed over its past.",
+                    label="Plastic Strain",
+                ),
+            ),
         ),
         LawSpec(
             token="crushable",
@@ -126,7 +135,14 @@ LAWS: dict[str, LawSpec] = {
                 ),
             ),
             flows=True,
-            internal=(Internal(name="lost_volume", rest=0.0),),
+            internal=(
+                Internal(
+                    name="lost_volume", rest=0.0, attribute="lostVolume",
+                    meaning="Logarithm of the volume that each particle has lost for good: rest"
+                    " volume over what is left of it.",
+                    label="Lost Volume",
+                ),
+            ),
         ),
     )
 }  # fmt: skip
@@ -137,6 +153,13 @@ def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]
     wanted = set(LAWS if tokens is None else tokens)
     rows = [row for token, row in LAWS.items() if token in wanted]
     return tuple({p.name: p for row in rows for p in row.parameters}.values())
+
+
+def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
+    """The internal variables of laws that are written, one of each name; None: of all laws."""
+    wanted = set(LAWS if tokens is None else tokens)
+    rows = [row for token, row in LAWS.items() if token in wanted]
+    return tuple({v.name: v for row in rows for v in row.internal if v.attribute}.values())
 
 
 def check_law(law: str) -> str:

@@ -103,6 +103,7 @@ class FrameBuilder:
                 velocities=gaussians.velocities * s.time_scale,
                 F=frame.particles.F if s.deformation_gradients else None,
                 stress=frame.stress,
+                internal=frame.internal,
             ),
             health=frame.health,
             splats=splats if self._surfaces else {},

@@ -225,6 +225,14 @@ class StateView:
             return F
         return F @ self._plastic
 
+    @property
+    def internal(self) -> dict[str, Floats]:
+        """(N,) of each internal variable by name: see `ParticleLaws.internal`."""
+        if not self._body.law.set.flows:
+            return {}
+        history = layout.from_lanes(self._body.layout, self._given[-2])
+        return self._body.law.internal(history.astype(float))
+
     @cached_property
     def _plastic(self) -> Floats:
         """F_p^-1 (N, 3, 3)."""
