@@ -21,7 +21,7 @@ HARDENING = 0.1  # [mu]
 
 
 @ti.func
-def flow(F, q, a, dt):
+def flow(F, q, a, dt, converged):
     """Radial return: with y the excess, e -= g n and a += sqrt(2/3) g, g = y / (2 mu + 2/3 H)."""
     d, _, V = strains(F)
     size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
@@ -32,4 +32,4 @@ def flow(F, q, a, dt):
     r = 0.0 - g / ti.max(size, 1e-30)
     E = F
     choose(E, y, product(F, spectral([exp(r * d[0]), exp(r * d[1]), exp(r * d[2])], V)))
-    return E, [a[0] + ti.sqrt(2.0 / 3.0) * g]
+    return E, [a[0] + ti.sqrt(2.0 / 3.0) * g], (m * size - m * g) * g
