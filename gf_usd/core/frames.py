@@ -24,6 +24,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CellCopies:
+    """Cells of the grid that a solid fills, each once for every connected part of the solid in it.
+
+    Where limbs are near each other a cell has several copies, and so have nodes (docs/physics.md).
+    """
+
+    h: float  # [m] edge of a cell; cells start at `Particles.corner`
+    cell: Ints  # (K, 3) cell of each copy, counted from there
+    body: Ints  # (K,) as in Particles
+    links: Ints  # (E, 2) copies of cells with a common face, across which the solid is connected
+    of: Ints  # (N,) copy of each particle; some copies have none
+
+
+@dataclass(frozen=True, kw_only=True)
 class Particles:
     """Quadrature points of the solid and their rest Gaussians."""
 
@@ -41,6 +55,7 @@ class Particles:
     corner: Floats  # (3,) [m] a corner of the lattice: grid cells are laid along it
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
+    copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
 
     def __len__(self) -> int:
         return len(self.X)
@@ -59,6 +74,7 @@ class SurfaceSamples:
     area: Floats  # (n,) [m^2] of surface that each stands for
     normal: Floats | None = None  # (n, 3) unit, outward; None: they meet nothing but the floor
     body: Ints | None = None  # (n,) as in Particles
+    cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +160,7 @@ class Health:
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
     overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
     let_go: int = 0  # contact samples at once that seemed deeper than they can have come
-    friction_capped: int = 0  # contact samples whose friction met its stability limit
+    friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was redone with half the step
     work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
@@ -153,6 +169,8 @@ class Health:
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
+    inside_share: float | None = None  # of the surface, inside a body; None: not looked at
+    inside_depth: float | None = None  # [m] of the deepest of it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,3 +135,54 @@ def slopes(D: csr_matrix, values: Floats) -> NDArray[np.float64]:
     """(N, c, 3) of values (N, c): derivative by X_b of component a in place [:, a, b]."""
     n, c = values.shape
     return np.ascontiguousarray((D @ values).reshape(n, 3, c).swapaxes(1, 2))
+
+
+STENCIL = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
+
+
+def node_copies(cell: Ints, links: Ints, loose: Ints) -> tuple[Ints, Ints]:
+    """The nodes of copied cells: copies of a node are one where the solid connects their cells.
+
+    A cell at c has the 27 nodes c + `STENCIL`.  A node of two cells with a common face is one if
+    the cells are linked, and so on from cell to cell; else it has a copy for each, so that there
+    are as many as the solid has connected parts within the node's support.
+
+    cell : (K, 3); links : (E, 2) cells with a common face; loose : (K,) label: a node of cells with
+    different labels, which nothing links anywhere, has one copy only.
+    Returns node (K, 27) from 0, in the order of place and then of copies; and the number of copies
+    of the place of each node.
+    """
+    from scipy.sparse import coo_matrix
+
+    low = cell.min(0)
+    dims = cell.max(0) - low + 3
+    at = cell[:, None, :] - low + STENCIL
+    key = ((at[..., 0] * dims[1] + at[..., 1]) * dims[2] + at[..., 2]).ravel()
+    step = cell[links[:, 1]] - cell[links[:, 0]]
+    ends: list[Ints] = []
+    for axis in range(3):
+        for way in (-1, 1):
+            d = way * np.eye(3, dtype=np.int64)[axis]
+            mine = links[(step == d).all(1)]
+            first = np.flatnonzero(((STENCIL - d >= 0) & (STENCIL - d <= 2)).all(1))
+            second = (STENCIL[first] - d) @ [9, 3, 1]
+            ends.append(
+                np.stack([27 * mine[:, :1] + first, 27 * mine[:, 1:] + second], -1).reshape(-1, 2)
+            )
+    order = np.argsort(key, kind="stable")
+    start = np.flatnonzero(np.diff(key[order], prepend=-1))
+    label = np.repeat(loose, 27)[order]
+    several = np.minimum.reduceat(label, start) != np.maximum.reduceat(label, start)
+    place = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(key))))
+    same = np.flatnonzero((place[1:] == place[:-1]) & several[place[1:]])
+    ends.append(np.stack([order[same], order[same + 1]], 1))
+    a, b = np.concatenate(ends).T
+    part = components(coo_matrix((np.ones(len(a)), (a, b)), shape=(len(key),) * 2))[1]
+    # Nodes in the order of their places, copies of one in the order of their first slots.
+    _, first, part = np.unique(part, return_index=True, return_inverse=True)
+    rank = np.argsort(np.lexsort([first, key[first]]))
+    copies = np.bincount(place[np.argsort(order)][first])
+    node = rank[part.ravel()]
+    count = np.empty(len(first), np.int64)
+    count[rank] = copies[place[np.argsort(order)][first]]
+    return node.reshape(-1, 27), count

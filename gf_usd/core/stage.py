@@ -262,6 +262,7 @@ class Skin:
 
     points: Floats  # (V, 3) [m] at rest
     triangles: Ints  # (T, 3) into points, counter-clockwise seen from outside
+    cell_copy: Ints | None = None  # (V,) into Particles.copies; None where that is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +273,7 @@ class ContactSetup:
     colliders: tuple[Collider, ...] = ()
     through: frozenset[tuple[int, int]] = frozenset()  # (body, body) that pass through each other
     through_colliders: frozenset[tuple[int, int]] = frozenset()  # (body, collider)
-    self_contact: bool = False  # a body meets itself
+    self_contact: frozenset[int] = frozenset()  # bodies that meet themselves
 
     def lowest(self, normal: Floats) -> float:
         """[m] of the lowest obstacle with an end along a normal (3,); inf where there is none."""
@@ -282,7 +283,7 @@ class ContactSetup:
     @property
     def any(self) -> bool:
         """Whether there is anything to meet."""
-        return len(self.skins) > 1 or bool(self.colliders) or self.self_contact
+        return len(self.skins) > 1 or bool(self.colliders) or bool(self.self_contact)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ from gf_usd.core.frames import (
 )
 from gf_usd.core.radiance import Y_0, linear_to_srgb
 from gf_usd.pipeline.checkpoint import Checkpoint
+from gf_usd.pipeline.inside import InsideMeasure
 from gf_usd.prepare.outputs import SplatSequence
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ class FrameBuilder:
     ) -> None:
         self.solver, self._track, self._skin = solver, track, skin
         self._surfaces, self._settings, self._splats = surfaces, settings, splats
+        meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
+        self._inside = None
+        if meshes:
+            self._inside = InsideMeasure(meshes, solver.particles.spacing, settings.frames)
 
     def state(self) -> dict[str, Any]:
         """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
@@ -94,6 +99,10 @@ class FrameBuilder:
             meshes[surface.path] = MeshPose(
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
+        health = frame.health
+        if self._inside and self._inside.asked(frame.index):
+            found = self._inside.measure(frame.index, poses)
+            health = replace(health, inside_share=found.share, inside_depth=found.depth)
         return BakedFrame(
             index=frame.index,
             time_code=s.time_code(frame.index),
@@ -105,7 +114,7 @@ class FrameBuilder:
                 stress=frame.stress,
                 internal=frame.internal,
             ),
-            health=frame.health,
+            health=health,
             splats=splats if self._surfaces else {},
         )
 

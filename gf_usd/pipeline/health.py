@@ -96,6 +96,7 @@ class HealthLog:
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
             "let_go_max": max(f.let_go for f in h),
+            **self._inside(),
             "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),
             "max_J": max(f.max_J for f in h),
@@ -160,6 +161,18 @@ class HealthLog:
         return {
             "resting_penetration_m": last.penetration if rests else None,
             "resting_penetration_spacings": last.penetration / self._spacing if rests else None,
+        }
+
+    def _inside(self) -> dict[str, float | None]:
+        """Of the surface, what lies inside a body; None where nothing was looked at."""
+        looked = [(f.inside_share, f.inside_depth or 0.0) for f in self.frames
+                  if f.inside_share is not None]  # fmt: skip
+        end = self.frames[-1].inside_share
+        return {
+            "inside_at_end_share": end,
+            "inside_at_end_m": None if end is None else self.frames[-1].inside_depth,
+            "inside_max_share": max((share for share, _ in looked), default=None),
+            "inside_max_m": max((depth for _, depth in looked), default=None),
         }
 
     def _momenta(self) -> dict[str, Any]:
@@ -279,6 +292,7 @@ HealthSummary = Mapping[str, Any]
 # the solver redoes the frame.
 ENERGY_GAIN = 1e-3
 REDONE = 0.1  # of the frames: more often than at a hard landing or two
+INSIDE = 0.01  # of the surface: limbs stand in each other, visibly
 DEEP = 1.0  # [spacings] the surface visibly sinks in
 RESTING = (
     0.25  # [spacings] the contact is laid out for 0.08; a narrow foot sinks deeper than a ball
@@ -413,6 +427,18 @@ def _let_go(h: HealthSummary) -> Said:
     )
 
 
+def _inside(h: HealthSummary) -> Said:
+    share = h["inside_at_end_share"]
+    if share is None or share <= INSIDE:
+        return None
+    return (
+        f"{100.0 * share:.2g} % of the surface lies inside a body at the end, up to"
+        f" {1000.0 * h['inside_at_end_m']:.3g} mm deep",
+        "take more --particles, a stiffer material or a lower impact (--drop), and leave"
+        " --no-self-contact out",
+    )
+
+
 def _resting(h: HealthSummary) -> Said:
     depth = h["resting_penetration_spacings"]
     if depth is None or depth <= RESTING:
@@ -445,6 +471,7 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "penetration": _deep,
     "overlap": _overlap,
     "let-go": _let_go,
+    "inside": _inside,
     "resting-depth": _resting,
     "free-flight": _drift,
 }
@@ -477,4 +504,7 @@ def joined(samples: Sequence[Health]) -> Health:
         for name in names
         if getattr(samples[-1], name) is not None
     }
+    for name in ("inside_share", "inside_depth"):
+        known = [getattr(sample, name) for sample in samples if getattr(sample, name) is not None]
+        values[name] = known[-1] if known else None
     return replace(samples[-1], **values)

@@ -375,7 +375,11 @@ def _solver(plan: Plan, variant: Variant) -> Solver:
     if plan.velocity:
         more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
     if plan.settings.solver == "tl" and plan.bodies is not None:
-        more |= {"contact_setup": plan.contact_setup, "embedded_body": plan.bodies.embedded}
+        more |= {
+            "contact_setup": plan.contact_setup,
+            "embedded_body": plan.bodies.embedded,
+            "embedded_copy": plan.riding,
+        }
     return make_solver(
         sampled(variant.settings),
         plan.particles,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import Particles
+from gf_usd.core.frames import Particles, SurfaceSamples
+from gf_usd.core.mesh import shells, signed_volume, weld
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import BodyPhysics, ContactSetup, Skin, StagePhysics
 
@@ -44,7 +45,7 @@ def plan_bodies(
 
     owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
     """
-    from gf_usd.geometry.bodies import find_bodies
+    from gf_usd.geometry.connected.bodies import find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
     of = find_bodies(solid, particles.spacing, owners=owned, combine=combine)
@@ -116,6 +117,54 @@ def _embedded(
     return out
 
 
+@dataclass(frozen=True, kw_only=True)
+class LimbPlan:
+    """A filled solid whose near limbs share no nodes (docs/physics.md)."""
+
+    particles: Particles
+    samples: SurfaceSamples
+    contact_setup: ContactSetup
+    riding: dict[str, Ints] = field(default_factory=dict)  # copies of cells of points, by path
+    notes: tuple[str, ...] = ()
+
+
+def keep_limbs_apart(
+    solid: Solid, bodies: BodyPlan, filled: LimbPlan, riding: Mapping[str, Floats]
+) -> LimbPlan:
+    """The particles with the copies of cells that limbs share, and what rides on which copy.
+
+    riding : (n, 3) [m] points that ride, by prim path.
+    """
+    from gf_usd.geometry.connected.copies import find_limbs
+
+    limbs = find_limbs(solid, filled.particles, bodies.of_surface)
+    if limbs is None:
+        return filled
+    samples, setup = filled.samples, filled.contact_setup
+    skins = tuple(
+        replace(skin, cell_copy=limbs.of_points(skin.points, np.full(len(skin.points), k)))
+        for k, skin in enumerate(setup.skins)
+    )
+    notes = [
+        f"limbs near each other at rest move apart: {limbs.nodes} nodes of the grid are copied"
+    ]
+    if limbs.crowded:
+        notes.append(
+            f"{limbs.crowded} cells of the grid hold so many scraps of surface that limbs in them"
+            " are not told apart"
+        )
+    return LimbPlan(
+        particles=replace(filled.particles, copies=limbs.copies),
+        samples=replace(samples, cell_copy=limbs.of_points(samples.X, samples.body)),
+        contact_setup=replace(setup, skins=skins),
+        riding={
+            path: limbs.of_points(X, np.full(len(X), bodies.embedded[path]))
+            for path, X in riding.items()
+        },
+        notes=tuple(notes),
+    )
+
+
 def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
     """The surface of each body, seen from outside."""
     out = []
@@ -131,9 +180,12 @@ def skins(solid: Solid, of: Ints) -> tuple[Skin, ...]:
 
 
 def contact_setup(
-    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool
+    solid: Solid, bodies: BodyPlan, physics: StagePhysics, *, self_contact: bool | None
 ) -> ContactSetup:
-    """Who meets whom, as the stage wants it."""
+    """Who meets whom, as the stage wants it.
+
+    self_contact : bodies meet themselves; None: those that can, see `rounded`.
+    """
     colliders = physics.colliders
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
     wall = {c.path: k for k, c in enumerate(colliders)}
@@ -148,13 +200,42 @@ def contact_setup(
             mine = body[said.path]
             through |= {(mine, k) for k in range(bodies.count)}
             through_colliders |= {(mine, k) for k in range(len(colliders))}
+    made = skins(solid, bodies.of_surface)
+    meets: set[int] = set()
+    if self_contact is not False:
+        passes = {a for a, b in through if a == b}
+        meets = {k for k, skin in enumerate(made) if self_contact or not rounded(skin)} - passes
     return ContactSetup(
-        skins=skins(solid, bodies.of_surface),
+        skins=made,
         colliders=colliders,
         through=frozenset(through),
         through_colliders=frozenset(through_colliders),
-        self_contact=self_contact,
+        self_contact=frozenset(meets),
     )
+
+
+CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...
+STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folded onto itself
+
+
+def rounded(skin: Skin) -> bool:
+    """Whether a body is one shell, so nearly convex and so stout that it cannot meet itself."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    representative, _ = weld(skin.points)
+    used, triangles = np.unique(representative[skin.triangles], return_inverse=True)
+    if shells(triangles.reshape(-1, 3)).max(initial=0) > 0:
+        return False
+    points = skin.points[used]
+    center = points - points.mean(0)
+    length = np.ptp(center @ np.linalg.svd(center, full_matrices=False)[2].T, axis=0)
+    if length.max() > STOUT * length.min():
+        return False
+    try:
+        hull = ConvexHull(points).volume
+    except QhullError:  # flat to rounding
+        return False
+    return signed_volume(skin.points, skin.triangles) >= CONVEX * hull
 
 
 def start_velocities(

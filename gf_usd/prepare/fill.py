@@ -31,12 +31,18 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
-from gf_usd.prepare.bodies import contact_setup, plan_bodies, start_velocities
+from gf_usd.prepare.bodies import (
+    LimbPlan,
+    contact_setup,
+    keep_limbs_apart,
+    plan_bodies,
+    start_velocities,
+)
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import make_pins
-from gf_usd.prepare.plan import Plan, frame_bytes
+from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
@@ -160,10 +166,20 @@ def fill(
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
-    plan = Plan(
-        asset=asset,
+    limbs = LimbPlan(
         particles=particles,
         samples=samples,
+        contact_setup=contact_setup(
+            solid, bodies, physics,
+            self_contact=False if paper or settings.solver == "ul" else request.self_contact,
+        ),
+    )  # fmt: skip
+    if not paper and request.solver != "ul":
+        limbs = keep_limbs_apart(solid, bodies, limbs, riding_points(asset))
+    plan = Plan(
+        asset=asset,
+        particles=limbs.particles,
+        samples=limbs.samples,
         materials=made,
         tables=tuple(tables),
         settings=each[0],
@@ -175,12 +191,13 @@ def fill(
         pins=pins,
         choices=choices,
         bodies=bodies,
-        contact_setup=contact_setup(solid, bodies, physics, self_contact=request.self_contact),
+        contact_setup=limbs.contact_setup,
+        riding=limbs.riding,
         velocity=tuple(start_velocities(asset, bodies, spec.bodies, settings.time_scale)),
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
             *regional, *own, *physics.notes, *embedded_points, *left, *skin,
             *_options(made, each), *split, *_nothing_remembered(made, settings),
         ),

@@ -291,7 +291,7 @@ def blended(
 
     None where no body has two materials.
     """
-    from gf_usd.geometry.bodies import part_weights
+    from gf_usd.geometry.connected.bodies import part_weights
 
     material = np.asarray(particles.material)
     of_slot = {int(k): int(material[np.flatnonzero(slot == k)[0]]) for k in np.unique(slot)}

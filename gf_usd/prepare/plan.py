@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 import shlex
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from gf_usd.core import __version__
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import (
@@ -62,6 +63,7 @@ class Plan:
     pins: tuple[Pin, ...] = ()
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
+    riding: Mapping[str, Ints] = field(default_factory=dict)  # copies of cells: see `LimbPlan`
     contact_setup: ContactSetup | None = None
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `start_velocities`
     each: tuple[Settings, ...] = ()  # of each variant, where they are not all the same
@@ -94,8 +96,9 @@ class Plan:
     def points(self) -> dict[str, Floats]:
         """Points (n, 3) [m] at rest that ride, by prim path: vertices, or captured Gaussians."""
         exported = any(self.sequences)
+        every = riding_points(self.asset)
         return {
-            s.path: s.points if s.splats is None else s.splats.riding
+            s.path: every[s.path]
             for s in self.asset.surfaces
             if self.choices.mesh or (exported and s.splats is not None)
         }
@@ -104,6 +107,11 @@ class Plan:
     def frame_bytes(self) -> int:
         """[bytes] on the disk of a frame of one variant, with all its samples."""
         return frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
+
+
+def riding_points(asset: Asset) -> dict[str, Floats]:
+    """Points (n, 3) [m] at rest that ride on bodies, by prim path, whatever is written."""
+    return {s.path: s.points if s.splats is None else s.splats.riding for s in asset.surfaces}
 
 
 def command_line(source: Path, **asked: Any) -> str:

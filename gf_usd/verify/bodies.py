@@ -5,6 +5,8 @@ Setting and reading the state of a solver from outside.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,11 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import DIMENSIONLESS, Material
+from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling import JITTER, sample_solid, sample_surface
-from gf_usd.geometry.solid import build_solid
+from gf_usd.geometry.solid import Solid, build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 FPS = 24.0
@@ -41,17 +44,51 @@ def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
     )
 
 
+def comb(teeth: int, width: float, gap: float, length: float, root: float, depth: float) -> Surface:
+    """Teeth side by side along x, which hang from a root at y = `length`; lengths [m].
+
+    The first begins at x = 0, all end at y = 0, and z goes from 0 to `depth`.
+    """
+    step = width + gap
+    tooth = np.array([[0.0, length], [0.0, 0.0], [width, 0.0], [width, length]])
+    outline = np.concatenate([tooth + [k * step, 0.0] for k in range(teeth)])[1:-1]
+    right, top = (teeth - 1) * step + width, length + root
+    outline = np.concatenate([outline, [[right, top], [0.0, top]]])
+    n = len(outline)
+    points = np.concatenate([np.c_[outline, np.full(n, z)] for z in (depth, 0.0)])
+    front, after = np.arange(n), np.roll(np.arange(n), -1)
+    sides = np.stack([front + n, after + n, after, front], 1)
+    counts = np.concatenate([[n, n], np.full(n, 4)])
+    indices = np.concatenate([front, front[::-1] + n, sides.ravel()])
+    triangles, corners, _ = triangulate(points, counts, indices)
+    return Surface(
+        path="/Comb",
+        type_name="Mesh",
+        points=points,
+        face_counts=counts,
+        face_indices=indices,
+        triangles=triangles,
+        triangle_corners=corners,
+    )
+
+
 def ball(
     particles: int, radius: float = 1.0, *, seed: int = 0, rejection: bool = False
 ) -> tuple[Particles, SurfaceSamples]:
     """About so many particles of production sampling in a ball, and its contact samples."""
-    facts = StageFacts(
-        path=Path("ball"), units=StageUnits(), up_axis="Y", time_codes_per_second=None,
-        start_time_code=None, end_time_code=None, root_prims=("/Ball",), default_prim="/Ball",
-    )  # fmt: skip
-    solid = build_solid(Asset(facts=facts, surfaces=(sphere(radius),)))
+    solid = solid_of(sphere(radius))
     made = sample_solid(solid, particles=particles, spacing=None, seed=seed, uniform=rejection)
     return made, sample_surface(solid, made.spacing, seed)
+
+
+def solid_of(*surfaces: Surface) -> Solid:
+    """What surfaces in meters enclose."""
+    path = surfaces[0].path
+    facts = StageFacts(
+        path=Path(path[1:]), units=StageUnits(), up_axis="Y", time_codes_per_second=None,
+        start_time_code=None, end_time_code=None, root_prims=(path,), default_prim=path,
+    )  # fmt: skip
+    return build_solid(Asset(facts=facts, surfaces=surfaces))
 
 
 def block(
@@ -69,6 +106,30 @@ def block(
     else:
         at = strata // 2 + np.asarray(places)[strata % 2]
     return cloud(low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low)
+
+
+def boxes(bounds: Sequence[tuple[Any, Any]], h: float, corner: Any) -> Particles:
+    """Boxes [m] that do not overlap, with particles that integrate cubics in every cell exactly.
+
+    bounds : the lowest and the highest corner of each; corner : of the grid, cells of edge h [m].
+    """
+    X, V0 = [], []
+    for low, high in bounds:
+        lines, weights = [], []
+        for axis in range(3):
+            a, b = (float(end[axis]) - float(corner[axis]) for end in (low, high))
+            planes = h * np.arange(np.ceil(a / h + 1e-9), np.floor(b / h - 1e-9) + 1)
+            ends = np.concatenate([[a], planes, [b]])
+            size = np.diff(ends)
+            lines.append((ends[:-1, None] + size[:, None] * GAUSS).ravel() + float(corner[axis]))
+            weights.append(np.repeat(0.5 * size, 2))
+        X.append(np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3))
+        V0.append(np.einsum("i,j,k->ijk", *weights).ravel())
+    volume = np.concatenate(V0)
+    made = cloud(
+        np.concatenate(X), volume=float(volume.sum()), lattice=0.5 * h, corner=np.asarray(corner)
+    )
+    return replace(made, V0=volume)
 
 
 def cloud(X: Floats, *, volume: float, lattice: float, corner: Floats) -> Particles:

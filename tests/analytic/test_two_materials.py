@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh_tridiagonal
 
 from gf_usd.core.frames import Particles, of_materials
-from gf_usd.geometry.bodies import smoothstep
+from gf_usd.geometry.connected.bodies import smoothstep
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import MIDDLE, block, clamp, elastic, settings
 from gf_usd.verify.case import frequency

@@ -11,7 +11,7 @@ from solids import look, settings, solid, surface
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Frame
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec
-from gf_usd.geometry.bodies import find_bodies
+from gf_usd.geometry.connected.bodies import find_bodies
 from gf_usd.geometry.sampling import sample_solid, sample_surface
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.prepare.bodies import skins
@@ -52,7 +52,7 @@ def meeting(
             colliders=colliders,
             through=through,
             through_colliders=through_colliders,
-            self_contact=self_contact,
+            self_contact=frozenset(range(len(set(of.tolist())))) if self_contact else frozenset(),
         ),
     )
 

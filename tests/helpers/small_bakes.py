@@ -26,6 +26,7 @@ HEALTH = {
     "frames_without_substeps", "flying_body_frames", "sleeping_body_frames",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
     "deepest_overlap_m", "deepest_overlap_spacings", "let_go_max",
+    "inside_at_end_share", "inside_at_end_m", "inside_max_share", "inside_max_m",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
     "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",
     "inverted_at_end", "first_inverted_frame", "clamped_particle_frames", "clamped_share",
@@ -34,10 +35,10 @@ HEALTH = {
     "dissipated_J", "work_of_pins_J", "injected_J", "momentum_end", "angular_momentum_end",
     "free_flight_frames", "momentum_drift", "angular_momentum_drift",
 }  # fmt: skip
-# no law flows; "centre" until 1.0
+# no law flows, few frames are looked at for what is inside; "centre" until 1.0
 FRAME = {"time_code", *Health.__dataclass_fields__, "centre", "energy", "energy_gain"} - {
-    "plastic_dissipation"
-}
+    "plastic_dissipation", "inside_share", "inside_depth",
+}  # fmt: skip
 ESTIMATE = {"substeps_per_frame", "estimated_seconds", "estimated_bytes", "first_contact_frame"}
 
 # A block of 20 x 20 x 30 cm, two meters above the floor; centimeters, Z up, 48 frames a second.

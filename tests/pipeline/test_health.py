@@ -146,6 +146,10 @@ def test_totals_and_extremes() -> None:
         "deepest_overlap_m": 0.0,
         "deepest_overlap_spacings": 0.0,
         "let_go_max": 0,
+        "inside_at_end_share": None,
+        "inside_at_end_m": None,
+        "inside_max_share": None,
+        "inside_max_m": None,
         "penetration_at_end_spacings": pytest.approx(0.2),
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),
@@ -179,6 +183,18 @@ def test_totals_and_extremes() -> None:
         "momentum_drift": None,
         "angular_momentum_drift": None,
     }
+
+
+def test_what_is_inside_is_that_of_the_frames_looked_at() -> None:
+    frames = [
+        Health(mass=1.0),
+        Health(inside_share=0.3, inside_depth=0.02),
+        Health(),
+        Health(inside_share=0.1, inside_depth=0.04),
+    ]
+    out = log_of(frames).summary()
+    assert (out["inside_at_end_share"], out["inside_at_end_m"]) == (0.1, 0.04)
+    assert (out["inside_max_share"], out["inside_max_m"]) == (0.3, 0.04)
 
 
 def test_losses_are_no_gain() -> None:
@@ -291,7 +307,10 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     rows = log.per_frame()
     assert [row["center"] for row in rows] == [f.center for f in frames]
     assert [row["time_code"] for row in rows] == [101.0, 103.0, 105.0, 107.0, 109.0]
-    told = set(Health.__dataclass_fields__) - {"plastic_dissipation"}  # no law flows
+    # no law flows, and no frame is looked at for what is inside
+    told = set(Health.__dataclass_fields__) - {
+        "plastic_dissipation", "inside_share", "inside_depth",
+    }  # fmt: skip
     assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"
     energies = log_of(

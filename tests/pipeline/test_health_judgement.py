@@ -80,6 +80,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(let_go=3)),
         "3 contact points at once seemed deeper",
     ),
+    "inside": (
+        summary(Health(inside_share=0.01, inside_depth=0.02)),
+        summary(Health(inside_share=0.02, inside_depth=0.03)),
+        "2 % of the surface lies inside a body at the end, up to 30 mm deep",
+    ),
     "resting-depth": (
         summary(Health(penetration=0.024)),
         summary(Health(penetration=0.026)),

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from meetings import bricks
 from physics_stages import head, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.errors import UsageError
+from gf_usd.core.stage import Skin
+from gf_usd.prepare.bodies import rounded
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 
@@ -22,7 +25,9 @@ def test_what_lies_apart_is_a_body_each(plan) -> None:
     assert noted(seen, "2 bodies, which meet by contact: </One>, </Two>; --combine")
     one = plan(cubes(), combine=True)
     assert (one.bodies.count, one.particles.body) == (1, None)
-    assert not one.contact_setup.any
+    # One body of two lumps meets itself.
+    assert one.contact_setup.self_contact == {0}
+    assert not plan(cubes(), combine=True, self_contact=False).contact_setup.any
 
 
 def test_what_one_rigid_body_holds_is_one(plan) -> None:
@@ -60,9 +65,38 @@ def test_filters_and_switched_off_collisions_let_bodies_pass(plan) -> None:
     assert seen.through_colliders == {(0, 0)}
 
 
-def test_self_contact_is_asked_for(plan) -> None:
-    assert not plan(cubes()).contact_setup.self_contact
-    assert plan(cubes(), self_contact=True).contact_setup.self_contact
+def lumps(*size: int, without: tuple[slice, ...] | None = None) -> Skin:
+    """The skin of a box of cubes of a tenth of a meter, some of which are missing."""
+    filled = np.ones(size, bool)
+    if without:
+        filled[without] = False
+    made = bricks(filled, 0.1)
+    return Skin(points=made.points, triangles=made.triangles)
+
+
+def test_bodies_that_can_meet_themselves_do(plan) -> None:
+    assert plan(cubes()).contact_setup.self_contact == frozenset(), "a cube cannot"
+    assert plan(cubes(), self_contact=True).contact_setup.self_contact == {0, 1}
+    assert plan(cubes(), self_contact=False).contact_setup.self_contact == frozenset()
+    assert rounded(lumps(10, 10, 10))
+    assert rounded(lumps(4, 4, 12))
+    assert not rounded(lumps(4, 4, 13)), "a rod can be bent into a ring"
+    assert not rounded(lumps(10, 10, 3)), "a sheet can be folded"
+    assert not rounded(lumps(6, 6, 6, without=np.s_[2:4, 2:, :])), "a U"
+    assert not rounded(lumps(6, 6, 6, without=np.s_[3:4, :, :])), "two lumps of one body"
+
+
+def test_the_paper_and_updated_lagrangian_bodies_do_not_meet_themselves(plan) -> None:
+    for options in ({"preset": "paper"}, {"solver": "ul"}):
+        assert not plan(cubes(), **options).contact_setup.self_contact
+        with pytest.raises(UsageError, match="--self-contact"):
+            plan(cubes(), self_contact=True, **options)
+
+
+def test_bodies_that_are_filtered_do_not_meet_themselves(plan) -> None:
+    off = "bool physics:collisionEnabled = false"
+    seen = plan(cubes(off, apis=(COLLISION,)), self_contact=True).contact_setup
+    assert seen.self_contact == {1}
 
 
 def test_rigid_velocities_of_one_body_only(plan) -> None:

@@ -21,7 +21,7 @@ from gf_usd.core.frames import Settings
 from gf_usd.core.materials import DIMENSIONLESS
 from gf_usd.core.stage import ContactSetup
 from gf_usd.core.units import StageUnits
-from gf_usd.geometry.bodies import find_bodies
+from gf_usd.geometry.connected.bodies import find_bodies
 from gf_usd.geometry.sampling import sample_solid, sample_surface
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

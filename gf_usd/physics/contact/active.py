@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gf_usd.core.arrays import Ints
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.floor import move_springs
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State
 
@@ -34,6 +35,23 @@ class ActiveSamples:
         height = height + float(state.offset @ normal) + rows.W @ (now.u @ normal)
         state.clear("sample_force", "sample_depth", "sample_capped")
         return np.flatnonzero(height < reach)
+
+    def move_springs(self, state: State, time: float) -> None:
+        """See `floor.move_springs`."""
+        body, contact = self._body, self._body.contact
+        if contact is None or body.settings.floor is None:
+            return
+
+        def velocity(samples: Ints) -> Floats:
+            now = state.view()
+            v = contact.rows.W[samples] @ now.v
+            return (
+                v
+                if contact.constants is None
+                else v + contact.constants[samples] @ now.constants[1]
+            )
+
+        move_springs(state, velocity, body.settings.normal, time)
 
     def select(self, state: State, samples: Ints) -> int:
         """Have the kernels look at these samples and no others; returns how many there are.

@@ -63,8 +63,6 @@ def schedule(
 
     rests = [still is not None and bool(still[k]) for k in range(len(boxes))]
     for a, mine in enumerate(boxes):
-        if contact_setup.self_contact and not rests[a]:
-            hold = min(hold, judge(0.0, 2.0 * mine.spread, (a, a)))
         for b, other in enumerate(boxes[:a]):
             if (a, b) in contact_setup.through or (b, a) in contact_setup.through:
                 continue

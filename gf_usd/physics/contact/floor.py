@@ -13,18 +13,25 @@ Hertz's p0 (Johnson 1985, eq. 4.24; measured without this term: half a spacing).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.physics.grid.reference import Rows, Stencil
+from gf_usd.physics.taichi_arrays import DeviceState
 
 ELASTIC_SHARE = 0.4  # of (c/s)^2
 STOPPING_DISTANCE = 0.25  # of s
 REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
+
+
+# A kernel takes few arrays: what is constant of a sample stands in one row of `sample_constants`.
+FLOOR_ROW = 5
+K, C, K_T, MU, M_S = range(FLOOR_ROW)  # [N/m], [N s/m], [N/m] along the floor, friction, [kg]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +44,18 @@ class FloorContact:
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
     damping: Floats  # (n,) [N s/m]
+    tangential: Floats  # (n,) [N/m] of the springs by which friction sticks; 0: none
     friction: Floats  # (n,)
     restitution: Floats  # (n,)
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
+
+    @property
+    def law(self) -> Floats:
+        """(n, FLOOR_ROW) of the kernels."""
+        return np.stack(
+            [self.stiffness, self.damping, self.tangential, self.friction, self.mass], 1
+        )
 
 
 def stiffness_per_mass(
@@ -84,9 +99,10 @@ def build_contact(
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
-    rate : [1/s^2] stiffness per mass in place of the formula.
+    rate : [1/s^2] stiffness per mass in place of the formula.  Then friction has no springs, as the
+    paper's: it only slows down.
     """
-    rows, constants = stencil.rows(samples.X, samples.body), None
+    rows, constants = stencil.rows(samples.X, samples.body, samples.cell_copy), None
     if stencil.held.any:
         free = stencil.free_count
         constants = rows.W[:, free:]
@@ -111,6 +127,7 @@ def build_contact(
         mass=m,
         stiffness=k,
         damping=c,
+        tangential=k.copy() if rate is None else np.zeros_like(k),
         friction=np.broadcast_to(friction, m.shape).astype(float),
         restitution=np.broadcast_to(restitution, m.shape).astype(float),
         omega2=largest_eigenvalue(rows.W, k, stencil.mass),
@@ -137,3 +154,23 @@ def largest_eigenvalue(W: sparse.csr_matrix, k: Floats, mass: Floats) -> float:
             break
         q = p
     return value + residual
+
+
+def move_springs(
+    state: DeviceState, velocity: Callable[[Ints], Floats], normal: Floats, time: float
+) -> None:
+    """Let the springs of friction on the floor go on with their samples for a time [s].
+
+    velocity : of samples (k,), (k, 3) [m/s].  Forces are those of half a substep after a frame's
+    start and before its end; what a frame tells, and where the next one goes on, is the end.
+    """
+    xi = state.rows("sample_spring")
+    if (held := np.flatnonzero(xi.any(1))).size:
+        v = velocity(held)
+        xi[held] += time * (v - np.outer(v @ normal, normal))
+        state.put("sample_spring", xi)
+
+
+def spring_energy(tangential: Floats, xi: Floats) -> float:
+    """sum_s k_t |xi|^2 / 2 [J] of tangential (n,) [N/m] and xi (n, 3) [m]."""
+    return float(0.5 * tangential @ (xi * xi).sum(1))

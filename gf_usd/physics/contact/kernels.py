@@ -3,27 +3,37 @@
 A sample of mass m_s at depth d > 0 below the floor, moving along the floor's normal n with v_n:
 
     f_n = max(0, k d - c v_n),   c = -2 sqrt(k m_s) ln r / sqrt(pi^2 + ln^2 r)   (section 3.4)
-    f_t = -min(mu f_n, m_s |v_t| / (2 dt)) v_t / |v_t|                          (Coulomb)
+    xi' = v_t,   |k_t xi| <= mu f_n             the spring by which the sample sticks, or slips
+    f_t = -(k_t xi + c v_t),   |f_t| <= mu f_n   (Cundall and Strack 1979; Coulomb)
 
-The second bound is the limit of stability of explicit friction (docs/physics.md): there the
-sample sticks.  Where it acts while mu f_n is larger it is counted.
+Each bound shortens its vector.  What shortens xi is slip, and f_t . v_t is never less than what the
+spring stores and loses: projection on a ball is monotone.  So friction only takes energy.
+
+Without the spring (k_t = 0: the paper's) c is m_s / (2 dt), the limit of stability: such a sample
+creeps.  Where it does although mu f_n is larger it is counted.
 
 Contact of surface samples with other bodies and with obstacles, inside a substep.
 
-A sample s faces at most one plane, chosen by `neighbors` between substeps.  The plane belongs to
-an obstacle, which moves it (point q, velocity v_q), or to a body, where it rides on that body's
-sample b nearest to it (q = x_b + offset, v_q = v_b).  With the plane's outward normal n, at depth
-d = (q - x_s) . n > 0,
+A sample s faces at most one plane, chosen by `pairs` between substeps.  The plane belongs to an
+obstacle, which moves it (point q, velocity v_q), or to a body, three of whose samples carry it
+(`carriers`): it turns with them at omega,
 
-    f_n = max(0, k d - c (v_s - v_q) . n)        f_t by Coulomb, capped as on the floor
-    f_s += f,    f_b -= f
+    q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
-so that what one body loses another gains, to rounding.  A sample sums what it is dealt in the order
-of a list, without atomics: the result does not depend on the number of threads.
+With the plane's outward normal n, at depth d = (q - x_s) . n > 0,
+
+    f_n = max(0, k d - c (v_s - v_q) . n)        f_t as on the floor, k_t = k, xi turns with n
+    f_s += f,    f_k += -w_k f + alpha x r_k,    J alpha = -(x_s - sum_k w_k x_k) x f
+
+so that what one body loses another gains, momentum and angular momentum alike, to rounding.  A
+sample sums what it is dealt in the order of a list, without atomics: the result does not depend on
+the number of threads.
 """
 
 import taichi as ti
 
+from gf_usd.physics.contact.carriers import FLAT
+from gf_usd.physics.contact.floor import FLOOR_ROW, K_T, M_S, MU, C, K
 from gf_usd.physics.contact.narrow_phase import (
     DAMPING,
     DEPTH,
@@ -31,7 +41,6 @@ from gf_usd.physics.contact.narrow_phase import (
     FORCE,
     FRICTION,
     LINKS,
-    MASS,
     NOBODY,
     NORMAL,
     OBSTACLE,
@@ -40,13 +49,29 @@ from gf_usd.physics.contact.narrow_phase import (
     PLACE,
     POINT,
     RATE,
+    REACTION,
     REST,
     ROW,
+    SPRING,
     START,
     STIFFNESS,
     VELOCITY,
+    WEIGHT,
     WORK,
 )
+
+
+@ti.func
+def row(A: ti.template(), o):
+    """Three numbers of an array from o on."""
+    return ti.Vector([A[o], A[o + 1], A[o + 2]])
+
+
+@ti.func
+def keep(A: ti.template(), o, value):
+    """The same, written."""
+    for a in ti.static(range(3)):
+        A[o + a] = value[a]
 
 
 @ti.func
@@ -68,24 +93,45 @@ def sample_contact(body: ti.template(), s, up, lift, dt):
 
 
 @ti.func
+def friction(xi, v, k, c, most):
+    """The spring xi [m] as slip leaves it, and the force of friction, at most `most` [N]."""
+    held = k * xi.norm()
+    if held > most:
+        xi = (most / held) * xi
+    f = 0.0 - (k * xi + c * v)
+    size = f.norm()
+    if size > most:
+        f = (most / size) * f
+    return xi, f
+
+
+@ti.func
 def floor_force(body: ti.template(), s, d, v, up, dt):
     """Set the force on sample s at depth d [m], moving with v; note its depth and cap."""
     f = up * 0.0
+    xi = up * 0.0
     if d > 0.0:
         vn = v.dot(up)
-        fn = ti.max(0.0, body.sample_stiffness[s] * d - body.sample_damping[s] * vn)
+        fn = ti.max(
+            0.0,
+            body.sample_constants[FLOOR_ROW * s + K] * d
+            - body.sample_constants[FLOOR_ROW * s + C] * vn,
+        )
         vt = v - vn * up
-        speed = vt.norm()
-        slip = body.sample_friction[s] * fn
-        stick = 0.5 * body.sample_mass[s] * speed / dt
-        if slip > stick:
-            body.sample_capped[s] = body.sample_capped[s] + 1
-        f = fn * up
-        if speed > 0.0:
-            f = f - (ti.min(slip, stick) / speed) * vt
+        most = body.sample_constants[FLOOR_ROW * s + MU] * fn
+        k = body.sample_constants[FLOOR_ROW * s + K_T]
+        c = body.sample_constants[FLOOR_ROW * s + C]
+        if k > 0.0:
+            xi = row(body.sample_spring, 3 * s) + dt * vt
+        else:
+            c = 0.5 * body.sample_constants[FLOOR_ROW * s + M_S] / dt
+            if most > c * vt.norm():
+                body.sample_capped[s] = body.sample_capped[s] + 1
+        xi, ft = friction(xi, vt, k, c, most)
+        f = fn * up + ft
         body.sample_depth[s] = ti.max(body.sample_depth[s], d)
-    for a in ti.static(range(3)):
-        body.sample_force[3 * s + a] = f[a]
+    keep(body.sample_force, 3 * s, f)
+    keep(body.sample_spring, 3 * s, xi)
 
 
 @ti.func
@@ -99,19 +145,6 @@ def contact_force(body: ti.template(), node):
             [body.sample_force[s], body.sample_force[s + 1], body.sample_force[s + 2]]
         )
     return f
-
-
-@ti.func
-def row(A: ti.template(), o):
-    """Three numbers of an array from o on."""
-    return ti.Vector([A[o], A[o + 1], A[o + 2]])
-
-
-@ti.func
-def keep(A: ti.template(), o, value):
-    """The same, written."""
-    for a in ti.static(range(3)):
-        A[o + a] = value[a]
 
 
 @ti.func
@@ -130,44 +163,101 @@ def sample_motion(body: ti.template(), s, dt):
 
 
 @ti.func
+def inverse_inertia(a, b, c):
+    """J^-1 [1/m^2] of three points at a, b, c [m] from their centroid; 0 where they are in line.
+
+    J goes by its trace first: the third power of a small body's spacing, squared, underflows.
+    """
+    square = a.norm_sqr() + b.norm_sqr() + c.norm_sqr()
+    xx = a[0] * a[0] + b[0] * b[0] + c[0] * c[0]
+    yy = a[1] * a[1] + b[1] * b[1] + c[1] * c[1]
+    zz = a[2] * a[2] + b[2] * b[2] + c[2] * c[2]
+    xy = a[0] * a[1] + b[0] * b[1] + c[0] * c[1]
+    xz = a[0] * a[2] + b[0] * b[2] + c[0] * c[2]
+    yz = a[1] * a[2] + b[1] * b[2] + c[1] * c[2]
+    J = ti.Matrix(
+        [[square - xx, 0.0 - xy, 0.0 - xz], [0.0 - xy, square - yy, 0.0 - yz],
+         [0.0 - xz, 0.0 - yz, square - zz]]
+    )  # fmt: skip
+    out = 0.0 * J
+    if square > 0.0:
+        J = J / (2.0 * square)
+        if J.determinant() > ti.static(FLAT):
+            out = J.inverse() / (2.0 * square)
+    return out
+
+
+@ti.func
 def pair_contact(body: ti.template(), s, dt):
-    """Force on sample s of the plane it faces."""
+    """Force on sample s of the plane it faces, and what of it comes back to the carriers."""
     who = body.links[LINKS * s + PARTNER]
     o = ROW * s
-    f = row(body.pair, o + PLACE) * 0.0
+    x = row(body.pair, o + PLACE)
+    f = 0.0 * x
+    slid = 0.0 * x
     if who != NOBODY:
+        v = row(body.pair, o + RATE)
         n = row(body.pair, o + NORMAL)
         q = row(body.pair, o + POINT)
         vq = row(body.pair, o + VELOCITY)
+        weight = row(body.pair, o + WEIGHT)
+        ra, rb, rc, arm, spin = f, f, f, f, f
+        inverse = inverse_inertia(f, f, f)
         if who == OBSTACLE:
-            keep(body.pair, o + POINT, q + dt * vq)
+            q = q + dt * vq
+            keep(body.pair, o + POINT, q)
         else:
-            q += row(body.pair, ROW * who + PLACE)
-            vq = row(body.pair, ROW * who + RATE)
-        d = (q - row(body.pair, o + PLACE)).dot(n)
+            a = ROW * who
+            b = ROW * body.links[LINKS * s + PARTNER + 1]
+            c = ROW * body.links[LINKS * s + PARTNER + 2]
+            ra, rb = row(body.pair, a + PLACE), row(body.pair, b + PLACE)
+            rc = row(body.pair, c + PLACE)
+            va, vb, vc = (
+                row(body.pair, a + RATE),
+                row(body.pair, b + RATE),
+                row(body.pair, c + RATE),
+            )
+            carried = weight[0] * ra + weight[1] * rb + weight[2] * rc
+            middle = (ra + rb + rc) / 3.0
+            ra, rb, rc, arm = ra - middle, rb - middle, rc - middle, x - carried
+            inverse = inverse_inertia(ra, rb, rc)
+            spin = inverse @ (ra.cross(va) + rb.cross(vb) + rc.cross(vc))
+            n = (n + dt * spin.cross(n)).normalized()
+            q = q + dt * spin.cross(q)
+            keep(body.pair, o + NORMAL, n)
+            keep(body.pair, o + POINT, q)
+            q = q + carried
+            vq = weight[0] * va + weight[1] * vb + weight[2] * vc + spin.cross(arm)
+        d = (q - x).dot(n)
         if d > 0.0:
-            v = row(body.pair, o + RATE) - vq
+            v = v - vq
             vn = v.dot(n)
             fn = ti.max(0.0, body.pair[o + STIFFNESS] * d - body.pair[o + DAMPING] * vn)
             vt = v - vn * n
-            speed = vt.norm()
-            slip = body.pair[o + FRICTION] * fn
-            stick = 0.5 * body.pair[o + MASS] * speed / dt
-            if slip > stick:
-                body.sample_capped[s] = body.sample_capped[s] + 1
-            f = fn * n
-            if speed > 0.0:
-                f = f - (ti.min(slip, stick) / speed) * vt
+            xi = row(body.pair, o + SPRING) + dt * (vt + spin.cross(row(body.pair, o + SPRING)))
+            xi, ft = friction(
+                xi - xi.dot(n) * n, vt, body.pair[o + STIFFNESS], body.pair[o + DAMPING],
+                body.pair[o + FRICTION] * fn,
+            )  # fmt: skip
+            f = fn * n + ft
+            slid = xi
             body.pair[o + DEPTH] = ti.max(body.pair[o + DEPTH], d)
             if who == OBSTACLE:
                 body.pair[o + WORK] = body.pair[o + WORK] + dt * f.dot(vq)
+        if who != OBSTACLE:
+            twist = inverse @ f.cross(arm)
+            keep(body.pair, o + REACTION, twist.cross(ra) - weight[0] * f)
+            keep(body.pair, o + REACTION + 3, twist.cross(rb) - weight[1] * f)
+            keep(body.pair, o + REACTION + 6, twist.cross(rc) - weight[2] * f)
     keep(body.pair, o + FORCE, f)
+    keep(body.pair, o + SPRING, slid)
 
 
 @ti.func
 def pair_total(body: ti.template(), s):
-    """sample_force += own force - what those that face it got."""
+    """sample_force += own force + what comes back of those on the planes that s carries."""
     f = row(body.sample_force, 3 * s) + row(body.pair, ROW * s + FORCE)
     for e in range(body.links[LINKS * s + START], body.links[LINKS * (s + 1) + START]):
-        f = f - row(body.pair, ROW * body.links[LINKS * e + PAIR_FACING] + FORCE)
+        entry = body.links[LINKS * (e // 3) + PAIR_FACING + e % 3]
+        f += row(body.pair, ROW * (entry // 3) + REACTION + 3 * (entry % 3))
     keep(body.sample_force, 3 * s, f)

@@ -21,6 +21,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
+from gf_usd.physics.contact.carriers import Triples, spin
 from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
 from gf_usd.physics.grid.reference import Rows
 
@@ -29,29 +30,34 @@ TRAVEL = 0.5  # [spacings] that samples may move between two detections
 # [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first; the rest is for speeds that grow and for what the surface does between its samples.
 CLOSER = 1.5 * TRAVEL
-EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
-APART = 4.0  # [spacings] at rest, from where on a body meets itself
 # Over the floor's stiffness: two rubber or jelly balls that fell three radii each then overlap by
 # 0.41 spacings at most; with 1 by 0.52 (measured).
 STIFFER = 2.0
-CROWD = 24  # samples asked for around one that may meet its own body: most are its neighbors
-ARRAYS = ("partner", "obstacle", "normal", "point", "velocity")
+ARRAYS = ("partner", "carriers", "weights", "obstacle", "normal", "point", "velocity", "spring")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContactPlanes:
     """What each of n samples faces, in the world."""
 
-    partner: Ints  # (n,) the sample that carries the plane, NOBODY or OBSTACLE
+    partner: Ints  # (n,) the first of the samples that carry the plane, NOBODY or OBSTACLE
+    carriers: Ints  # (n, 3) all of them: see `carriers`
+    weights: Floats  # (n, 3) of the carriers
     obstacle: Ints  # (n,) which obstacle; -1: none
     normal: Floats  # (n, 3) unit, out of what is faced
-    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from the partner
+    point: Floats  # (n, 3) [m] on the plane: of an obstacle, or from sum w_k x_k of the carriers
     velocity: Floats  # (n, 3) [m/s] of an obstacle
+    spring: Floats  # (n, 3) [m] xi of friction, along the plane
+
+    @property
+    def carried(self) -> Ints:
+        """Samples whose plane is carried by a body."""
+        return np.flatnonzero(self.partner >= 0)
 
     @property
     def active(self) -> Ints:
         """Samples that face something or are faced."""
-        faced = self.partner[self.partner >= 0]
+        faced = self.carriers[self.carried].ravel()
         return np.union1d(np.flatnonzero(self.partner != NOBODY), faced)
 
     def forget(self, rows: Ints) -> None:
@@ -61,20 +67,33 @@ class ContactPlanes:
             getattr(self, name)[rows] = getattr(away, name)
 
     def lists(self) -> tuple[Ints, Ints]:
-        """(n + 1,) and (m,): for each sample those that face it, in order."""
-        who = np.flatnonzero(self.partner >= 0)
-        order = who[np.argsort(self.partner[who], kind="stable")]
-        start = np.searchsorted(self.partner[order], np.arange(len(self.partner) + 1))
-        return start, order
+        """(n + 1,) and (3 m,): for each sample the 3 s + k whose carrier k it is, in order."""
+        who = self.carried
+        entries = (3 * who[:, None] + np.arange(3)).ravel()
+        carriers = self.carriers[who].ravel()
+        order = np.argsort(carriers, kind="stable")
+        start = np.searchsorted(carriers[order], np.arange(len(self.partner) + 1))
+        return start, entries[order]
+
+    def ridden(self, values: Floats) -> Floats:
+        """sum_k w_k (n, 3) of what the carriers have of values (n, 3); 0 for obstacles."""
+        out, who = np.zeros_like(values), self.carried
+        out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
+        return out
+
+    def spin(self, x: Floats, v: Floats) -> Floats:
+        """(n, 3) [1/s] at which the carriers of each plane turn; 0 for obstacles."""
+        out, who = np.zeros_like(x), self.carried
+        if len(who):
+            out[who] = spin(x[self.carriers[who]], v[self.carriers[who]])
+        return out
 
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
-        who = self.partner[active]
-        q = self.point[active] + elapsed * self.velocity[active]
-        q += np.where((who >= 0)[:, None], x[np.maximum(who, 0)], 0.0)
+        q = self.point + self.ridden(x) + elapsed * self.velocity
         out = np.zeros(len(x))
-        out[active] = np.maximum(0.0, ((q - x[active]) * self.normal[active]).sum(1))
+        out[active] = np.maximum(0.0, ((q - x)[active] * self.normal[active]).sum(1))
         return out
 
 
@@ -82,16 +101,38 @@ def nothing(n: int) -> ContactPlanes:
     """n samples that face nothing."""
     return ContactPlanes(
         partner=np.full(n, NOBODY),
+        carriers=np.full((n, 3), NOBODY),
+        weights=np.zeros((n, 3)),
         obstacle=np.full(n, -1),
         normal=np.zeros((n, 3)),
         point=np.zeros((n, 3)),
         velocity=np.zeros((n, 3)),
+        spring=np.zeros((n, 3)),
     )
 
 
-def eased(planes: ContactPlanes, deeper: Floats) -> ContactPlanes:
-    """The planes moved back along their normals by deeper (n,) [m] >= 0."""
-    return replace(planes, point=planes.point - deeper[:, None] * planes.normal)
+def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPlanes:
+    """The planes as what carries them leaves them a short time [s] on; those of obstacles stay.
+
+    x [m], v [m/s] : (n, 3) of the samples.  Springs of friction, where there are any, go with the
+    slip of their samples.
+    """
+    p, spin = planes, planes.spin(x, v)
+    normal = p.normal + time * np.cross(spin, p.normal)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = normal / np.where(length > 0.0, length, 1.0)
+    point = p.point + np.where((p.partner >= 0)[:, None], time * np.cross(spin, p.point), 0.0)
+    spring = p.spring.copy()
+    if (stuck := np.flatnonzero(spring.any(1))).size:
+        slip = v - p.ridden(v) - p.velocity - np.cross(spin, x - p.ridden(x))
+        spring[stuck] += time * (slip + np.cross(spin, spring))[stuck]
+        spring[stuck] = along(spring[stuck], normal[stuck])
+    return replace(p, normal=normal, point=point, spring=spring)
+
+
+def along(vectors: Floats, normal: Floats) -> Floats:
+    """(n, 3) what of vectors lies in the planes of unit normals."""
+    return vectors - (vectors * normal).sum(1, keepdims=True) * normal
 
 
 class ContactSearch:
@@ -117,44 +158,30 @@ class ContactSearch:
         return int(self._gone.sum())
 
     def offer(
-        self, rows: Ints, gap: Floats, normal: Floats, point: Floats, carried: Ints | None,
-        velocity: Floats | None = None, obstacle: int = -1,
+        self, rows: Ints, gap: Floats, normal: Floats, point: Floats,
+        carriers: Ints | None = None, weights: Floats | None = None,
+        *, velocity: Floats | None = None, obstacle: int = -1, sure: bool = False,
     ) -> None:  # fmt: skip
-        """Offer samples `rows` a plane each, carried by samples, or by an obstacle at a velocity.
+        """Offer samples `rows` (k,) a plane each, carried by samples, or by an obstacle.
 
-        gap : (k,) [m]; point : (k, 3) [m] on it.
+        gap : (k,) [m]; point : (k, 3) [m] on it; carriers, weights : (k, 3), see `BodySkin`; None:
+        an obstacle's, that moves with velocity (k, 3) [m/s].  sure : how they came there is known.
         """
-        likely = gap >= self._least[rows]
+        likely = np.full(len(rows), True) if sure else gap >= self._least[rows]
         self._gone[rows[~likely]] = True
         nearer = likely & (gap < self.gap[rows])
         rows, f = rows[nearer], self.planes
         self.gap[rows], f.normal[rows] = gap[nearer], normal[nearer]
-        f.obstacle[rows] = obstacle
-        if carried is None:
+        f.obstacle[rows], f.velocity[rows] = obstacle, 0.0
+        if carriers is None or weights is None:
             f.partner[rows], f.point[rows] = OBSTACLE, point[nearer]
-            f.velocity[rows] = 0.0 if velocity is None else velocity[nearer]
-        else:
-            who = carried[nearer]
-            f.partner[rows], f.point[rows] = who, point[nearer] - self.x[who]
-            f.velocity[rows] = 0.0
-
-
-def facing_itself(
-    x: Floats, normal: Floats, X: Floats, members: Ints, reach: float, spacing: float
-) -> tuple[Ints, Ints]:
-    """Samples of one body, and for each the nearest one far off at rest that faces it.
-
-    x, normal, X : (n, 3) of all samples, now, now and at rest; members : (m,) those of the body.
-    """
-    k = min(CROWD, len(members))
-    distance, at = kd_tree(x[members]).query(x[members], k=k, distance_upper_bound=reach)
-    distance, at = distance.reshape(len(members), k), at.reshape(len(members), k)
-    there = at < len(members)
-    b = members[np.where(there, at, 0)]
-    fit = there & (np.einsum("na,nka->nk", normal[members], normal[b]) < 0.0)
-    fit &= np.linalg.norm(X[b] - X[members][:, None], axis=2) > APART * spacing
-    rows = np.flatnonzero(fit.any(1))
-    return members[rows], b[rows, fit[rows].argmax(1)]
+            f.carriers[rows], f.weights[rows] = NOBODY, 0.0
+            if velocity is not None:
+                f.velocity[rows] = velocity[nearer]
+            return
+        who, w = carriers[nearer], weights[nearer]
+        f.partner[rows], f.carriers[rows], f.weights[rows] = who[:, 0], who, w
+        f.point[rows] = point[nearer] - np.einsum("nk,nka->na", w, self.x[who])
 
 
 def pair_values(
@@ -199,17 +226,17 @@ class BodySkin:
     def __init__(self, skin: Skin, rows: Rows, samples: Ints, X: Floats) -> None:
         self.skin, self.samples = skin, samples
         self._W = rows.W
-        self._tree = kd_tree(X)
+        self._triples = Triples(X)
         corners = skin.points[skin.triangles]
         center = corners.mean(1)
-        gap, self._cover = self._tree.query(center)
+        gap, self._cover = kd_tree(X).query(center)
         reach = np.linalg.norm(corners - center[:, None], axis=2).max(1)
         self._reach = SLACK * (gap + reach)
 
     def near(
         self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
-    ) -> tuple[Closest, Ints]:
-        """The surface as points X (m, 3) [m] see it, and the sample nearest to each place seen.
+    ) -> tuple[Closest, Floats]:
+        """The surface as points X (m, 3) [m] see it, and the places seen (k, 3) [m] at rest.
 
         known : (m,) [m] <= 0, from where on a signed distance is believed; what seems deeper is
         asked of the whole surface.  x : (n, 3) [m] of the body's samples now; u : (nodes, 3) [m]
@@ -229,8 +256,17 @@ class BodySkin:
             whole = self.skin.points + offset + self._W @ u
             seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
         rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
-        _, nearest = self._tree.query(rest) if len(rest) else (None, np.zeros(0, np.int64))
-        return seen, self.samples[nearest]
+        return seen, rest
+
+    def carriers(self, places: Floats) -> tuple[Ints, Floats]:
+        """Contact samples (k, 3) and weights (k, 3) that carry places (k, 3) [m] at rest.
+
+        The weights sum to 1, the largest first: see `Triples`.
+        """
+        if len(places) == 0:
+            return np.zeros((0, 3), np.int64), np.zeros((0, 3))
+        at, weights = self._triples(places)
+        return self.samples[at], weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,14 +340,16 @@ NOBODY = -1
 OBSTACLE = -2
 
 # A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
-ROW = 30
+ROW = 44
 REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
-POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from x_b), n, v_q of an obstacle
-STIFFNESS, DAMPING, FRICTION, MASS = 24, 25, 26, 27
-DEPTH, WORK = 28, 29  # deepest [m] and work of an obstacle [J] since they were cleared
-# ... and its whole numbers in one of `links`: b; where its list starts; one entry of all lists.
-LINKS = 3
-PARTNER, START, PAIR_FACING = 0, 1, 2
+POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
+STIFFNESS, DAMPING, FRICTION = 24, 25, 26
+DEPTH, WORK = 27, 28  # deepest [m] and work of an obstacle [J] since they were cleared
+SPRING, WEIGHT, REACTION = 29, 32, 35  # xi; w_k and f_k of the three carriers
+# ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
+# all lists.
+LINKS = 7
+PARTNER, START, PAIR_FACING = 0, 3, 4
 
 
 def pack_arrays(n: int) -> dict[str, Floats]:

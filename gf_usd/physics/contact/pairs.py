@@ -9,32 +9,34 @@ is moved back until that is little, and the rest is counted.  The overlap report
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.materials import G0, time_scale
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
+from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.floor import damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
-    EASE,
     FACING,
     STIFFER,
     TRAVEL,
     BodySkin,
     ContactPlanes,
     ContactSearch,
-    eased,
-    facing_itself,
+    moved,
     nothing,
     obstacles,
     pair_values,
 )
-from gf_usd.physics.grid.embedding import deform_normals
+from gf_usd.physics.contact.self_contact import SelfContact
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -42,6 +44,10 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 # Springs between bodies, over the floor's: each side faces the other, and two bodies that come at
 # each other strain them twice as fast as one that comes at a wall does.
 CROWD = 4.0 * STIFFER
+# Of m g0 r in T: what planes may give to a pair so that its samples come to be as deep as they
+# truly are.  At rest, where that matters, springs hold a ten-thousandth of m g0 r; in a whole bake
+# of ten T it is a thousandth.
+BUDGET = 1e-4
 
 
 class BodyContact:
@@ -55,17 +61,25 @@ class BodyContact:
         assert body.contact is not None
         self._body, self.contact_setup, self.contact = body, body.contact_setup, body.contact
         samples, skins = body.contact.samples, body.contact_setup.skins
-        self._normal, self._X = samples.normal, samples.X
+        self._X = samples.X
         of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
-        self._members = [np.flatnonzero(of == k) for k in range(len(skins))]
+        self._of, self._members = of, [np.flatnonzero(of == k) for k in range(len(skins))]
         self._spacing = body.particles.spacing
         self._obstacles = obstacles(self.contact_setup.colliders, body.settings.frame_time)
         self._skins = [
-            BodySkin(skin, body.stencil.rows(skin.points, np.full(len(skin.points), k)), m,
-                     samples.X[m])
+            BodySkin(
+                skin,
+                body.stencil.rows(skin.points, np.full(len(skin.points), k), skin.cell_copy),
+                m,
+                samples.X[m],
+            )
             for k, (skin, m) in enumerate(zip(skins, self._members))
         ]  # fmt: skip
-        self.planes = nothing(len(samples.X))
+        self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
+        self._x = samples.X  # [m] at the last detection
+        weight = body.particles.radius * G0 * float(body.m.sum())
+        self._budget = BUDGET * weight / time_scale(body.particles.radius)  # [W]
+        self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
         self.injected = 0.0  # [J] since `begin`
@@ -74,12 +88,23 @@ class BodyContact:
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(len(samples.X), -np.inf)
 
+    def _meets(self, body: int) -> bool:
+        """Whether a body meets itself; one without samples, or all of which is held, does not."""
+        return body in self.contact_setup.self_contact and len(self._members[body]) > 0
+
+    def _itself(self, body: int, samples: SurfaceSamples) -> SelfContact:
+        m = self._members[body]
+        assert samples.normal is not None
+        skin = self.contact_setup.skins[body]
+        return SelfContact(skin, samples.X[m], samples.normal[m], self._spacing)
+
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
         return {
             **{f"contact_{name}": getattr(self.planes, name) for name in ARRAYS},
             "contact_detected": self._detected,
             "contact_gap": self._gap,
+            "contact_x": self._x,
             "contact_stiffness": self._k,
         }
 
@@ -89,6 +114,7 @@ class BodyContact:
         self.planes = ContactPlanes(**planes)
         self._detected = float(saved["contact_detected"])
         self._gap = np.asarray(saved["contact_gap"])
+        self._x = np.asarray(saved["contact_x"])
         self._k = np.asarray(saved["contact_stiffness"])
 
     def begin(self, state: State) -> None:
@@ -100,10 +126,20 @@ class BodyContact:
 
     def energy(self, now: StateView, time: float) -> float:
         """[J] in the springs of the planes last detected, at a time [s]."""
-        return self._stored(self.planes.depth(self._motion(now)[0], time - self._detected))
+        return self._stored(self._motion(now)[0], time).energy
 
-    def _stored(self, depth: Floats) -> float:
-        return float(0.5 * self._k @ depth**2)
+    def _stored(self, x: Floats, time: float) -> Stored:
+        depth = self.planes.depth(x, time - self._detected)
+        return Stored(
+            planes=self.planes, depth=depth, stiffness=self._k, pair=self._pairs(self.planes)
+        )
+
+    def _pairs(self, planes: ContactPlanes) -> Ints:
+        """(n,) which body of each sample and what it faces, as one number; -1: nothing."""
+        theirs = np.where(planes.partner >= 0, self._of[planes.partner], planes.obstacle)
+        theirs = theirs + np.where(planes.partner >= 0, len(self._obstacles), 0)
+        number = self._of * (len(self._obstacles) + len(self._members)) + theirs
+        return np.where(planes.partner == narrow_phase.NOBODY, -1, number)
 
     def imminent(self, now: StateView, time: float, still: Ints | None = None) -> bool:
         """Whether anything may touch before the next frame; bodies `still` (B,) do not move.
@@ -111,8 +147,15 @@ class BodyContact:
         time : [s] of the state.
         """
         span = self._body.settings.frame_time
-        near, hold = self._schedule(*self._motion(now), time / span, span, still)
-        return bool(near) or hold < span
+        x, v = self._motion(now)
+        near, hold = self._schedule(x, v, time / span, span, still)
+        if near or hold < span:
+            return True
+        return any(
+            own.imminent(x[m := self._members[k]], v[m], span, *self._known(k, x))
+            for k, own in self._own.items()
+            if still is None or not still[k]
+        )
 
     def pass_by(self, flying: Ints, time: float) -> None:
         """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
@@ -146,8 +189,7 @@ class BodyContact:
         time = state.time + elapsed
         x, v = self._motion(now)
         meet, hold = self._schedule(x, v, frame, left * dt)
-        old = self.planes.depth(x, time - self._detected)
-        before = self._stored(old)
+        old = self._stored(x, time)
         search = ContactSearch(
             x, (FACING + TRAVEL) * self._spacing, self._gap - CLOSER * self._spacing
         )
@@ -156,33 +198,39 @@ class BodyContact:
             if other < 0:
                 self._face_obstacle(search, near, -1 - other, frame, min(hold, left * dt))
                 continue
-            if other in near:
-                self._face_itself(search, other, now.nodes[0])
-                near.remove(other)
-            if near:
-                self._face_body(search, near, other, now.nodes[0], now.offset)
-        deeper = search.planes.depth(x, 0.0) - old
-        deeper[np.isinf(self._gap)] = 0.0
-        self.planes = eased(search.planes, np.maximum(0.0, deeper - EASE * self._spacing))
-        self._gap, self._detected = search.gap, time
-        self._overlap = max(self._overlap, -float(search.gap.min()))
-        self.released = max(self.released, search.released)
-        hold = min(hold, TRAVEL * self._spacing / max(self._sliding(v), 1e-30))
+            self._face_body(search, near, other, now.nodes[0], now.offset)
+        hold = min(hold, self._face_themselves(search, v))
         values = pair_values(
-            self.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
+            search.planes, self.contact.stiffness, self.contact.mass, self.contact.friction,
             self.contact.restitution,
             [(c.spec.friction, c.spec.restitution) for c in self.contact_setup.colliders],
         )  # fmt: skip
-        self._k = values["stiffness"]
-        self.injected += self._stored(self.planes.depth(x, 0.0)) - before
-        self._upload(state, now, values, dt)
+        new = Stored(
+            planes=search.planes,
+            depth=search.planes.depth(x, 0.0),
+            stiffness=values["stiffness"],
+            pair=self._pairs(search.planes),
+        )
+        if np.isfinite(self._gap).all():
+            budget = self._budget * (time - self._detected)
+            new = continued(old, new, ease=EASE * self._spacing, budget=budget)
+        self.planes, self._k = new.planes, new.stiffness
+        self.injected += new.energy - old.energy
+        self._gap, self._detected, self._x = search.gap, time, x
+        self._overlap = max(self._overlap, -float(search.gap.min()))
+        self.released = max(self.released, search.released)
+        hold = min(hold, TRAVEL * self._spacing / max(self._sliding(v), 1e-30))
+        # A substep moves the planes on before it takes its forces, those half of it later: bodies
+        # are there already but at the start of a frame.
+        self._upload(state, now, values, dt, moved(self.planes, x, v, -dt if done else -0.5 * dt))
         return int(np.clip(hold / dt, 1, left))
 
     def _sliding(self, v: Floats) -> float:
         """[m/s] the fastest of the samples against what they face."""
         f = self.planes
-        theirs = np.where((f.partner >= 0)[:, None], v[np.maximum(f.partner, 0)], f.velocity)
-        speed = np.linalg.norm(v - theirs, axis=1)[f.partner != narrow_phase.NOBODY]
+        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[
+            f.partner != narrow_phase.NOBODY
+        ]
         return float(speed.max(initial=0.0))
 
     def _schedule(
@@ -223,21 +271,39 @@ class BodyContact:
         # What was inside at the last detection is there still; what begins to be may be at a fold.
         gap = self._gap[rows]
         known = np.where(gap < 0.0, gap - EASE * self._spacing, 0.0)
-        found, carrier = self._skins[other].near(
-            search.x[rows], known, theirs, nodes, offset, search.reach
-        )
-        search.offer(rows[found.rows], found.gap, found.normal, found.point, carrier)
+        skin = self._skins[other]
+        found, rest = skin.near(search.x[rows], known, theirs, nodes, offset, search.reach)
+        search.offer(
+            rows[found.rows], found.gap, found.normal, found.point, *skin.carriers(rest)
+        )  # fmt: skip
 
-    def _face_itself(self, search: ContactSearch, body: int, nodes: Floats) -> None:
-        members = self._members[body]
-        G = self.contact.rows.G
-        u = nodes[: G[0].shape[1]]
-        F = np.eye(3) + np.stack([g[members] @ u for g in G], -1)
-        normal = np.zeros_like(search.x)
-        normal[members] = deform_normals(self._normal[members], np.arange(len(members)), F)
-        a, b = facing_itself(search.x, normal, self._X, members, search.reach, self._spacing)
-        gap = np.einsum("na,na->n", search.x[a] - search.x[b], normal[b])
-        search.offer(a, gap, normal[b], search.x[b], b)
+    def _face_themselves(self, search: ContactSearch, v: Floats) -> float:
+        """Offer what bodies have near of themselves; returns for how long [s] that is all."""
+        hold = float("inf")
+        for k, own in self._own.items():
+            m = self._members[k]
+            near, until = own.judge(search.x[m], v[m])
+            hold = min(hold, until)
+            if not near:
+                continue
+            found = own.find(search.x[m], search.reach, *self._known(k, search.x))
+            order = np.argsort(-found.weights, axis=1, kind="stable")
+            search.offer(
+                m[found.rows], found.gap, found.normal, found.point,
+                m[np.take_along_axis(found.carriers, order, 1)],
+                np.take_along_axis(found.weights, order, 1), sure=True,
+            )  # fmt: skip
+        return hold
+
+    def _known(self, body: int, x: Floats) -> tuple[Floats, Floats]:
+        """Where the samples of a body were at the last detection, and their gaps [m].
+
+        Before the first one they were where they are, x (n, 3) [m] of all, and faced nothing.
+        """
+        m = self._members[body]
+        new = np.isinf(self._gap[m])
+        before = np.where(new[:, None], x[m], self._x[m])
+        return before, np.where(new, (FACING + TRAVEL) * self._spacing, self._gap[m])
 
     def _face_obstacle(
         self, search: ContactSearch, near: Sequence[int], which: int, frame: float, span: float
@@ -246,13 +312,19 @@ class BodyContact:
         plane = self._obstacles[which].planes(search.x[rows], search.reach, frame, span)
         found = plane.seen
         search.offer(
-            rows[found.rows], found.gap, found.normal, found.point, None, plane.velocity, which,
+            rows[found.rows], found.gap, found.normal, found.point,
+            velocity=plane.velocity, obstacle=which,
         )  # fmt: skip
 
     def _upload(
-        self, state: State, now: StateView, values: Mapping[str, Floats], dt: float
+        self,
+        state: State,
+        now: StateView,
+        values: Mapping[str, Floats],
+        dt: float,
+        f: ContactPlanes,
     ) -> None:
-        f, constants = self.planes, self.contact.constants
+        constants = self.contact.constants
         pair = state.rows("pair", narrow_phase.ROW)
         pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
         pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
@@ -260,20 +332,40 @@ class BodyContact:
             c, rate = now.constants
             pair[:, narrow_phase.REST : narrow_phase.DRIFT] += constants @ (c + 0.5 * dt * rate)
             pair[:, narrow_phase.DRIFT : narrow_phase.PLACE] = constants @ rate
-        # The forces of a substep are those half of it later.
-        point = f.point + 0.5 * dt * f.velocity
+        point = f.point - 0.5 * dt * f.velocity
         point[f.partner == narrow_phase.OBSTACLE] -= now.offset
         pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
+        pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
+        pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
+        pair[:, narrow_phase.REACTION :] = 0.0
         pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
             [point, f.normal, f.velocity]
         )
         damping = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])
         pair[:, narrow_phase.STIFFNESS : narrow_phase.DEPTH] = np.stack(
-            [values["stiffness"], damping, values["friction"], values["mass"]], 1
+            [values["stiffness"], damping, values["friction"]], 1
         )
         start, order = f.lists()
         links = np.full((len(start), narrow_phase.LINKS), narrow_phase.NOBODY)
-        links[:-1, narrow_phase.PARTNER], links[:, narrow_phase.START] = f.partner, start
-        links[: len(order), narrow_phase.PAIR_FACING] = order
+        links[:-1, : narrow_phase.START], links[:, narrow_phase.START] = f.carriers, start
+        links[:-1, narrow_phase.PARTNER] = f.partner
+        entries = np.zeros((len(start), 3), np.int64)
+        entries.flat[: len(order)] = order
+        links[:, narrow_phase.PAIR_FACING :] = entries
         state.put("pair", pair)
         state.put("links", links)
+
+    def follow(self, state: State, dt: float, closed: bool) -> None:
+        """Take the planes as substeps of dt [s] left them; closed : they ended a frame."""
+        pair, f = state.rows("pair", narrow_phase.ROW), self.planes
+        who = f.carried
+        normal, point = f.normal.copy(), f.point.copy()
+        normal[who] = pair[who, narrow_phase.NORMAL : narrow_phase.VELOCITY]
+        point[who] = pair[who, narrow_phase.POINT : narrow_phase.NORMAL]
+        spring = pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT]
+        # By what the bodies moved since their last forces.
+        self.planes = moved(
+            replace(f, normal=normal, point=point, spring=spring),
+            *self._motion(state.view()),
+            0.5 * dt if closed else dt,
+        )

@@ -18,6 +18,7 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
+from gf_usd.physics.grid.copies import Fit, NodeCopies
 from gf_usd.physics.grid.pins import interpolation
 
 if TYPE_CHECKING:
@@ -31,14 +32,14 @@ TIE = 1e-9  # distances that differ by less are equal
 FIT_REACH = 2.0  # [cells] up to here a fit takes the nodes nearest to the point itself
 
 
-def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
+def affine_fit(ijk: Ints, free: Ints, reach: float | None = None) -> sparse.csr_matrix:
     """Rows e (n, len(free)) that extend a field from free nodes to others, exact for affine fields.
 
     Moving least squares with a linear basis about the mean C of the nodes and Gaussian weights B:
     e_j = B_j (1 / sum B + (X_j - C) . M^+ (X_i - C)), M = sum B (X_j - C) (X_j - C)^T, so that
     sum_j e_j = 1 and sum_j e_j X_j = X_i.  Where the nodes lie in a plane the field is constant
     across it.
-    ijk : (n, 3), free : (m, 3) grid indices.
+    ijk : (n, 3), free : (m, 3) grid indices; reach : [cells] beyond which no node is taken.
     """
     if len(ijk) == 0:
         return sparse.csr_matrix((0, len(free)))
@@ -51,6 +52,8 @@ def affine_fit(ijk: Ints, free: Ints) -> sparse.csr_matrix:
         tied = np.isfinite(gap)
         around[far] = np.where(tied[:, :, None], free[closest], 0).sum(1) / tied.sum(1)[:, None]
     distance, near = nearest(tree, around, FIT_NEIGHBORS)
+    if reach is not None:
+        distance[distance > reach] = np.inf
     # Where the nearest node is alone the slope hangs on far ones: keep those above rounding.
     B = np.maximum(np.exp(-((distance / (distance[:, :1] + 1.0)) ** 2)), FIT_LEAST)
     B[np.isinf(distance)] = 0.0
@@ -87,6 +90,40 @@ def nearest(tree: cKDTree, X: Floats, count: int) -> tuple[Floats, Ints]:
     return np.where(beyond, np.inf, distance)[:, :width], near[:, :width]
 
 
+class Fits:
+    """Rows over nodes for places between and beyond them; each knows the nodes of its limb only.
+
+    ijk : (M, 3) nodes; copies : of those near several limbs.
+    """
+
+    def __init__(self, ijk: Ints, copies: NodeCopies | None) -> None:
+        self.ijk, self.copies = ijk, copies
+        self.home = np.full(len(ijk), -1) if copies is None else copies.home
+
+    def affine(self, at: Ints, counts: NDArray[np.bool_], home: Ints) -> sparse.csr_matrix:
+        """`affine_fit` at (n, 3) to the nodes that count (M,).
+
+        home : (n,) copy of a cell that each is reached from, -1: any; empty: all any.
+        """
+        return self._fit(affine_fit, at, np.flatnonzero(counts), home)
+
+    def between(self, at: Floats, nodes: Ints, home: Ints) -> sparse.csr_matrix:
+        """`interpolation` at (n, 3) [cells] of a field on nodes (m,); home as in `affine`."""
+        return self._fit(lambda at, ijk, _: interpolation(at, ijk), at, nodes, home)
+
+    def _fit(self, fit: Fit, at: Floats, nodes: Ints, home: Ints) -> sparse.csr_matrix:
+        if self.copies is None or not (home >= 0).any():
+            return fit(at, self.ijk[nodes], None)
+        plain, bound = np.flatnonzero(home < 0), np.flatnonzero(home >= 0)
+        counts = np.zeros(len(self.ijk), bool)
+        counts[nodes] = True
+        within = self.copies.through_solid(fit, at[bound], home[bound], self.ijk, counts)
+        rows = sparse.vstack([fit(at[plain], self.ijk[nodes], None), within[:, nodes]])
+        back = np.empty(len(at), np.int64)
+        back[np.concatenate([plain, bound])] = np.arange(len(at))
+        return sparse.csr_matrix(rows)[back]
+
+
 def split_nodes(
     ijk: Ints,
     mass: Floats,
@@ -95,14 +132,16 @@ def split_nodes(
     held: NDArray[np.bool_] | None = None,
     mirror: Floats | None = None,
     body: Ints | None = None,
+    copies: NodeCopies | None = None,
 ) -> tuple[NDArray[np.bool_], sparse.csr_matrix, Floats]:
     """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
 
     A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
     held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
     A mirrored node hands on |e| of its mass: u^2 does not know the sign.
-    body : (M,) the body of each node: each is light by its own median.
+    body : (M,) the body of each node: each is light by its own median.   copies : see `Fits`.
     """
+    fits = Fits(ijk, copies)
     held = np.zeros(len(mass), bool) if held is None else held
     body = np.zeros(len(mass), np.int64) if body is None else body
     counts = ~held & (mass > 0.0)
@@ -113,12 +152,12 @@ def split_nodes(
     ghosts = sparse.csr_matrix((0, 0))
     while True:
         light = ~free & ~held
-        follow = affine_fit(ijk[light], ijk[free])
+        follow = fits.affine(ijk[light], free, fits.home[light])
         lumped = mass[free] + follow.T @ mass[light]
         if held.any():
             extend = sparse.vstack([sparse.identity(int(free.sum())), follow], format="csr")
-            others = np.concatenate([ijk[free], ijk[light]])
-            ghosts = (mirrored(held, mirror, others) @ extend).tocsr()
+            others = np.concatenate([np.flatnonzero(free), np.flatnonzero(light)])
+            ghosts = (mirrored(held, mirror, others, fits) @ extend).tocsr()
             lumped = lumped + abs(ghosts).T @ mass[held]
         sound = lumped >= 0.5 * least[free]
         if sound.all():
@@ -134,8 +173,10 @@ def split_nodes(
     return free, follow, lumped
 
 
-def mirrored(held: NDArray[np.bool_], mirror: Floats | None, others: Ints) -> sparse.csr_matrix:
-    """Rows (held, others) of held nodes: minus the field at the mirror point.
+def mirrored(
+    held: NDArray[np.bool_], mirror: Floats | None, others: Ints, fits: Fits
+) -> sparse.csr_matrix:
+    """Rows (held, others) of held nodes: minus the field, on other nodes, at the mirror point.
 
     0 where the node lies deep, or where none of the others is around the mirror point.
     """
@@ -147,4 +188,4 @@ def mirrored(held: NDArray[np.bool_], mirror: Floats | None, others: Ints) -> sp
     put = sparse.csr_matrix(
         (np.ones(len(near)), (near, np.arange(len(near)))), shape=(count, len(near))
     )
-    return (put @ -interpolation(at[near], others)).tocsr()
+    return (put @ -fits.between(at[near], others, fits.home[held][near])).tocsr()

@@ -84,7 +84,7 @@ def deform_normals(normals: Floats, points: Ints, F: Floats) -> Floats:
 NODES = len(OFFSETS)
 
 
-def embedded_rows(stencil: Stencil, X: Floats, body: Ints) -> Rows:
+def embedded_rows(stencil: Stencil, X: Floats, body: Ints, cell_copy: Ints | None = None) -> Rows:
     """Rows of points X (n, 3) [m], each on a body (n,), whose `spread` is S.
 
     The same as `Stencil.rows` makes, to rounding.
@@ -96,9 +96,9 @@ def embedded_rows(stencil: Stencil, X: Floats, body: Ints) -> Rows:
     lost, parts = [], []  # nodes that no particle reaches, chunk by chunk, and where they stand
     for k in range(0, count, CHUNK):
         some = slice(k, k + CHUNK)
-        base, fx = stencil.base(X[some] + stencil.shift[body[some]])
-        ijk = base[:, None, :] + OFFSETS
-        found = stencil.locate(ijk)
+        found, fx, ijk = stencil.reach(
+            X[some], body[some], None if cell_copy is None else cell_copy[some]
+        )
         keys, inverse = np.unique(ijk[found < 0], axis=0, return_inverse=True)
         lost.append(keys)
         parts.append((some, found < 0, inverse.ravel()))
@@ -106,7 +106,8 @@ def embedded_rows(stencil: Stencil, X: Floats, body: Ints) -> Rows:
         w[some], slopes = weights(fx, stencil.h)
         for axis in range(3):
             g[axis, some] = slopes[..., axis]
-    beyond, place = np.unique(np.concatenate([np.zeros((0, 3), int), *lost]), axis=0,
+    columns = lost[0].shape[1] if lost else 3
+    beyond, place = np.unique(np.concatenate([np.zeros((0, columns), int), *lost]), axis=0,
                               return_inverse=True)  # fmt: skip
     first = 0
     for keys, (some, missing, inverse) in zip(lost, parts):

@@ -19,12 +19,14 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.grid.dependent_nodes import FREE_MASS, affine_fit, split_nodes
+from gf_usd.core.frames import CellCopies
+from gf_usd.core.neighbors import STENCIL as OFFSETS
+from gf_usd.physics.grid.copies import NodeCopies, link_copies, number_nodes
+from gf_usd.physics.grid.dependent_nodes import FREE_MASS, Fits, split_nodes
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, mirror_points, pinned_by
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
 CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
-OFFSETS = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(27, 3)
 
 
 def bspline(f: Floats) -> tuple[Floats, Floats]:
@@ -83,6 +85,7 @@ class Stencil:
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
     dims: Ints = field(repr=False)  # (3,) of the key space
     corner: Ints = field(repr=False)  # (3,) ijk of key 0
+    copies: NodeCopies | None = None  # of nodes near several limbs; None: there are none
 
     @property
     def node_count(self) -> int:
@@ -103,21 +106,26 @@ class Stencil:
         return self.node_X[: self.free_count]
 
     def locate(self, ijk: Ints) -> Ints:
-        """Compact index of grid nodes (..., 3); -1 where no particle reaches."""
+        """Compact index of grid nodes (..., 3), the first copy of each; -1: no particle reaches."""
         shifted = ijk - self.corner
         inside = np.all((shifted >= 0) & (shifted < self.dims), axis=-1)
         keys = linear(np.where(inside[..., None], shifted, 0), self.dims)
         at = np.minimum(np.searchsorted(self.sorted_keys, keys), len(self.sorted_keys) - 1)
         return np.where(inside & (self.sorted_keys[at] == keys), self.sorted_node[at], -1)
 
-    def rows(self, X: Floats, body: Ints | None = None) -> Rows:
+    def rows(self, X: Floats, body: Ints | None = None, cell_copy: Ints | None = None) -> Rows:
         """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
 
         body : (n,) the body that each rides on; None: the first.
+        cell_copy : (n,) the copy of a cell that each rides on, see `Particles.copies`; None: any.
         """
         body = np.zeros(len(X), int) if body is None else body
         parts = [
-            self._operators(X[k : k + CHUNK], body[k : k + CHUNK])
+            self._operators(
+                X[k : k + CHUNK],
+                body[k : k + CHUNK],
+                None if cell_copy is None else cell_copy[k : k + CHUNK],
+            )
             for k in range(0, max(len(X), 1), CHUNK)
         ]
         W, *G = (stacked([part.pop(0) for part in parts]) for _ in range(4))
@@ -128,9 +136,14 @@ class Stencil:
         return Rows(X=X, W=W, G=(G[0], G[1], G[2]))
 
     def extension(self, beyond: Ints) -> sparse.csr_matrix:
-        """From what `Rows` stack to all nodes, and to those at ijk (n, 3) that none reaches."""
+        """From what `Rows` stack to all nodes, and to those (n, 3 or 4) that none reaches.
+
+        beyond : ijk, and with `copies` the copy of a cell that each belongs to, or -1.
+        """
         free = sparse.identity(self.free_count, format="csr")
-        fitted = affine_fit(beyond, self.node_ijk[: self.free_count])
+        fitted = self._fits.affine(
+            beyond[:, :3], np.arange(self.node_count) < self.free_count, beyond[:, 3:].ravel()
+        )
         extend = sparse.csr_matrix(sparse.vstack([free, self.follow, fitted], format="csr"))
         if self.held.any:
             constants = sparse.eye(
@@ -139,11 +152,35 @@ class Stencil:
             extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
         return extend
 
-    def _operators(self, X: Floats, body: Ints) -> list[sparse.csr_matrix]:
-        """W and the three of G of some points, which the four take turns to leave."""
+    @property
+    def _fits(self) -> Fits:
+        return Fits(self.node_ijk, self.copies)
+
+    def reach(
+        self, X: Floats, body: Ints, cell_copy: Ints | None = None
+    ) -> tuple[Ints, Floats, Ints]:
+        """Nodes (n, 27) of points, -1 where no particle reaches, and distances (n, 3) in cells.
+
+        Third come the nodes as `extension` knows those that none reaches, (n, 27, 3 or 4).
+        """
         base, fx = self.base(X + self.shift[body])
         ijk = base[:, None, :] + OFFSETS
+        if self.copies is None or cell_copy is None:
+            return self.locate(ijk), fx, ijk
+        near = np.flatnonzero(self.copies.near[cell_copy])
+        cells = base[near] + fx[near]
+        base[near] = self.copies.base(cells, cell_copy[near])
+        fx[near] = cells - base[near]
+        ijk = base[:, None, :] + OFFSETS
         at = self.locate(ijk)
+        at[near] = self.copies.locate(base[near], cell_copy[near])
+        home = np.full((len(X), 27, 1), -1)
+        home[near] = cell_copy[near, None, None]
+        return at, fx, np.concatenate([ijk, home], -1)
+
+    def _operators(self, X: Floats, body: Ints, cell_copy: Ints | None) -> list[sparse.csr_matrix]:
+        """W and the three of G of some points, which the four take turns to leave."""
+        at, fx, ijk = self.reach(X, body, cell_copy)
         missing = at < 0
         keys, inverse = np.unique(ijk[missing], axis=0, return_inverse=True)
         at[missing] = self.node_count + inverse.ravel()
@@ -228,6 +265,7 @@ def build_stencil(
     free_mass: float = FREE_MASS,
     pin_constraint: PinConstraint | None = None,
     body: Ints | None = None,
+    copies: CellCopies | None = None,
 ) -> Stencil:
     """Sort particles by cell and number the nodes they reach.
 
@@ -235,6 +273,7 @@ def build_stencil(
     corner where cells meet, so that strata of the sampling lattice fall whole into cells.
     free_mass : a node lighter than this fraction of the median one follows the others; 0: none.
     pin_constraint : the pins.   body : (N,) the body of each particle; None: all are one.
+    copies : of cells that several limbs share; None: every cell is one.
     """
     body = np.zeros(len(X), np.int64) if body is None else body
     shift = apart(X, body, h)
@@ -242,22 +281,26 @@ def build_stencil(
     # Cells of the quadratic stencil are centered on nodes: their corners lie half a cell off.
     origin = np.asarray(corner_at, float) - 0.5 * h
     base, fx = base_node((X - origin) / h)
-    corner = base.min(0)
-    dims = base.max(0) - corner + 3
-    keys = linear(base - corner, dims)
-    order = np.argsort(keys, kind="stable")
-    cell_keys, first = np.unique(keys[order], return_index=True)
-    cell_ijk = np.stack(np.unravel_index(cell_keys, tuple(dims)), -1)
-    reached = linear(cell_ijk[:, None, :] + OFFSETS, dims)
-    sorted_keys, at = np.unique(reached, return_inverse=True)
-    cell_nodes = at.reshape(reached.shape)
+    if copies is None:
+        order, cell_start, cell_nodes, node_ijk = number_cells(base)
+    else:
+        cells = np.rint(shift / h).astype(np.int64)
+        full, copy_nodes, node_ijk, count = number_nodes(copies, cells)
+        own = (copies.cell + cells[copies.body])[copies.of]
+        base, fx = own, base + fx - own
+        rank = np.empty(len(copies.cell), np.int64)
+        rank[full] = np.arange(len(full))
+        order = np.argsort(rank[copies.of], kind="stable")
+        cell_start = np.append(0, np.cumsum(np.bincount(rank[copies.of])))
+        cell_nodes = copy_nodes[full]
     fx = fx[order]
-    cell_start = np.append(first, len(X))
-    cell = np.repeat(np.arange(len(first)), np.diff(cell_start))
-    mass = nodal_mass(fx, m[order], cell_nodes, cell, len(sorted_keys))
-    node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
+    cell = np.repeat(np.arange(len(cell_nodes)), np.diff(cell_start))
+    mass = nodal_mass(fx, m[order], cell_nodes, cell, len(node_ijk))
     node_body = np.empty(len(mass), np.int64)
-    node_body[cell_nodes] = body[order[first]][:, None]
+    node_body[cell_nodes] = body[order[cell_start[:-1]]][:, None]
+    linked = None
+    if copies is not None:
+        linked = link_copies(copies, cells, full, copy_nodes, node_ijk, count)
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
     held = pinned_by(pin_constraint.pins if pin_constraint else (), node_X)
@@ -269,12 +312,15 @@ def build_stencil(
         held=held.pin >= 0,
         mirror=(mirror + offset - origin) / h,
         body=node_body,
+        copies=linked,
     )
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
     renumber[ordered] = np.arange(len(mass))
     mirror = mirror[ordered]
     mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
+    corner = node_ijk.min(0)
+    dims = node_ijk.max(0) + 1 - corner
     return Stencil(
         origin=origin,
         h=h,
@@ -290,8 +336,26 @@ def build_stencil(
         node_body=node_body[ordered],
         held=PinnedPoints(pin=held.pin[ordered]),
         mirror=mirror,
-        sorted_keys=sorted_keys,
+        sorted_keys=linear(node_ijk - corner, dims),
         sorted_node=renumber,
         dims=dims,
         corner=corner,
+        copies=linked.renumbered(renumber) if linked else None,
     )
+
+
+def number_cells(base: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """Particles cell by cell and the nodes of the cells, from the base nodes (N, 3).
+
+    Returns order (N,), cell_start (K + 1,), cell_nodes (K, 27) and node_ijk (M, 3).
+    """
+    corner = base.min(0)
+    dims = base.max(0) - corner + 3
+    keys = linear(base - corner, dims)
+    order = np.argsort(keys, kind="stable")
+    cell_keys, first = np.unique(keys[order], return_index=True)
+    cell_ijk = np.stack(np.unravel_index(cell_keys, tuple(dims)), -1)
+    reached = linear(cell_ijk[:, None, :] + OFFSETS, dims)
+    sorted_keys, at = np.unique(reached, return_inverse=True)
+    node_ijk = np.stack(np.unravel_index(sorted_keys, tuple(dims)), -1) + corner
+    return order, np.append(first, len(base)), at.reshape(reached.shape), node_ijk

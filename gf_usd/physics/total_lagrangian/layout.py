@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.floor import FloorContact
+from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact
 from gf_usd.physics.grid.reference import Stencil
 
 LANES = 8
@@ -155,14 +155,14 @@ def follower_arrays(stencil: Stencil) -> dict[str, Any]:
 def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> dict[str, Any]:
     """The contact part of the pack; without a floor, one sample that is never active."""
     if contact is None:
-        none = {
-            name: np.zeros(1) for name in ("height", "stiffness", "damping", "friction", "mass")
-        }
-        return {f"sample_{name}": value for name, value in none.items()} | {
+        return {
+            "sample_height": np.zeros(1),
+            "sample_constants": np.zeros(FLOOR_ROW),
             "sample_start": np.zeros(2, int),
             "sample_node": np.zeros(1, int),
             "sample_weight": np.zeros(1),
             "sample_force": np.zeros(3),
+            "sample_spring": np.zeros(3),
             "sample_depth": np.zeros(1),
             "sample_active": np.zeros(1, int),
             "sample_capped": np.zeros(1, int),
@@ -176,14 +176,12 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
     n = W.shape[0]
     return {
         "sample_height": height,
-        "sample_stiffness": contact.stiffness,
-        "sample_damping": contact.damping,
-        "sample_friction": contact.friction,
-        "sample_mass": contact.mass,
+        "sample_constants": contact.law.ravel(),
         "sample_start": W.indptr,
         "sample_node": W.indices,
         "sample_weight": W.data,
         "sample_force": np.zeros(3 * n),
+        "sample_spring": np.zeros(3 * n),
         "sample_depth": np.zeros(n),
         "sample_active": np.zeros(n, int),
         "sample_capped": np.zeros(n, int),

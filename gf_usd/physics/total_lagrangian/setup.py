@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, Pose, Settings, SurfaceSamples, spread
+from gf_usd.core.frames import CellCopies, Particles, Pose, Settings, SurfaceSamples, spread
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
@@ -91,6 +91,7 @@ def build_body(
     pins: Sequence[Pin],
     contact_setup: ContactSetup | None,
     embedded_body: Mapping[str, int] | None,
+    embedded_copy: Mapping[str, Ints] | None,
     h: float | None,
     real: type,
     plain: bool | None,
@@ -110,6 +111,7 @@ def build_body(
     )
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
+    copies = _copies(particles, h)
     stencil = build_stencil(
         particles.X,
         m,
@@ -118,6 +120,7 @@ def build_body(
         free_mass=FREE_MASS if settings.followers else 0.0,
         pin_constraint=pin_constraint,
         body=particles.body,
+        copies=copies,
     )
     held = {}
     if pin_constraint:
@@ -148,9 +151,11 @@ def build_body(
         m=m,
         h=h,
         stencil=stencil,
-        rows=stencil.rows(particles.X, particles.body),
+        rows=stencil.rows(particles.X, particles.body, copies.of if copies else None),
         embedded={
-            name: embedded_rows(stencil, X, np.full(len(X), on.get(name, 0)))
+            name: embedded_rows(
+                stencil, X, np.full(len(X), on.get(name, 0)), (embedded_copy or {}).get(name)
+            )
             for name, X in (embedded or {}).items()
         },
         pin_constraint=pin_constraint,
@@ -169,6 +174,13 @@ def build_body(
         kernels=build(law.set, damped, kind, epoch(), options),
         pack_type=pack_type(kind, epoch()),
     )
+
+
+def _copies(particles: Particles, h: float) -> CellCopies | None:
+    """Those of the particles, which are made for cells of one size."""
+    if particles.copies is not None and not np.isclose(particles.copies.h, h, rtol=1e-9):
+        raise ValueError(f"cells are copied at an edge of {particles.copies.h} m, not {h} m")
+    return particles.copies
 
 
 def per_particle(
@@ -211,6 +223,7 @@ def surface_contact(
         area=samples.area[free],
         normal=None if samples.normal is None else samples.normal[free],
         body=None if samples.body is None else samples.body[free],
+        cell_copy=None if samples.cell_copy is None else samples.cell_copy[free],
     )
     bodies = bodies_of(particles, per["density"])
     body = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body

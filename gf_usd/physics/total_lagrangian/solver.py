@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
 from gf_usd.core.stage import ContactSetup, Pin
@@ -45,6 +45,8 @@ class TotalLagrangian(Solver):
     pins : regions whose motion is given.
     contact_setup : what the bodies meet besides the floor.
     embedded_body : the body that a named set of points rides on; the first where it is not named.
+    embedded_copy : the copies of cells that the points of a named set ride on, where
+        `particles.copies` has several.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
     plain : one thread a particle in place of eight cells side by side; None: on a GPU.
@@ -66,6 +68,7 @@ class TotalLagrangian(Solver):
         pins: Sequence[Pin] = (),
         contact_setup: ContactSetup | None = None,
         embedded_body: Mapping[str, int] | None = None,
+        embedded_copy: Mapping[str, Ints] | None = None,
         acceleration: Any = None,
         h: float | None = None,
         real: type = np.float32,
@@ -77,8 +80,8 @@ class TotalLagrangian(Solver):
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
-            pins=pins, contact_setup=contact_setup, embedded_body=embedded_body, h=h, real=real,
-            plain=plain,
+            pins=pins, contact_setup=contact_setup, embedded_body=embedded_body,
+            embedded_copy=embedded_copy, h=h, real=real, plain=plain,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
@@ -109,6 +112,7 @@ class TotalLagrangian(Solver):
             pairs.begin(state)
         dt, left = self.frame_time / substeps, substeps
         active = 0
+        self.active.move_springs(state, -0.5 * dt)
         while left:
             chunk, watched = left, near
             if pairs:
@@ -117,6 +121,9 @@ class TotalLagrangian(Solver):
             active = max(active, self.active.select(state, watched))
             self.launches.run(state, chunk, dt, len(watched))
             left -= chunk
+            if pairs:
+                pairs.follow(state, dt, closed=left == 0)
+        self.active.move_springs(state, 0.5 * dt)
         state.time += substeps * dt
         state.recenter()
         stats = self._stats(index, active)

@@ -15,6 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
+from gf_usd.physics.contact.floor import spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
@@ -50,7 +51,7 @@ class State(DeviceState):
         import taichi as ti
 
         values = arrays(body, acceleration)
-        super().__init__(values, body.real, ("u", "v"), body.settings.lift)
+        super().__init__(values, body.real, ("u", "v", "sample_spring"), body.settings.lift)
         self._body = body
         self._view: StateView | None = None
         self.acceleration = acceleration
@@ -153,6 +154,7 @@ class State(DeviceState):
         names = (
             ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "anchor_rate")
         )
+        names = (*names, "sample_spring")
         if self._body.law.set.flows:
             names = (*names, "history")
         given = (*(self.get(name) for name in names), self.offset.copy())
@@ -327,7 +329,7 @@ class StateView:
 
     @cached_property
     def contact(self) -> float:
-        """sum_s k d^2 / 2 [J] stored in the floor's springs."""
+        """sum_s (k d^2 + k_t xi^2) / 2 [J] stored in the floor's springs."""
         contact, s = self._body.contact, self._body.settings
         if contact is None or s.floor is None:
             return 0.0
@@ -336,4 +338,6 @@ class StateView:
         if contact.constants is not None:
             x = x + contact.constants @ self.constants[0]
         depth = np.maximum(0.0, -(x @ s.normal - s.floor))
-        return float(0.5 * contact.stiffness @ depth**2)
+        xi = self._given[-3 if self._body.law.set.flows else -2].astype(float).reshape(-1, 3)
+        held = spring_energy(contact.tangential, xi)
+        return held + float(0.5 * contact.stiffness @ depth**2)

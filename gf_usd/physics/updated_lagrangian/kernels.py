@@ -51,7 +51,7 @@ STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 3
 REALS = (
     *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
     *("push", "block", "node_v", "ride_weight", "ride_arm"),
-    *("sample_stiffness", "sample_damping", "sample_friction", "sample_mass"),
+    *("sample_constants", "sample_spring"),
     *("sample_force", "sample_depth"),
 )
 WHOLE = (

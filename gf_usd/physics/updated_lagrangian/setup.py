@@ -13,7 +13,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin
-from gf_usd.physics.contact.floor import FloorContact, largest_eigenvalue
+from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
@@ -189,20 +189,16 @@ def _contact_arrays(contact: FloorContact | None, ride: Ride | None, n: int) -> 
             np.zeros((1, CARRIERS)),
             np.zeros((1, CARRIERS, 3)),
         )
-        springs = dict.fromkeys(("stiffness", "damping", "friction", "mass"), np.zeros(1))
+        law = np.zeros(FLOOR_ROW)
     else:
         carrier, weight, arm = ride.particle, ride.weight, ride.arm
-        springs = {
-            "stiffness": contact.stiffness,
-            "damping": contact.damping,
-            "friction": contact.friction,
-            "mass": contact.mass,
-        }
+        law = contact.law.ravel()
     count = len(carrier)
     order = np.argsort(carrier.ravel(), kind="stable")
     return {
-        **{f"sample_{name}": value for name, value in springs.items()},
+        "sample_constants": law,
         "sample_force": np.zeros(3 * count),
+        "sample_spring": np.zeros(3 * count),
         "sample_depth": np.zeros(count),
         "sample_active": np.zeros(count, int),
         "sample_capped": np.zeros(count, int),

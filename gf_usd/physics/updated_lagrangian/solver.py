@@ -78,6 +78,7 @@ class UpdatedLagrangian(Solver):
         while state.lacks_room and state.make_room():
             state.load(before)
             active = self._launch(substeps)
+        state.move_springs(0.5 * self.frame_time / substeps)
         state.done += substeps
         state.time += substeps * (self.frame_time / substeps)
         state.recenter()
@@ -103,6 +104,7 @@ class UpdatedLagrangian(Solver):
         state.clear("box", "clamped", "stress_capped")
         lift = float(state.offset @ s.normal) - (s.floor or 0.0)
         active = state.watch_floor(lift)
+        state.move_springs(-0.5 * dt)
         low, high = s.clamp or (0.0, 0.0)
         capacities = (state.node_capacity, state.cell_capacity)
         vector = ti.types.vector(3, ti.f64 if body.real is np.float64 else ti.f32)

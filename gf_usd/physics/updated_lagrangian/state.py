@@ -6,6 +6,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics import taichi_arrays
+from gf_usd.physics.contact.floor import move_springs, spring_energy
 from gf_usd.physics.frame_loop import first_bad
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
@@ -24,7 +25,8 @@ class State(DeviceState):
         import taichi as ti
 
         lift = np.asarray(body.settings.lift, float)
-        saved = (*PARTICLES, "history") if body.law.set.flows else PARTICLES
+        saved = (*PARTICLES, "sample_spring")
+        saved = (*saved, "history") if body.law.set.flows else saved
         super().__init__(arrays(body), body.real, saved, lift + body.center)
         self._body = body
         self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
@@ -57,7 +59,7 @@ class State(DeviceState):
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
-        for name in self.saved:
+        for name in (*PARTICLES, "history") if self._body.law.set.flows else PARTICLES:
             bad = first_bad(self.get(name).reshape(len(self._body.m), -1))
             if bad >= 0:
                 X = self._body.particles.X[bad].round(4).tolist()
@@ -117,11 +119,23 @@ class State(DeviceState):
         self.clear("sample_force", "sample_depth", "sample_capped")
         return len(near)
 
+    def move_springs(self, time: float) -> None:
+        """See `floor.move_springs`."""
+        ride = self._body.ride
+        if ride is not None:
+            move_springs(
+                self,
+                lambda held: ride.pose(*self.motion()).v[held],
+                self._body.settings.normal,
+                time,
+            )
+
     def contact_energy(self) -> float:
-        """sum_s k d^2 / 2 [J] stored in the floor's springs."""
+        """sum_s (k d^2 + k_t xi^2) / 2 [J] stored in the floor's springs."""
         s, ride, contact = self._body.settings, self._body.ride, self._body.contact
         if ride is None or contact is None:
             return 0.0
         x = ride.pose(*self.motion()).x + self.offset
         height = x @ s.normal - (s.floor or 0.0)
-        return float(0.5 * contact.stiffness @ np.maximum(0.0, -height) ** 2)
+        held = spring_energy(contact.tangential, self.rows("sample_spring"))
+        return held + float(0.5 * contact.stiffness @ np.maximum(0.0, -height) ** 2)

@@ -80,6 +80,11 @@ class Request(RequestOptions):
                 " --wls or --procrustes",
                 "leave them out: what they do once a frame would be done at every sample",
             )
+        if self.self_contact and self.preset:
+            raise UsageError(
+                f"--preset {self.preset} does not know --self-contact",
+                "leave one of the two out: there every particle meets the floor, and nothing else",
+            )
         _ = self.parsed  # raises for a text that says nothing
 
     def _check_updated_lagrangian(self) -> None:

@@ -123,7 +123,10 @@ class RequestOptions:
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
     )] = False
-    self_contact: Annotated[bool, Option(SCENE, "Let bodies collide with themselves.")] = False
+    self_contact: Annotated[bool | None, Option(
+        SCENE, "Let bodies collide with themselves.",
+        shown="yes, but for nearly convex bodies; no with --preset paper and --solver ul",
+    )] = None
     damping_time: Annotated[float | None, Option(
         MATERIAL, "Kelvin-Voigt damping time [s].", shown="the material's", low=0.0, high=1e6,
     )] = None

@@ -78,8 +78,8 @@ def pack_type(real, epoch: int):
     reals = (
         *("u", "v", "inverse_mass", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
-        *("sample_height", "sample_stiffness", "sample_damping", "sample_friction"),
-        *("sample_mass", "sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
+        *("sample_height", "sample_constants", "sample_spring"),
+        *("sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight"),
         *("numbers", "pair"),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from solids import cube, solid, sphere
 
-from gf_usd.geometry.bodies import find_bodies
+from gf_usd.geometry.connected.bodies import find_bodies
 
 
 def found(*surfaces, spacing: float = 0.1, **more) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.geometry.bodies import part_weights, smoothstep
+from gf_usd.geometry.connected.bodies import part_weights, smoothstep
 
 WIDTH = 0.4
 

@@ -1,0 +1,263 @@
+"""Patches: the connected parts of a surface in each cell of a grid, and segments that hit them.
+
+The solid right behind a patch is connected, since the patch is: a connected part of the solid in a
+cell is a full cell, or bounded by patches.  Which patches bound the same part, and which part a
+point lies in, is seen along segments: from a point of the solid to the first patch that a segment
+hits there is nothing but solid, and a cell is convex.
+
+Lengths are in cells: the planes of the grid are at the integers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import shells
+from gf_usd.core.neighbors import components
+from gf_usd.geometry.connected.pieces import cut
+from gf_usd.geometry.solid import Solid
+from gf_usd.geometry.winding import Edges, winding_inside
+
+# [cells] surfaces are moved inward: one that lies in a plane of the grid is in the cell it bounds.
+INSET = 1e-5
+ASIDE = 1e-6 * np.array([0.532, 0.311, 0.788])  # [cells] likewise, so that no edge lies in a plane
+ON = 1e-9  # of a triangle, of a segment: what misses one by less hits it
+TESTS = 1 << 20  # segments with triangles at once: bounds memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skins:
+    """The surfaces of a solid, one under the other, in cells."""
+
+    points: Floats  # (V, 3) [cells] moved inward by a hair
+    triangles: Ints  # (T, 3) seen from outside
+    surface: Ints  # (T,) in the order of `Solid.surfaces`
+    body: Ints  # (T,)
+    shell: Ints  # (T,)
+
+    @staticmethod
+    def of(solid: Solid, of_surface: Ints, corner: Floats, h: float) -> Skins:
+        """The surfaces in cells of edge h [m] from a corner (3,) [m]; of_surface : (S,) bodies."""
+        points, triangles, shell, first, labels = [], [], [], 0, 0
+        for index in range(len(solid.surfaces)):
+            X, faces = solid.outward(index)
+            cells = (X - corner) / h
+            points.append(cells + ASIDE - INSET * vertex_normals(cells, faces))
+            triangles.append(faces + first)
+            shell.append(shells(faces) + labels)
+            first, labels = first + len(X), int(shell[-1].max()) + 1
+        counts = [len(t) for t in triangles]
+        return Skins(
+            points=np.concatenate(points),
+            triangles=np.concatenate(triangles),
+            surface=np.repeat(np.arange(len(counts)), counts),
+            body=np.repeat(of_surface, counts),
+            shell=np.concatenate(shell),
+        )
+
+    def inside(self, X: Floats) -> NDArray[np.bool_]:
+        """(n,) True for points X (n, 3) [cells] inside any of the surfaces."""
+        out = np.zeros(len(X), bool)
+        for k in range(int(self.surface.max()) + 1):
+            faces = self.triangles[self.surface == k]
+            corners = self.points[faces.ravel()]
+            low, high = corners.min(0), corners.max(0)
+            near = np.flatnonzero(~out & ((low <= X) & (high >= X)).all(1))
+            if len(near):
+                out[near] = winding_inside(self.points, faces, X[near])
+        return out
+
+
+def vertex_normals(points: Floats, triangles: Ints) -> Floats:
+    """(V, 3) unit, mean of the faces around each by area; 0 where there are none."""
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    cross = np.cross(b - a, c - a)
+    out = np.stack(
+        [np.bincount(triangles.ravel(), np.repeat(cross[:, k], 3), len(points)) for k in range(3)],
+        1,
+    )
+    length = np.linalg.norm(out, axis=1, keepdims=True)
+    return out / np.where(length > 0.0, length, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keys:
+    """One number for each cell of each body."""
+
+    low: Ints  # (3,)
+    dims: Ints  # (3,)
+    bodies: int
+
+    def of(self, ijk: Ints, body: Ints) -> Ints:
+        """Of cells (n, 3); -1 outside."""
+        at = ijk - self.low
+        known = ((at >= 0) & (at < self.dims)).all(1)
+        linear = (at[:, 0] * self.dims[1] + at[:, 1]) * self.dims[2] + at[:, 2]
+        return np.where(known, linear * self.bodies + body, -1)
+
+    def ijk(self, key: Ints) -> Ints:
+        """(n, 3) the cell of each key."""
+        return np.stack(np.unravel_index(key // self.bodies, tuple(self.dims)), -1) + self.low
+
+    @property
+    def strides(self) -> Ints:
+        """(3,) from a key to that of the next cell along each axis."""
+        return self.bodies * np.array([self.dims[1] * self.dims[2], self.dims[2], 1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patches:
+    """Triangles in cells, in the order of triangles and then of cells, and the patches they make.
+
+    Rows are (triangle, cell): a triangle in three cells has three.
+    """
+
+    skins: Skins
+    keys: Keys
+    triangle: Ints  # (P,)
+    key: Ints  # (P,) of the cell
+    center: Floats  # (P, 3) [cells] a point of the triangle in the cell
+    patch: Ints  # (P,) from 0
+    codes: Ints = field(repr=False)  # (P,) of triangle and cell, ascending
+    in_cell: Ints = field(repr=False)  # (P,) rows in the order of cells
+    cells: Ints = field(repr=False)  # (C,) keys of cells, ascending
+    cell_start: Ints = field(repr=False)  # (C + 1,) ranges of `in_cell`
+
+    def row(self, triangle: Ints, key: Ints) -> Ints:
+        """The row of a triangle in a cell; -1 where there is none."""
+        return found(self.codes, triangle * self._span + key, key >= 0)
+
+    @property
+    def _span(self) -> int:
+        return int(self.keys.dims.prod()) * self.keys.bodies
+
+    def first_hit(self, start: Floats, end: Ints, besides: Ints | None = None) -> Ints:
+        """Row of the first triangle on the way from points (n, 3) to the centers of rows `end`.
+
+        besides : (n,) rows that do not count, as those that a segment starts on.
+        """
+        out = np.array(end)
+        cell = np.searchsorted(self.cells, self.key[end])
+        many = np.diff(self.cell_start)[cell]
+        bounds = np.searchsorted(
+            np.cumsum(many), np.arange(0, many.sum() + TESTS, TESTS), side="right"
+        )
+        for low, high in pairwise(bounds):
+            if high > low:
+                some = slice(low, high)
+                passed = None if besides is None else besides[some]
+                out[some] = self._first_hit(start[some], end[some], cell[some], passed)
+        return out
+
+    def _first_hit(self, start: Floats, end: Ints, cell: Ints, besides: Ints | None) -> Ints:
+        first, many = self.cell_start[cell], np.diff(self.cell_start)[cell]
+        segment = np.repeat(np.arange(len(cell)), many)
+        begin = np.cumsum(many) - many
+        rows = self.in_cell[np.arange(len(segment)) - np.repeat(begin - first, many)]
+        a, b, c = np.moveaxis(self.skins.points[self.skins.triangles[self.triangle[rows]]], 1, 0)
+        o = start[segment]
+        d = self.center[end][segment] - o
+        # Moeller and Trumbore 1997
+        u, v, s = b - a, c - a, o - a
+        p, q = np.cross(d, v), np.cross(s, u)
+        det = (u * p).sum(1)
+        safe = np.where(det == 0.0, 1.0, det)
+        x, y, t = (s * p).sum(1) / safe, (d * q).sum(1) / safe, (v * q).sum(1) / safe
+        hit = (det != 0.0) & (x >= -ON) & (y >= -ON) & (x + y <= 1.0 + ON) & (t >= 0.0)
+        hit &= t <= 1.0 + ON
+        if besides is not None:
+            hit &= rows != besides[segment]
+        t = np.where(hit, t, np.inf)
+        least = np.minimum.reduceat(t, begin)
+        at = np.full(len(cell), len(rows))
+        np.minimum.at(at, segment[t == least[segment]], np.flatnonzero(t == least[segment]))
+        return np.where(np.isfinite(least), rows[np.minimum(at, len(rows) - 1)], end)
+
+
+def found(ascending: Ints, wanted: Ints, known: NDArray[np.bool_]) -> Ints:
+    """Where each of `wanted` stands in an ascending array; -1 where it is not, or not known."""
+    if not len(ascending):
+        return np.full(len(wanted), -1)
+    at = np.minimum(np.searchsorted(ascending, wanted), len(ascending) - 1)
+    return np.where(known & (ascending[at] == wanted), at, -1)
+
+
+def find_patches(skins: Skins, inside: Ints, bodies: int) -> Patches:
+    """The patches of surfaces; inside : (n, 3) other cells that keys have to cover."""
+    corners = skins.points[skins.triangles]
+    made = cut(corners)
+    middle = made.corners.mean(1)
+    ijk = np.floor(middle).astype(np.int64)
+    both = np.concatenate([ijk, inside])
+    low = both.min(0) - 1
+    keys = Keys(low=low, dims=both.max(0) + 2 - low, bodies=bodies)
+    key = keys.of(ijk, skins.body[made.source])
+    span = int(keys.dims.prod()) * bodies
+    area = np.linalg.norm(made.area_vectors, axis=1)
+    order = np.lexsort([-area, made.source * span + key])
+    codes, first = np.unique((made.source * span + key)[order], return_index=True)
+    rows = order[first]  # of a triangle's pieces in a cell the largest
+    triangle, key = made.source[rows], key[rows]
+    in_cell = np.argsort(key, kind="stable")
+    cells, start = np.unique(key[in_cell], return_index=True)
+    out = Patches(
+        skins=skins, keys=keys, triangle=triangle, key=key, center=middle[rows],
+        patch=np.arange(len(rows)), codes=codes, in_cell=in_cell, cells=cells,
+        cell_start=np.append(start, len(rows)),
+    )  # fmt: skip
+    return Patches(**{**vars(out), "patch": _patch(out)})
+
+
+def _patch(rows: Patches) -> Ints:
+    """The patch of each row: triangles hang together in the cells that a common edge crosses."""
+    skins, keys = rows.skins, rows.keys
+    edges = Edges.of(skins.triangles)
+    _, half = np.unique(edges.id, return_index=True)
+    edge, ijk = crossed(skins.points[edges.directed[half]])
+    by_edge = np.argsort(edges.id, kind="stable")
+    first = np.searchsorted(edges.id[by_edge], edge)
+    uses = edges.uses[edge]
+    node = np.repeat(np.arange(len(edge)), uses)
+    turn = np.arange(len(node)) - np.repeat(np.cumsum(uses) - uses, uses)
+    triangle = by_edge[first[node] + turn] // 3
+    at = rows.row(triangle, keys.of(ijk[node], skins.body[triangle]))
+    seen = at >= 0
+    count = len(rows.triangle)
+    graph = coo_matrix(
+        (np.ones(seen.sum()), (at[seen], count + node[seen])), shape=(count + len(edge),) * 2
+    )
+    label = components(graph)[1][:count]
+    return np.unique(label, return_inverse=True)[1].ravel()
+
+
+def crossed(segments: Floats) -> tuple[Ints, Ints]:
+    """Cells (m, 3) that segments (n, 2, 3) pass through, and the segment of each (m,)."""
+    source = np.arange(len(segments))
+    for axis in range(3):
+        done: list[tuple[Floats, Ints]] = []
+        while True:
+            z = segments[:, :, axis]
+            low, high = np.floor(z.min(1)), np.ceil(z.max(1))
+            spans = high - low > 1.0
+            done.append((segments[~spans], source[~spans]))
+            if not spans.any():
+                break
+            segments, source = segments[spans], source[spans]
+            plane = np.floor(0.5 * (low + high))[spans]
+            a, b = np.moveaxis(segments, 1, 0)
+            t = (plane - a[:, axis]) / (b[:, axis] - a[:, axis])
+            middle = a + t[:, None] * (b - a)
+            middle[:, axis] = plane
+            segments = np.concatenate([np.stack([a, middle], 1), np.stack([middle, b], 1)])
+            source = np.tile(source, 2)
+        segments = np.concatenate([s for s, _ in done])
+        source = np.concatenate([s for _, s in done])
+    ijk = np.floor(segments.mean(1)).astype(np.int64)
+    both = np.unique(np.concatenate([source[:, None], ijk], 1), axis=0)
+    return both[:, 0], both[:, 1:]

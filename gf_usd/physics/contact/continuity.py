@@ -1,0 +1,83 @@
+"""From the planes of one detection to those of the next without energy out of nothing.
+
+A detection changes points and normals although nothing moved, and so what the springs store.  The
+new planes of a pair (a body, and what it faces) are therefore moved along their normals, so that
+its samples are f times as deep as the true surface says, f^2 = E_old / E_true: the pair stores what
+it stored.  f differs from 1 by the few percent of such a jump, and is found anew at each detection
+from the true depths; it goes back to 1 by what a small budget of energy allows.
+
+The springs of friction stay with a sample as long as it faces the same body or obstacle: they turn
+into the new plane, with their length.  Those of a sample that faces something else are released.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.narrow_phase import ContactPlanes, along
+
+EASE = 0.1  # [spacings] that a detection may make a sample deeper than it was under its old plane
+# A pair of which a detection leaves hardly a sample inside does not pass all it holds to that one.
+MOST = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stored:
+    """What n samples hold under the planes of one detection."""
+
+    planes: ContactPlanes
+    depth: Floats  # (n,) [m]
+    stiffness: Floats  # (n,) [N/m]
+    pair: Ints  # (n,) number of the pair of bodies, or of body and obstacle; below 0: none
+
+    @property
+    def normal_energy(self) -> Floats:
+        """(n,) [J] k d^2 / 2."""
+        return 0.5 * self.stiffness * self.depth**2
+
+    @property
+    def energy(self) -> float:
+        """[J] of all springs."""
+        xi = self.planes.spring
+        return float(self.normal_energy.sum() + 0.5 * self.stiffness @ (xi * xi).sum(1))
+
+
+def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Stored:
+    """The true planes moved along their normals so that each pair stores what it stored.
+
+    ease : [m] that a sample may become deeper at once; budget : [J] by which the energy of a pair
+    may come nearer to the true one.
+    """
+    eased = replace(true, depth=np.minimum(true.depth, old.depth + ease))
+    pairs = 1 + int(max(old.pair.max(initial=-1), true.pair.max(initial=-1)))
+
+    def summed(stored: Stored) -> Floats:
+        some = stored.pair >= 0
+        return np.bincount(stored.pair[some], stored.normal_energy[some], pairs)
+
+    had, has, aim = summed(old), summed(eased), summed(true)
+    goal = had + np.clip(aim - had, -budget, budget)
+    scale = np.minimum(np.sqrt(goal / np.where(has > 0.0, has, 1.0)), MOST)
+    depth = np.where(true.pair >= 0, np.append(scale, 0.0)[true.pair] * eased.depth, 0.0)
+    planes = true.planes
+    point = planes.point - (true.depth - depth)[:, None] * planes.normal
+    planes = replace(planes, point=point, spring=_kept(old, true))
+    return replace(true, planes=planes, depth=depth)
+
+
+def _kept(old: Stored, new: Stored) -> Floats:
+    """(n, 3) [m] springs of friction with their energy, along the new planes."""
+    xi = old.planes.spring
+    kept = np.flatnonzero(xi.any(1) & (old.pair == new.pair) & (new.pair >= 0))
+    out = np.zeros_like(xi)
+    if len(kept):
+        turned = along(xi[kept], new.planes.normal[kept])
+        length = np.linalg.norm(turned, axis=1)
+        asked = np.linalg.norm(xi[kept], axis=1) * np.sqrt(
+            old.stiffness[kept] / new.stiffness[kept]
+        )
+        out[kept] = turned * (asked / np.where(length > 0.0, length, 1.0))[:, None]
+    return out

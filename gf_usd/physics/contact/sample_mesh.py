@@ -1,0 +1,187 @@
+"""A triangulation of a body's contact samples, and which of them are neighbors at rest.
+
+The samples of a surface divide it into the places that are nearest to each of them along the
+surface; samples whose places meet at a point are a triangle (the dual of the geodesic Voronoi
+diagram; Peyre and Cohen 2006, Geodesic remeshing using front propagation).  Its triangles are about
+a spacing large however coarse or fine the mesh is, and its vertices move with the body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import igl
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.stage import Skin
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+FINE = 0.8  # [spacings] longest edge of the mesh on which nearest samples are found
+WIDE = 3.0  # [spacings] a triangle of samples farther apart spans what has no samples, as pins do
+WELD = 1e-7  # of the extent: vertices nearer to each other are one
+EPS = 1e-9  # of a spacing: the shortest edge of the graph, where vertices coincide
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleMesh:
+    """Triangles of the samples of one body."""
+
+    triangles: Ints  # (T, 3) samples, counter-clockwise seen from outside
+    around: Ints  # (n, k) triangles of each sample; -1: no more
+
+    @property
+    def edges(self) -> Ints:
+        """(E, 2) pairs of samples, each once and ascending."""
+        t = self.triangles
+        return np.unique(np.sort(t[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+
+
+def triangulate(skin: Skin, X: Floats, spacing: float) -> SampleMesh:
+    """The triangles of samples X (n, 3) [m] that lie on a skin about a spacing [m] apart."""
+    from scipy.sparse.csgraph import dijkstra
+
+    points, triangles = split(*weld(skin.points, skin.triangles), FINE * spacing)
+    home = np.asarray(igl.point_mesh_squared_distance(X, points, triangles)[1]).reshape(-1)
+    corners = triangles[home]
+    first = len(points)
+    samples = first + np.arange(len(X))
+    ends = np.concatenate(
+        [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
+        + [np.stack([samples, corners[:, k]], 1) for k in range(3)]
+    )
+    graph = _lengths(ends, np.concatenate([points, X]), spacing)
+    of = dijkstra(graph, directed=False, indices=samples, min_only=True, return_predecessors=True)[
+        2
+    ][:first]
+    label = of[triangles] - first
+    reached = (of[triangles] >= 0).all(1)
+    a, b, c = label.T
+    several = reached & (a != b) & (b != c) & (c != a)
+    made = label[several]
+    turn = made.argmin(1)[:, None]
+    made = np.unique(np.take_along_axis(made, (turn + np.arange(3)) % 3, 1), axis=0)
+    longest = np.linalg.norm(X[made] - X[np.roll(made, 1, axis=1)], axis=2).max(1, initial=0.0)
+    made = made[longest <= WIDE * spacing]
+    return SampleMesh(triangles=made, around=incident(made, len(X)))
+
+
+def weld(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """The same surface with vertices that coincide made one."""
+    cell = WELD * max(float(np.ptp(points, axis=0).max()), 1e-30)
+    _, first, of = np.unique(
+        np.round(points / cell).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
+    welded = of.reshape(-1)[triangles]
+    a, b, c = welded.T
+    return points[first], welded[(a != b) & (b != c) & (c != a)]
+
+
+def split(points: Floats, triangles: Ints, longest: float) -> tuple[Floats, Ints]:
+    """The surface with its edges halved until none is longer than `longest` [m]; it has no gaps."""
+    while True:
+        edge = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], -1), -1)
+        flat = edge.reshape(-1, 2)
+        long = np.linalg.norm(points[flat[:, 0]] - points[flat[:, 1]], axis=1) > longest
+        if not long.any():
+            return points, triangles
+        pairs, inverse = np.unique(flat[long], axis=0, return_inverse=True)
+        middle = np.full(len(flat), -1)
+        middle[long] = len(points) + inverse.reshape(-1)
+        points = np.concatenate([points, points[pairs].mean(1)])
+        triangles = _divided(triangles, middle.reshape(-1, 3))
+
+
+def _divided(t: Ints, m: Ints) -> Ints:
+    """Triangles (T, 3) divided at the midpoints m (T, 3) of edges 01, 12 and 20; -1: none."""
+    count = (m >= 0).sum(1)
+    # Turned so that one midpoint is on edge 01, and two are on 01 and 12.
+    turn = np.where(count == 1, m.argmax(1), np.where(count == 2, (m.argmin(1) + 1) % 3, 0))
+    order = (turn[:, None] + np.arange(3)) % 3
+    (a, b, c), (d, e, f) = np.take_along_axis(t, order, 1).T, np.take_along_axis(m, order, 1).T
+    patterns = (
+        [(a, b, c)],
+        [(a, d, c), (d, b, c)],
+        [(d, b, e), (a, d, e), (a, e, c)],
+        [(a, d, f), (d, b, e), (f, e, c), (d, e, f)],
+    )
+    return np.concatenate(
+        [
+            np.stack(corner, 1)[count == number]
+            for number, pattern in enumerate(patterns)
+            for corner in pattern
+        ]
+    )
+
+
+def incident(triangles: Ints, n: int) -> Ints:
+    """(n, k) the triangles (T, 3) of each of n vertices, in order; -1: no more."""
+    flat = triangles.ravel()
+    order = np.argsort(flat, kind="stable")
+    start = np.searchsorted(flat[order], np.arange(n + 1))
+    width = int(np.diff(start).max(initial=0))
+    at = start[:-1, None] + np.arange(width)
+    there = at < start[1:, None]
+    return np.where(there, order[np.where(there, at, 0)] // 3, -1) if width else at
+
+
+def _lengths(ends: Ints, points: Floats, spacing: float) -> csr_matrix:
+    """The graph of edges (E, 2) between points (n, 3), weighted by their lengths [m]."""
+    from scipy.sparse import csr_matrix
+
+    ends = np.unique(np.sort(ends, axis=1), axis=0)
+    length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+    length = np.maximum(length, EPS * spacing)
+    return csr_matrix((length, (ends[:, 0], ends[:, 1])), shape=(len(points), len(points)))
+
+
+class Neighbors:
+    """Which samples of a body are near each other at rest, along its surface or through its solid.
+
+    A pair is near where it is at most `hops` edges of the sample mesh apart, or closer than `far`
+    [m] with the straight way between them through the body: inwards from one and outwards to the
+    other.  Two legs with a narrow gap between them are not near.  A pair is at the rim where it is
+    one edge farther apart than what is near.
+    """
+
+    def __init__(self, mesh: SampleMesh, X: Floats, normal: Floats, hops: int, far: float) -> None:
+        from scipy.sparse import csr_matrix, identity
+
+        n = len(X)
+        a, b = mesh.edges.T
+        ends = np.concatenate([a, b]), np.concatenate([b, a])
+        step = csr_matrix((np.ones(2 * len(a), np.int8), ends), shape=(n, n))
+        step = (step + identity(n, np.int8, format="csr")).astype(bool)
+        reached = step
+        for _ in range(hops - 1):
+            reached = reached @ step
+        a, b = kd_tree(X).query_pairs(far, output_type="ndarray").T
+        along = X[b] - X[a]
+        inward = ((along * normal[a]).sum(1) < 0.0) & ((along * normal[b]).sum(1) > 0.0)
+        through = np.concatenate([a[inward] * n + b[inward], b[inward] * n + a[inward]])
+        self._n = n
+        self._near = np.union1d(_keys(reached, n), through)
+        self._wide = _keys(reached @ step, n)
+
+    def near(self, a: Ints, b: Ints) -> Ints:
+        """Whether samples a and b are near."""
+        return _among(self._near, a * self._n + b)
+
+    def rim(self, a: Ints, b: Ints) -> Ints:
+        """Whether samples a and b are near or at the rim."""
+        return _among(self._wide, a * self._n + b)
+
+
+def _keys(pairs: csr_matrix, n: int) -> Ints:
+    """a n + b of the entries of a matrix, ascending."""
+    coo = pairs.tocoo()
+    return np.sort(coo.row.astype(np.int64) * n + coo.col)
+
+
+def _among(keys: Ints, key: Ints) -> Ints:
+    at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+    return keys[at] == key

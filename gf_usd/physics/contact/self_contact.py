@@ -1,0 +1,380 @@
+"""Contact of a body with itself: what of its surface comes near what is far from it at rest.
+
+The broad phase divides the surface into patches and compares every pair of them: those that are
+apart are left alone until they could have come together, those that are neighbors at rest until
+the surface is folded between them.  A body whose patches are all apart costs a few products of
+small matrices a frame.
+
+The narrow phase is by the triangles of the `SampleMesh`.  A sample looks for something ahead of it
+in a ball that touches the surface there; what finds something that is not near at rest, and what
+faced something at the last detection, gets the closest point of the triangles that face it and are
+not near it at rest.  The sign of the distance is that of the angle-weighted pseudo-normal
+(Baerentzen and Aanaes 2005).  That sign alone cannot tell a sample that came through a surface from
+one that lies behind it anyway, such as on the other side of the same limb: a sample is inside only
+where it was inside, or on the outer side of the same place, at the last detection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.core.stage import Skin
+from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulate
+
+HOPS = 4  # edges of the sample mesh, from where on a body meets itself
+THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet each other
+SEE = 1.25  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
+SEEDS = 3  # samples facing one whose triangles are looked at
+STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
+ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
+TURN = 1.5  # [spacings] that a normal turned by a radian is as far as
+LOOKED = 12  # samples of which SEEDS are chosen
+PATCH = 48  # samples of a patch, about
+FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
+AHEAD = 1.5  # speeds may grow by this factor until the next detection
+NEARLY = 0.25  # [spacings] from where something is about to touch
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facing:
+    """Samples of a body and the places of its own surface that they face."""
+
+    rows: Ints  # (k,) samples, of the body's own
+    gap: Floats  # (k,) [m], negative inside
+    normal: Floats  # (k, 3) unit, out of the place
+    point: Floats  # (k, 3) [m]
+    carriers: Ints  # (k, 3) corners of its triangle, of the body's own samples
+    weights: Floats  # (k, 3) barycentric
+
+
+class Patches:
+    """The surface of a body at rest in patches: X, normal (n, 3) of its samples."""
+
+    def __init__(self, X: Floats, normal: Floats, spacing: float) -> None:
+        from scipy.sparse import csr_matrix
+
+        edge = np.sqrt(PATCH * max(1.0, len(X) / 6000.0)) * spacing
+        side = np.abs(normal).argmax(1)
+        cell = np.floor((X - X.min(0)) / edge).astype(np.int64)
+        way = 2 * side + (np.take_along_axis(normal, side[:, None], 1)[:, 0] > 0.0)
+        _, of = np.unique(np.column_stack([cell, way]), axis=0, return_inverse=True)
+        self.of = of.reshape(-1)
+        self.order = np.argsort(self.of, kind="stable")
+        self.start = np.searchsorted(self.of[self.order], np.arange(self.of.max() + 1))
+        count = np.bincount(self.of)
+        rows, columns = self.of[self.order], self.order
+        mean = csr_matrix((1.0 / count[rows], (rows, columns)))
+        n0 = mean @ normal
+        n0 /= np.maximum(np.linalg.norm(n0, axis=1, keepdims=True), 1e-12)
+        axis = np.eye(3)[np.abs(n0).argmin(1)]
+        t1 = np.cross(n0, axis)
+        t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
+        t2 = np.cross(n0, t1)
+        away = X - (mean @ X)[self.of]
+        # x = c + a t1 + b t2 by least squares over each patch: two rows of sums of x.
+        a, b = (away * t1[self.of]).sum(1), (away * t2[self.of]).sum(1)
+        aa, ab, bb = (np.bincount(self.of, p) for p in (a * a, a * b, b * b))
+        determinant = aa * bb - ab * ab
+        flat = determinant > 1e-6 * np.maximum(aa, bb) ** 2
+        scale = np.where(flat, 1.0 / np.where(flat, determinant, 1.0), 0.0)
+        first = (bb[self.of] * a - ab[self.of] * b) * scale[self.of]
+        second = (aa[self.of] * b - ab[self.of] * a) * scale[self.of]
+        self._mean = mean
+        self._first = csr_matrix((first[columns], (rows, columns)))
+        self._second = csr_matrix((second[columns], (rows, columns)))
+        self._a, self._b = np.triu_indices(len(count), 1)
+        c, n, r = self._shape(X)
+        gap, look = self._look(c, n, r)
+        self._adjacent = gap < (2.0 * SEE + THICK) * spacing
+        self._look0 = np.maximum(look, 0.0)
+        self._spacing = spacing
+
+    def _shape(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        c = self._mean @ x
+        # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
+        n = np.cross(self._first @ x, self._second @ x)
+        length = np.linalg.norm(n, axis=1, keepdims=True)
+        n = n / np.where(length > 0.0, length, 1.0)
+        return c, n, self._farthest(x - c[self.of])
+
+    def _farthest(self, away: Floats) -> Floats:
+        squared = np.einsum("na,na->n", away, away)
+        return np.sqrt(np.maximum.reduceat(squared[self.order], self.start))
+
+    def _look(self, c: Floats, n: Floats, r: Floats) -> tuple[Floats, Floats]:
+        """Gap [m] of each pair, and the cosine by which both look at each other."""
+        a, b = self._a, self._b
+        along = c[b] - c[a]
+        length = np.sqrt(np.einsum("na,na->n", along, along))
+        look = np.minimum(
+            np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b])
+        ) / np.maximum(length, 1e-30)
+        return length - r[a] - r[b], look
+
+    def judge(self, x: Floats, v: Floats) -> tuple[bool, float]:
+        """Whether anything may be near itself, and for how long [s] that holds.
+
+        x, v : (n, 3) [m], [m/s] of the samples.
+        """
+        a, b, s = self._a, self._b, self._spacing
+        if len(a) == 0:
+            return False, float("inf")
+        c, n, r = self._shape(x)
+        gap, look = self._look(c, n, r)
+        mean = self._mean @ v
+        spread = self._farthest(v - mean[self.of])
+        speed = np.linalg.norm(mean[a] - mean[b], axis=1) + spread[a] + spread[b]
+        folded = look > self._look0 + FOLD * (look < 1.0)
+        # At rest some neighbors look at each other: what is between two legs.
+        folded |= (self._look0 > FOLD) & (look > 0.0)
+        near = (gap < 2.0 * SEE * s) & (~self._adjacent | folded)
+        apart = ~near & ~self._adjacent
+        hold = np.maximum(gap[apart] - SEE * s, SEE * s) / np.maximum(speed[apart], 1e-30)
+        best = float(hold.min(initial=np.inf)) / AHEAD
+        if near.any():
+            best = min(best, SEE * s / AHEAD / max(float(speed[near].max()), 1e-30))
+        return bool(near.any()), best
+
+
+class SelfContact:
+    """Finds what of one body faces itself.
+
+    skin : its surface at rest; X, normal : (n, 3) of its samples at rest; spacing : [m].
+    """
+
+    def __init__(self, skin: Skin, X: Floats, normal: Floats, spacing: float) -> None:
+        self._skin, self._X, self._normal, self._spacing = skin, X, normal, spacing
+        self._patches = Patches(X, normal, spacing)
+        self._made: tuple[SampleMesh, Neighbors] | None = None
+
+    @property
+    def _mesh(self) -> tuple[SampleMesh, Neighbors]:
+        """Made once something is near: most bodies never need it."""
+        if self._made is None:
+            mesh = triangulate(self._skin, self._X, self._spacing)
+            far = THICK * self._spacing
+            self._made = mesh, Neighbors(mesh, self._X, self._normal, HOPS, far)
+        return self._made
+
+    def judge(self, x: Floats, v: Floats) -> tuple[bool, float]:
+        """See `Patches.judge`."""
+        return self._patches.judge(x, v)
+
+    def imminent(self, x: Floats, v: Floats, span: float, before: Floats, gap: Floats) -> bool:
+        """Whether anything may touch itself within a span [s]; before, gap : as of `find`."""
+        near, hold = self.judge(x, v)
+        if not near:
+            return hold < span
+        found = self.find(x, 2.0 * SEE * self._spacing, before, gap)
+        theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
+        closing = -((v[found.rows] - theirs) * found.normal).sum(1)
+        left = found.gap - AHEAD * span * np.maximum(closing, 0.0)
+        return bool((left < NEARLY * self._spacing).any())
+
+    def find(self, x: Floats, reach: float, before: Floats, gap: Floats) -> Facing:
+        """What faces itself within a reach [m].
+
+        x, before : (n, 3) [m] now and at the last detection; gap : (n,) [m] found there.
+        """
+        mesh, neighbors = self._mesh
+        if len(mesh.triangles) == 0:
+            return _nothing()
+        face, corner, normal = _normals(x, mesh)
+        rows = self._ahead(x, normal, neighbors, gap < reach)
+        seeds = self._seeds(rows, x, normal, neighbors, reach)
+        rows, seeds = rows[(seeds >= 0).any(1)], seeds[(seeds >= 0).any(1)]
+        if len(rows) == 0:
+            return _nothing()
+        return self._closest(rows, seeds, x, reach, before, gap, (face, corner, normal))
+
+    def _ahead(self, x: Floats, normal: Floats, neighbors: Neighbors, known: Ints) -> Ints:
+        """Samples before which something is that is not near at rest, with what is there."""
+        radius = SEE * self._spacing
+        tree = kd_tree(x)
+        center = x + radius * normal
+        distance, at = tree.query(center, k=4, distance_upper_bound=radius * (1.0 - 1e-6))
+        there = np.isfinite(distance)
+        who = np.broadcast_to(np.arange(len(x))[:, None], at.shape)[there]
+        other = at[there]
+        far = ~neighbors.near(who, other)
+        wanted = known.copy()
+        wanted[who[far]] = True
+        wanted[other[far]] = True
+        # A crease is full of neighbors, which may hide what is far.
+        wanted |= there.all(1)
+        return np.flatnonzero(wanted)
+
+    def _seeds(
+        self, rows: Ints, x: Floats, normal: Floats, neighbors: Neighbors, reach: float
+    ) -> Ints:
+        """(k, SEEDS) the samples nearest to each of rows that face it and are not near; -1: no."""
+        out = np.full((len(rows), SEEDS), -1)
+        if len(rows) == 0:
+            return out
+        # Facing is near in space and in minus the normal: what lies beside is as far as `wide`.
+        wide = TURN * self._spacing
+        at = kd_tree(np.hstack([x, wide * normal])).query(
+            np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(x)),
+            distance_upper_bound=np.hypot(reach, 2.0**0.5 * wide),
+        )[1].reshape(len(rows), -1)  # fmt: skip
+        a, j = np.nonzero(at < len(x))
+        b = at[a, j]
+        facing = np.einsum("na,na->n", normal[rows[a]], normal[b]) < 0.0
+        facing[facing] = ~neighbors.near(rows[a[facing]], b[facing])
+        a, b = a[facing], b[facing]
+        distance = np.linalg.norm(x[rows[a]] - x[b], axis=1)
+        order = np.lexsort((b, distance, a))
+        a, b = a[order], b[order]
+        rank = np.arange(len(a)) - np.searchsorted(a, a)
+        few = rank < SEEDS
+        out[a[few], rank[few]] = b[few]
+        return out
+
+    def _closest(
+        self, rows: Ints, seeds: Ints, x: Floats, reach: float, before: Floats, gap: Floats,
+        normals: tuple[Floats, Floats, Floats],
+    ) -> Facing:  # fmt: skip
+        """The closest places of the triangles about the seeds (k, SEEDS) of each of rows (k,)."""
+        mesh, neighbors = self._mesh
+        face, angle, normal = normals
+        t = np.where((seeds >= 0)[:, :, None], mesh.around[seeds], -1).reshape(len(rows), -1)
+        t.sort(axis=1)
+        t[:, 1:][t[:, 1:] == t[:, :-1]] = -1
+        i, j = np.nonzero(t >= 0)
+        at = t[i, j]
+        s = rows[i]
+        keep = np.einsum("na,na->n", normal[s], face[at]) < ASIDE
+        corners = mesh.triangles[at]
+        keep &= ~neighbors.near(s[:, None], corners).any(1)
+        i, at, s, corners = i[keep], at[keep], s[keep], corners[keep]
+        if len(i) == 0:
+            return _nothing()
+        weights = closest_weights(x[s], x[corners])
+        q = np.einsum("nk,nka->na", weights, x[corners])
+        away = x[s] - q
+        distance = np.sqrt(np.einsum("na,na->n", away, away))
+        start = np.flatnonzero(np.r_[True, i[1:] != i[:-1]])
+        group = np.cumsum(np.r_[True, i[1:] != i[:-1]]) - 1
+        least = np.minimum.reduceat(distance, start)
+        tie = distance <= least[group] + 1e-6 * self._spacing
+        # Pseudo-normal: faces and edges by their faces, vertices by the angles of their faces.
+        vertex = weights.max(1) > 1.0 - 1e-9
+        share = np.where(vertex, angle[at, weights.argmax(1)], 1.0) * tie
+        pseudo = np.add.reduceat(share[:, None] * face[at], start)
+        seen = np.add.reduceat(tie.astype(int), start)
+        first = np.flatnonzero(tie)[np.searchsorted(np.flatnonzero(tie), start)]
+        i, s, q, away = i[first], s[first], q[first], away[first]
+        weights, corners, at = weights[first], corners[first], at[first]
+        side = np.where((away * pseudo).sum(1) < 0.0, -1.0, 1.0)
+        now = side * least
+        # On the rim of what is admitted the closest place may be beyond it.
+        rim = (neighbors.rim(s[:, None], corners) & (weights > 0.0)).any(1)
+        rim &= weights.min(1) <= 0.0
+        # Where the sample does not face all that meets at an edge or a corner, what it faces ends
+        # there, and behind it is not inside.
+        free = (weights > 1e-9).sum(1)
+        degree = (mesh.around[corners[np.arange(len(s)), weights.argmax(1)]] >= 0).sum(1)
+        ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
+        rim |= ends & (now < 0.0)
+        came, height = self._came(before, s, corners, weights)
+        was = np.where(gap[s] < 0.0, gap[s], np.where(height >= 0.0, came, np.inf))
+        believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
+        keep = (least < reach) & ~rim & believed
+        pseudo /= np.maximum(np.linalg.norm(pseudo, axis=1, keepdims=True), 1e-30)
+        on = least <= 1e-6 * self._spacing
+        n = np.where(
+            on[:, None], pseudo, away * (side / np.where(least > 0.0, least, 1.0))[:, None]
+        )
+        return Facing(
+            rows=s[keep], gap=now[keep], normal=n[keep], point=q[keep],
+            carriers=corners[keep], weights=weights[keep],
+        )  # fmt: skip
+
+    @staticmethod
+    def _came(x: Floats, s: Ints, corners: Ints, weights: Floats) -> tuple[Floats, Floats]:
+        """[m] from samples s to places of triangles (k, 3), and how high they are above these."""
+        a, b, c = np.moveaxis(x[corners], 1, 0)
+        n = np.cross(b - a, c - a)
+        length = np.linalg.norm(n, axis=1)
+        away = x[s] - np.einsum("nk,nka->na", weights, x[corners])
+        height = (away * n).sum(1) / np.where(length > 0.0, length, 1.0)
+        return np.linalg.norm(away, axis=1), height
+
+
+def _nothing() -> Facing:
+    whole, three = np.zeros(0, np.int64), np.zeros((0, 3))
+    return Facing(
+        rows=whole, gap=np.zeros(0), normal=three, point=three,
+        carriers=np.zeros((0, 3), np.int64), weights=three,
+    )  # fmt: skip
+
+
+def _normals(x: Floats, mesh: SampleMesh) -> tuple[Floats, Floats, Floats]:
+    """Unit normals (T, 3) of triangles, their angles (T, 3), unit normals (n, 3) of vertices."""
+    t = mesh.triangles
+    a, b, c = x[t[:, 0]], x[t[:, 1]], x[t[:, 2]]
+    u, v, w = b - a, c - b, a - c
+    n = np.cross(u, -w)
+    length = np.sqrt(np.einsum("na,na->n", n, n))
+    n /= np.where(length > 0.0, length, 1.0)[:, None]
+    # tan of an angle = |cross| / dot of its two edges
+    dots = [-np.einsum("na,na->n", p, q) for p, q in ((w, u), (u, v), (v, w))]
+    angle = np.arctan2(length[:, None], np.stack(dots, 1))
+    out = np.zeros_like(x)
+    for k in range(3):
+        for axis in range(3):
+            out[:, axis] += np.bincount(t[:, k], angle[:, k] * n[:, axis], minlength=len(x))
+    size = np.sqrt(np.einsum("na,na->n", out, out))
+    return n, angle, out / np.where(size > 0.0, size, 1.0)[:, None]
+
+
+def closest_weights(p: Floats, corners: Floats) -> Floats:
+    """(n, 3) barycentric of the point of each triangle (n, 3, 3) closest to p (n, 3).
+
+    By the regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, ap = b - a, c - a, p - a
+    bp, cp = p - b, p - c
+
+    def dot(u: Floats, v: Floats) -> Floats:
+        return np.einsum("na,na->n", u, v)
+
+    d1, d2, d3, d4, d5, d6 = (
+        dot(ab, ap),
+        dot(ac, ap),
+        dot(ab, bp),
+        dot(ac, bp),
+        dot(ab, cp),
+        dot(ac, cp),
+    )
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    total = va + vb + vc
+    total = np.where(total != 0.0, total, 1.0)
+    out = np.stack([va, vb, vc], 1) / total[:, None]
+
+    def put(where: Floats, *w: Floats | float) -> None:
+        for k, value in enumerate(w):
+            out[where, k] = value[where] if isinstance(value, np.ndarray) else value
+
+    def ratio(one: Floats, other: Floats) -> Floats:
+        whole = one + other
+        return one / np.where(whole != 0.0, whole, 1.0)
+
+    on_bc = (va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0)
+    t = ratio(d4 - d3, d5 - d6)
+    put(on_bc, 0.0, 1.0 - t, t)
+    on_ac = (vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0)
+    t = ratio(d2, -d6)
+    put(on_ac, 1.0 - t, 0.0, t)
+    on_ab = (vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0)
+    t = ratio(d1, -d3)
+    put(on_ab, 1.0 - t, t, 0.0)
+    put((d6 >= 0.0) & (d5 <= d6), 0.0, 0.0, 1.0)
+    put((d3 >= 0.0) & (d4 <= d3), 0.0, 1.0, 0.0)
+    put((d1 <= 0.0) & (d2 <= 0.0), 1.0, 0.0, 0.0)
+    return out

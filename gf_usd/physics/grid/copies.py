@@ -1,0 +1,205 @@
+"""Virtual nodes: nodes that have a copy for each limb within their reach (docs/physics.md).
+
+A node near two limbs that are apart belongs to both, once for each (Molino, Bao and Fedkiw 2004;
+Teran et al. 2005; Mitchell et al. 2015).  Cells are copied for each connected part of the solid in
+them (`CellCopies`), and a copy of a cell has its own 27 nodes, shared with those copies of the
+cells around it that the solid connects it to.
+
+Where nodes have copies, nearness says nothing: what follows nodes (light ones, points on cells that
+no particle reaches) finds them by going from cell to cell through the solid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import CellCopies
+from gf_usd.core.neighbors import STENCIL, components, kd_tree, node_copies
+
+ZONE = 4.0  # [cells] from a node with copies: beyond it no fit takes one
+RINGS = 2  # cells gone through the solid, more where they do not lead to enough nodes
+ENOUGH = 24  # nodes: those that a fit takes
+SLACK = 1e-4  # [cells] by which a point may lie outside of the cell it belongs to
+# From places (n, 3) [cells] and nodes (m, 3) to rows (n, m); None or [cells] beyond which none is.
+Fit = Callable[[Floats, Ints, float | None], sparse.csr_matrix]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeCopies:
+    """The copies of cells on the grid, and the nodes of each."""
+
+    cell: Ints  # (K, 3) base node of each
+    nodes: Ints  # (K, 27) node; -1 where no particle reaches
+    cell_of: Ints  # (K,) row of `Stencil.cell_nodes` of each; -1: without particles
+    steps: sparse.csr_matrix  # (K, K) 1 from each copy to itself and to those it is linked to
+    near: NDArray[np.bool_]  # (K,) nodes with copies are near by
+
+    def renumbered(self, number: Ints) -> NodeCopies:
+        """The same after nodes got other numbers (M,)."""
+        return replace(self, nodes=np.where(self.nodes < 0, -1, number[self.nodes]))
+
+    @cached_property
+    def home(self) -> Ints:
+        """(M,) a copy of a cell that each node belongs to, if copies of nodes are near by; else -1.
+
+        Of a node that is near no copies the cells are not."""
+        out = np.full(int(self.nodes.max()) + 1, -1)
+        mine = np.flatnonzero(self.near & (self.cell_of >= 0))
+        out[self.nodes[mine[::-1]]] = mine[::-1, None]
+        return out
+
+    def _at(self, copy: Ints) -> sparse.csr_matrix:
+        """(n, K) 1 at each of some copies of cells (n,)."""
+        ends = np.arange(len(copy)), copy
+        shape = len(copy), len(self.cell)
+        return sparse.csr_matrix((np.ones(len(copy), np.float32), ends), shape=shape)
+
+    def base(self, cells: Floats, copy: Ints) -> Ints:
+        """Base node (n, 3) of points at `cells` (n, 3), which ride on copies (n,) of cells.
+
+        A point on the face of a cell is in the cell of its copy.
+        """
+        own = self.cell[copy]
+        inside: Any = (np.abs(cells - own - 1.0) <= 0.5 + SLACK).all(1)
+        return np.where(inside[:, None], own, np.floor(cells - 0.5).astype(np.int64))
+
+    def locate(self, base: Ints, copy: Ints) -> Ints:
+        """Nodes (n, 27) of cells with these base nodes (n, 3), as seen from copies (n,) of cells.
+
+        -1 where the solid leads to none.
+        """
+        out = self.nodes[copy]
+        away = np.flatnonzero((base != self.cell[copy]).any(1))
+        if not len(away):
+            return out
+        home, group = np.unique(copy[away], return_inverse=True)
+        group = group.ravel()
+        ijk = base[away][:, None, :] + STENCIL
+        low = self.cell.min(0) - 2
+        dims = np.maximum(self.cell.max(0), base[away].max(0)) + 5 - low
+        ijk = np.maximum(ijk - low, 0)
+        wanted = ((group[:, None] * dims[0] + ijk[..., 0]) * dims[1] + ijk[..., 1]) * dims[2] + ijk[
+            ..., 2
+        ]
+        # From the nearest copies of cells to those farther through the solid: the first one counts.
+        reach = self._at(home)
+        keys, nodes = [], []
+        for _ in range(RINGS + 1):
+            at = reach.tocoo()
+            place = self.cell[at.col][:, None, :] + STENCIL - low
+            key = ((at.row[:, None] * dims[0] + place[..., 0]) * dims[1] + place[..., 1]) * dims[
+                2
+            ] + place[..., 2]
+            reached = self.nodes[at.col]
+            order = np.lexsort([reached[reached >= 0], key[reached >= 0]])
+            keys.append(key[reached >= 0][order])
+            nodes.append(reached[reached >= 0][order])
+            reach = sparse.csr_matrix(reach @ self.steps)
+        known, first = np.unique(np.concatenate(keys), return_index=True)
+        found = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+        out[away] = np.where(known[found] == wanted, np.concatenate(nodes)[first][found], -1)
+        return out
+
+    def around(self, copy: Ints, counts: NDArray[np.bool_]) -> tuple[Ints, Ints]:
+        """Pairs (place in `copy`, node) of the nodes that the solid leads to from copies (n,).
+
+        counts : (M,) the nodes that count.
+        """
+        left = np.arange(len(copy))
+        groups, found = [], []
+        reach, rings = self._at(copy), RINGS
+        while len(left):
+            before = reach.nnz
+            for _ in range(rings):
+                reach = sparse.csr_matrix(reach @ self.steps)
+                reach.data = np.ones_like(reach.data)
+            rings = 1
+            at = reach.tocoo()
+            nodes = self.nodes[at.col]
+            use = (nodes >= 0) & counts[nodes]
+            pairs = np.unique(np.stack([np.repeat(at.row, 27)[use.ravel()], nodes[use]], 1), axis=0)
+            full = np.bincount(pairs[:, 0], minlength=len(left)) >= ENOUGH
+            if reach.nnz == before:  # this is all there is
+                full[:] = True
+            take = full[pairs[:, 0]]
+            groups.append(left[pairs[take, 0]])
+            found.append(pairs[take, 1])
+            reach, left = reach[~full], left[~full]
+        return np.concatenate(groups), np.concatenate(found)
+
+    def through_solid(
+        self, fit: Fit, at: Floats, copy: Ints, node_ijk: Ints, counts: NDArray[np.bool_]
+    ) -> sparse.csr_matrix:
+        """Rows (n, M) of a fit at places `at` (n, 3) [cells] that knows nodes of their limbs only.
+
+        copy : (n,) of the cell that each belongs to; node_ijk : (M, 3); counts : (M,) the nodes it
+        may use.
+        """
+        home, group = np.unique(copy, return_inverse=True)
+        group = group.ravel()
+        of, node = self.around(home, counts)
+        # Each group far from the others, about its own cell.
+        local, nodes = at - self.cell[home][group], node_ijk[node] - self.cell[home][of]
+        span = 8.0 * (1.0 + max(np.abs(local).max(initial=0.0), np.abs(nodes).max(initial=0.0)))
+        aside = np.array([np.ceil(span), 0.0, 0.0])
+        rows = fit(
+            local + group[:, None] * aside, nodes + of[:, None] * aside, 0.5 * float(aside[0])
+        )
+        put = sparse.csr_matrix(
+            (np.ones(len(node)), (np.arange(len(node)), node)), shape=(len(node), len(node_ijk))
+        )
+        return sparse.csr_matrix(rows @ put)
+
+
+def number_nodes(copies: CellCopies, shift: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """Nodes of the copies of cells that particles are in, and of all copies.
+
+    shift : (bodies, 3) [cells] that sets the bodies apart.
+    Returns order : (C,) copies with particles, in the order of the grid; nodes (K, 27), -1 where no
+    particle reaches; node_ijk (M, 3), in the order of the grid; count (M,) copies of each.
+    """
+    cell = copies.cell + shift[copies.body]
+    whole = components(
+        sparse.coo_matrix(
+            (np.ones(len(copies.links)), tuple(copies.links.T)), shape=(len(cell),) * 2
+        )
+    )[1]
+    node, _ = node_copies(cell, copies.links, whole)
+    full = np.unique(copies.of)
+    order = full[np.lexsort([full, *cell[full].T[::-1]])]
+    used = np.unique(node[full])
+    number = np.full(int(node.max()) + 1, -1)
+    number[used] = np.arange(len(used))
+    nodes = number[node]
+    ijk = np.empty((len(used), 3), np.int64)
+    ijk[nodes[full]] = cell[full][:, None, :] + STENCIL
+    _, place = np.unique(ijk, axis=0, return_inverse=True)
+    return order, nodes, ijk, np.bincount(place.ravel())[place.ravel()]
+
+
+def link_copies(
+    copies: CellCopies, shift: Ints, order: Ints, nodes: Ints, node_ijk: Ints, count: Ints
+) -> NodeCopies:
+    """What `number_nodes` found, ready to be gone through; nodes as the stencil numbers them.
+
+    node_ijk : (M, 3), count : (M,) in that numbering.
+    """
+    cell = copies.cell + shift[copies.body]
+    k = len(cell)
+    a, b = copies.links.T
+    ends = np.concatenate([a, b, np.arange(k)]), np.concatenate([b, a, np.arange(k)])
+    steps = sparse.csr_matrix((np.ones(len(ends[0]), np.float32), ends), shape=(k, k))
+    steps.data = np.ones_like(steps.data)
+    several = node_ijk[count > 1]
+    gap = kd_tree(several).query(cell + 1.0, p=np.inf)[0] if len(several) else np.full(k, np.inf)
+    cell_of = np.full(k, -1)
+    cell_of[order] = np.arange(len(order))
+    return NodeCopies(cell=cell, nodes=nodes, cell_of=cell_of, steps=steps, near=gap <= ZONE)

@@ -1,0 +1,112 @@
+"""Limbs that are near each other at rest: two teeth of a comb, a quarter of a cell apart.
+
+Each tooth is a cantilever, held at its root, and vibrates as the same cantilever does alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Particles
+from gf_usd.core.stage import Pin
+from gf_usd.geometry.connected.copies import find_limbs
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import boxes, comb, elastic, settings, solid_of
+from gf_usd.verify.case import RELATIVE, Case, Measure, frequency
+
+E, DENSITY = 1e5, 1000.0  # [Pa], [kg/m^3]; cells are 1 m wide
+WIDTH, LENGTH, ROOT, DEPTH = 2.0, 12.0, 2.0, 2.0  # [m] of a tooth and of what it hangs from
+GAP = 0.25  # [m]
+CORNER = (-0.5, 0.0, 0.0)  # [m] where a cell begins: the gap lies within a cell
+SPEED = 1e-3  # of the first vibration's, by its frequency and a length of 1 m: small strains
+FRAMES = 48  # a period
+# [rad/s] of a slender cantilever's first vibration, 1.8751^2 sqrt(E I / rho A) / L^2
+OMEGA = 1.87510**2 * float(np.sqrt(E / DENSITY / 12.0)) * WIDTH / LENGTH**2
+
+
+def teeth(which: tuple[int, ...]) -> Particles:
+    """Teeth of a comb, or one alone, with particles that integrate every cell exactly."""
+    step = WIDTH + GAP
+    bounds = [((k * step, 0, 0), (k * step + WIDTH, LENGTH, DEPTH)) for k in which]
+    left, right = bounds[0][0][0], bounds[-1][1][0]
+    body = boxes([*bounds, ((left, LENGTH, 0), (right, LENGTH + ROOT, DEPTH))], 1.0, CORNER)
+    surface = comb(len(which), WIDTH, GAP, LENGTH, ROOT, DEPTH)
+    moved = replace(surface, points=surface.points + [left, 0.0, 0.0])
+    limbs = find_limbs(solid_of(moved), body, np.zeros(1, np.int64))
+    return replace(body, copies=limbs.copies if limbs else None)
+
+
+def held_root() -> Pin:
+    """A pin that holds all that lies over the teeth."""
+
+    def nearest(X: Floats) -> Floats:
+        return np.c_[X[:, 0], np.full(len(X), LENGTH), X[:, 2]]
+
+    anchors = [0.0, LENGTH, 0.0] + np.vstack([np.zeros(3), np.eye(3)])
+    return Pin(
+        name="root", inside=lambda X: X[:, 1] > LENGTH, nearest=nearest, anchors=anchors,
+        path=anchors[None],
+    )  # fmt: skip
+
+
+def swing(which: tuple[int, ...], device: str) -> tuple[Floats, list[Floats]]:
+    """Times [s], and how far [m] the end of each tooth is then; neighbors start opposite ways."""
+    body = teeth(which)
+    tooth = np.floor(body.X[:, 0] / (WIDTH + GAP)).astype(int)
+    solver = TotalLagrangian(
+        body, [elastic(E=E, nu=0.0, density=DENSITY)],
+        settings(device, frames=2 * FRAMES, fps=FRAMES * OMEGA / (2.0 * np.pi), safety=0.8),
+        pins=[held_root()],
+    )  # fmt: skip
+    # Particles know which way a tooth goes: where a node stands says nothing of it.
+    way = (-1.0) ** tooth * np.maximum(0.0, 1.0 - body.X[:, 1] / LENGTH) ** 2
+    nodes = solver.body.stencil
+    W = solver.body.rows.W[:, : nodes.free_count]
+    v = np.zeros((nodes.node_count, 3))
+    v[: nodes.free_count, 0] = SPEED * OMEGA * (W.T @ (solver.body.m * way)) / nodes.mass
+    v[nodes.free_count :] = nodes.follow @ v[: nodes.free_count]
+    solver.state.load({**solver.state.save(), "v": v})
+    ends = [(tooth == k) & (body.X[:, 1] < 1.0) for k in which]
+    t, seen = [], []
+    for frame in solver.frames():
+        t.append(frame.time)
+        moved = frame.particles.x[:, 0] - body.X[:, 0]
+        seen.append([np.average(moved[end], weights=body.V0[end]) for end in ends])
+    return np.array(t), list(np.array(seen).T)
+
+
+WHY = (
+    "the same cells, but for the root: there the two share nodes, and a node that a pin holds"
+    " mirrors what is around; h = 1/12 of the length, squared"
+)
+
+
+def two_teeth(device: str) -> Iterator[Measure]:
+    """Frequency and swing of each tooth over those of the same tooth alone."""
+    t, both = swing((0, 1), device)
+    for k in (0, 1):
+        _, (alone,) = swing((k,), device)
+        pairs = {
+            "frequency": [frequency(t, q, OMEGA) for q in (both[k], alone)],
+            "swing": [float(np.ptp(q)) for q in (both[k], alone)],
+        }
+        for name, (value, target) in pairs.items():
+            yield Measure(
+                name=f"{name}.{k}", value=value / target, target=1.0, bound=1.0 / LENGTH**2,
+                kind=RELATIVE, why=WHY,
+            )  # fmt: skip
+
+
+CASES = (
+    Case(
+        name="limbs",
+        what="Two teeth of a comb, 6 times as long as thick and a quarter of a cell apart, swing"
+        " against each other.  Frequency and swing of each, over those of a tooth alone.",
+        source="the same tooth without the other, which shares no node with anything",
+        quick=two_teeth,
+    ),
+)
