@@ -24,7 +24,7 @@ from pathlib import Path
 import pxr
 from pxr import Sdf
 
-from gf_usd.core.materials import LAWS, Parameter, law_parameters
+from gf_usd.core.materials import LAWS, Parameter, law_internals, law_parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 LIBRARY = ROOT / "schemas" / "gaussianFlesh"
@@ -100,6 +100,14 @@ def with_laws(schema: Path) -> Sdf.Layer:
     for one in law_parameters():
         _add(material, one, Sdf.ValueTypeNames.Float).default = one.default
         _add(particles, one, Sdf.ValueTypeNames.FloatArray)
+    for variable in law_internals():
+        name = f"gaussianFlesh:{variable.attribute}"
+        made = Sdf.AttributeSpec(particles, name, Sdf.ValueTypeNames.FloatArray)
+        made.displayName = variable.label
+        laws = ", ".join(row.token for row in LAWS.values() if variable in row.internal)
+        made.documentation = (
+            f"{variable.meaning} Of the law {laws}.\n\nUnits: none\nRange: [0, inf)"
+        )
     return layer
 
 

@@ -8,7 +8,7 @@ gf-usd schema-path: where the schema library lies.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -53,7 +53,7 @@ def materials(
     )  # fmt: skip
     console.print()
     for look in DIMENSIONLESS.values():
-        console.print(f"{look.name}: {look.note}")
+        console.print(f"{look.name}: {look.note}{_own(look.law, look.parameters)}")
     console.print()
     physical = (
         (m.name, m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time, m.friction,
@@ -68,9 +68,16 @@ def materials(
     )  # fmt: skip
     console.print()
     for p in PHYSICAL.values():
-        console.print(f"{p.name}: {p.source}")
+        console.print(f"{p.name}: {p.source}{_own(p.law, p.parameters)}")
     console.print()
     console.print(f"laws: {', '.join(LAWS)} (--law)")
+
+
+def _own(law: str, parameters: Mapping[str, float]) -> str:
+    """A law's own parameters, in the units of the table above."""
+    if not parameters:
+        return ""
+    return f" ({law}: {', '.join(f'{name} {value:g}' for name, value in parameters.items())})"
 
 
 def _table(*heads: str, rows: Iterable[tuple[str | float, ...]]) -> Table:

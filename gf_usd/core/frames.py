@@ -109,6 +109,7 @@ class Settings:
     mass: str = CONSISTENT  # tl: consistent | lumped (`physics.grid.mass`)
     deformation_gradients: bool = False  # write F of every particle
     stress: bool = False  # write the von Mises stress of every particle
+    internal: bool = False  # write the internal variables of laws, such as the plastic strain
     skin: str = "embed"  # embed | idw | paper: how meshes follow the body
     solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM
     floor_normal: tuple[float, float, float] | None = None  # unit; None: up
@@ -187,6 +188,8 @@ class Frame:
     particles: Pose
     embedded: Mapping[str, Pose] = field(default_factory=dict)  # one per named set of points
     stress: Floats | None = None  # (N,) [Pa] von Mises of the particles, where asked for
+    # (N,) of each internal variable of the laws, where asked for; NaN where a law has none such
+    internal: Mapping[str, Floats] = field(default_factory=dict)
     health: Health = field(default_factory=Health)
 
 
@@ -209,6 +212,7 @@ class GaussianPose:
     scales: Floats  # (N, 3) [m] standard deviations
     F: Floats | None = None  # (N, 3, 3) deformation gradient, where asked for
     stress: Floats | None = None  # (N,) [Pa] von Mises, where asked for
+    internal: Mapping[str, Floats] = field(default_factory=dict)  # as in Frame
 
 
 @dataclass(frozen=True, kw_only=True)

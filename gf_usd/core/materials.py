@@ -48,6 +48,9 @@ class Internal:
 
     name: str
     rest: float  # before anything has happened
+    attribute: str = ""  # in the namespace gaussianFlesh, of particles; "": it is never written
+    meaning: str = ""  # a sentence, for the schema
+    label: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +65,18 @@ class LawSpec:
     internal: tuple[Internal, ...] = ()
 
 
+YIELD_STRESS = Parameter(
+    name="yield_stress", unit="Pa", attribute="yieldStress", default=1e9,
+    meaning="Stress at which the material begins to flow: equivalent, before any hardening.",
+    label="Yield stress",
+)  # fmt: skip
+HARDENING = Parameter(
+    name="hardening", unit="Pa", attribute="hardening", default=0.0,
+    meaning="Growth of the yield stress with the equivalent plastic strain, or, of crushable"
+    " materials, with the logarithm of the volume that they have lost for good.",
+    label="Hardening",
+)  # fmt: skip
+
 LAWS: dict[str, LawSpec] = {
     row.token: row
     for row in (
@@ -71,8 +86,66 @@ LAWS: dict[str, LawSpec] = {
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
         LawSpec(token="neoHookean", code=".neo_hookean", source="Bonet and Wood 2008, eq. 6.28"),
+        LawSpec(
+            token="vonMises",
+            code=".von_mises",
+            source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                Parameter(
+                    name="saturation", unit="Pa", attribute="saturation", default=0.0,
+                    meaning="Hardening that saturates: what the yield stress gains by it at most.",
+                    label="Saturating hardening",
+                ),
+                Parameter(
+                    name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
+                    meaning="Plastic strains e-fold the rest of the saturating hardening this many"
+                    " times per unit.",
+                    label="Saturation rate",
+                ),
+                Parameter(
+                    name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
+                    meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
+                    " once.",
+                    label="Viscosity of flow",
+                ),
+            ),
+            flows=True,
+            internal=(
+                Internal(
+                    name="plastic_strain", rest=0.0, attribute="plasticStrain",
+                    meaning="Equivalent plastic strain of each particle, summed over its past.",
+                    label="Plastic Strain",
+                ),
+            ),
+        ),
+        LawSpec(
+            token="crushable",
+            code=".crushable",
+            source="Deshpande and Fleck 2000 (isotropic crushable foam)",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                Parameter(
+                    name="cap_shape", unit="", attribute="capShape", default=2.12,
+                    meaning="Shape alpha of the yield surface, an ellipse of pressure and shear:"
+                    " 3 / sqrt(2) keeps the width of what is pressed along one axis.",
+                    label="Shape of the cap", low=0.1, high=2.9,
+                ),
+            ),
+            flows=True,
+            internal=(
+                Internal(
+                    name="lost_volume", rest=0.0, attribute="lostVolume",
+                    meaning="Logarithm of the volume that each particle has lost for good: rest"
+                    " volume over what is left of it.",
+                    label="Lost Volume",
+                ),
+            ),
+        ),
     )
-}
+}  # fmt: skip
 
 
 def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]:
@@ -80,6 +153,13 @@ def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]
     wanted = set(LAWS if tokens is None else tokens)
     rows = [row for token, row in LAWS.items() if token in wanted]
     return tuple({p.name: p for row in rows for p in row.parameters}.values())
+
+
+def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
+    """The internal variables of laws that are written, one of each name; None: of all laws."""
+    wanted = set(LAWS if tokens is None else tokens)
+    rows = [row for token, row in LAWS.items() if token in wanted]
+    return tuple({v.name: v for row in rows for v in row.internal if v.attribute}.values())
 
 
 def check_law(law: str) -> str:
@@ -117,6 +197,8 @@ class DimensionlessPreset:
     restitution: float
     law: str
     note: str
+    # The law's own, by name: what is a pressure in rho g0 r, what is a viscosity in rho g0 r T.
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def material(self, radius: float, law: str | None = None) -> Material:
         """The look on a body of radius r [m]."""
@@ -131,6 +213,12 @@ class DimensionlessPreset:
             damping_time=self.damping * time_scale(radius),
             friction=self.friction,
             restitution=self.restitution,
+            parameters={
+                p.name: self.parameters[p.name]
+                * {"Pa": scale, "Pa s": scale * time_scale(radius)}.get(p.unit, 1.0)
+                for p in law_parameters([law or self.law])
+                if p.name in self.parameters
+            },
         )
 
 
@@ -154,6 +242,21 @@ DIMENSIONLESS: dict[str, DimensionlessPreset] = {
             name="jelly", mu=0.653, lam=3.27, density=1000.0, damping=0.02, friction=0.8,
             restitution=0.85, law="neoHookean", note="spreads on the floor and wobbles back",
         ),
+        DimensionlessPreset(
+            name="dented", mu=196.0, lam=980.0, density=7800.0, damping=0.0005, friction=0.8,
+            restitution=0.5, law="vonMises", note="a soft metal: keeps every dent, hardly bounces",
+            parameters={"yield_stress": 8.0, "hardening": 20.0},
+        ),
+        DimensionlessPreset(
+            name="clay", mu=65.0, lam=325.0, density=1800.0, damping=0.002, friction=0.9,
+            restitution=0.1, law="vonMises", note="stays as it was pressed",
+            parameters={"yield_stress": 3.0, "hardening": 3.0, "flow_viscosity": 0.3},
+        ),
+        DimensionlessPreset(
+            name="styrofoam", mu=26.0, lam=13.0, density=60.0, damping=0.005, friction=0.9,
+            restitution=0.1, law="crushable", note="is crushed where it is hit, and stays smaller",
+            parameters={"yield_stress": 4.0, "hardening": 15.0, "cap_shape": 2.12},
+        ),
     )
 }  # fmt: skip
 
@@ -171,6 +274,7 @@ class Physical:
     friction: float = 0.8
     restitution: float = 0.85
     law: str = "neoHookean"
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)  # in SI, by name
 
     def material(self, radius: float, law: str | None = None) -> Material:
         """The material, the same on a body of any radius [m]."""
@@ -184,6 +288,11 @@ class Physical:
             damping_time=self.damping_time,
             friction=self.friction,
             restitution=self.restitution,
+            parameters={
+                p.name: self.parameters[p.name]
+                for p in law_parameters([law or self.law])
+                if p.name in self.parameters
+            },
         )
 
 
@@ -222,6 +331,65 @@ PHYSICAL: dict[str, Physical] = {
             name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
             damping_time=2e-3, restitution=0.5,
             source=f"{ASHBY} 1-3 MPa (flexible polymer foam, low density)",
+        ),
+        Physical(
+            name="polyurethane-foam", density=60.0, youngs_modulus=1.5e7, poissons_ratio=0.3,
+            restitution=0.2, law="crushable",
+            parameters={"yield_stress": 4e5, "hardening": 4e5, "cap_shape": 1.5},
+            source="a rigid foam of 60 kg/m^3: Gibson and Ashby, Cellular Solids, E = E_s (rho /"
+            " rho_s)^2 and plateau 0.3 sigma_s (rho / rho_s)^1.5 with E_s = 1.6 GPa, sigma_s = 127"
+            " MPa, rho_s = 1200 kg/m^3, to within a factor of two",
+        ),
+        Physical(
+            name="aluminium", density=2700.0, youngs_modulus=68.9e9, poissons_ratio=0.33,
+            friction=0.5, restitution=0.6, damping_time=0.0, law="vonMises",
+            parameters={"yield_stress": 2.76e8, "hardening": 6e8},
+            source="6061-T6, MIL-HDBK-5: yield 276 MPa, ultimate 310 MPa at some 6 % of strain",
+        ),
+        Physical(
+            name="mild-steel", density=7850.0, youngs_modulus=2.0e11, poissons_ratio=0.29,
+            friction=0.5, restitution=0.6, damping_time=0.0, law="vonMises",
+            parameters={"yield_stress": 2.5e8, "hardening": 1.0e9},
+            source="ASTM A36: yield 250 MPa; hardening to 400 MPa at 15 % of strain",
+        ),
+        Physical(
+            name="copper", density=8930.0, youngs_modulus=1.17e11, poissons_ratio=0.35,
+            friction=0.5, restitution=0.5, damping_time=0.0, law="vonMises",
+            parameters={"yield_stress": 4e8, "hardening": 1e8},
+            source="the copper bar of Taylor tests: Wilkins and Guinan 1973; Kamoulakos 1990",
+        ),
+        Physical(
+            name="lead", density=11340.0, youngs_modulus=1.6e10, poissons_ratio=0.44,
+            friction=0.6, restitution=0.2, damping_time=0.0, law="vonMises",
+            parameters={"yield_stress": 1.2e7, "hardening": 1.2e7},
+            source="pure lead: ASM Metals Handbook, tensile strength 12 to 17 MPa, E = 16 GPa",
+        ),
+        Physical(
+            name="modelling-clay", density=1850.0, youngs_modulus=3.0e6, poissons_ratio=0.45,
+            friction=0.9, restitution=0.1, law="vonMises",
+            parameters={"yield_stress": 1.3e5, "hardening": 5e4, "flow_viscosity": 5e3},
+            source="Plasticine at 20 C as a model of hot metal: flow stress 0.1 to 0.2 MPa, to an"
+            " order of magnitude",
+        ),
+        Physical(
+            name="wet-clay", density=1900.0, youngs_modulus=5.0e6, poissons_ratio=0.45,
+            friction=0.9, restitution=0.05, law="vonMises",
+            parameters={"yield_stress": 4.3e4, "flow_viscosity": 1e3},
+            source="soft saturated clay, undrained: shear strength 25 kPa, E = 200 times it"
+            " (Terzaghi, Peck and Mesri 1996), yield stress sqrt(3) times it",
+        ),
+        Physical(
+            name="dough", density=1200.0, youngs_modulus=2.5e4, poissons_ratio=0.45,
+            friction=0.9, restitution=0.05, damping_time=5e-4, law="vonMises",
+            parameters={"yield_stress": 1.5e3, "hardening": 1e3, "flow_viscosity": 1e3},
+            source="wheat dough: G' of 5 to 10 kPa, flow from some hundreds of Pa of shear, to an"
+            " order of magnitude",
+        ),
+        Physical(
+            name="wax", density=900.0, youngs_modulus=2.0e8, poissons_ratio=0.4,
+            friction=0.5, restitution=0.3, law="vonMises",
+            parameters={"yield_stress": 1.5e6, "hardening": 1e6},
+            source="paraffin wax at 20 C: E of 0.1 to 0.3 GPa, compressive strength 1 to 2 MPa",
         ),
     )
 }  # fmt: skip

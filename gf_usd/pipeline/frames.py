@@ -112,6 +112,7 @@ class FrameBuilder:
                 velocities=gaussians.velocities * s.time_scale,
                 F=frame.particles.F if s.deformation_gradients else None,
                 stress=frame.stress,
+                internal=frame.internal,
             ),
             health=health,
             splats=splats if self._surfaces else {},

@@ -27,7 +27,7 @@ from gf_usd.core.frames import (
     sampled,
     written,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import LAWS, Material
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
@@ -212,7 +212,7 @@ def fill(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
             *regional, *own, *physics.notes, *embedded_points, *left, *skin,
-            *_options(made, each), *split,
+            *_options(made, each), *split, *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip
     return plan, solid
@@ -300,6 +300,13 @@ def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[s
         return paper_options.notes(each[0])
     pairs = zip(materials, each)
     return tuple(note for m, s in pairs for note in paper_options.notes(s, m.name))
+
+
+def _nothing_remembered(materials: Sequence[Material], settings: Settings) -> tuple[str, ...]:
+    if not settings.internal or any(LAWS[m.law].flows for m in materials):
+        return ()
+    laws = ", ".join(dict.fromkeys(m.law for m in materials))
+    return (f"--internal writes nothing: the law {laws} remembers nothing",)
 
 
 def _stated_values(request: Request) -> dict[str, float]:

@@ -190,6 +190,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         mass=LUMPED if paper else CONSISTENT,
         deformation_gradients=request.deformation_gradients,
         stress=request.stress,
+        internal=request.internal,
         skin=request.skin or ("paper" if paper else "embed"),
         solver=request.solver or "tl",
         shortcuts=not request.no_shortcuts,

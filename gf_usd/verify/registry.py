@@ -19,6 +19,7 @@ from gf_usd.verify.cases import (
     law,
     limbs,
     patch,
+    plastic,
     sampling,
     sides,
 )
@@ -42,6 +43,7 @@ CASES: tuple[Case, ...] = (
     *hertz.CASES,
     *collisions.CASES,
     *drop.CASES,
+    *plastic.CASES,
     *sides.CASES,
 )
 

@@ -218,8 +218,8 @@ def test_energy_is_kept_but_for_what_flow_takes(family):
     total = np.array([h.kinetic + h.elastic for h in seen]) + lost
     assert lost[-1] > 5.0 * max(h.elastic for h in seen), "it flows far"
     assert np.diff(lost).min() >= 0.0
-    # A substep strains it by .003: what the work leaves out is of that order of itself, either way.
-    assert np.abs(total - total[0]).max() < 1e-3 * lost[-1]
+    # A substep strains it by .003: what the work leaves out is of that order of itself.
+    assert np.abs(total - total[0]).max() < 3e-3 * lost[-1]
     assert plastic_strain(solver).max() > 0.05
     # What the report says is stored is what the kernels' forces are the gradient of.
     assert seen[-1].elastic == pytest.approx(elastic_energy(solver.body, solver.state), rel=1e-4)

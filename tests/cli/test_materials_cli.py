@@ -25,12 +25,14 @@ def test_every_preset_is_listed_with_its_numbers_and_source(gf_usd) -> None:
         values = [m.mu, m.lam, m.density, m.damping, m.friction, m.restitution]
         assert numbers(rows[m.name]) == pytest.approx(values, rel=1e-3)
         assert f"{m.name}: {m.note}" in done.out
+        for name, value in m.parameters.items():
+            assert f"{name} {value:g}" in " ".join(done.out.split())
     for m in PHYSICAL.values():
         values = [m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time]
         values += [m.friction, m.restitution]
         assert numbers(rows[m.name]) == pytest.approx(values, rel=1e-3)
         assert f"{m.name}: {m.source}" in done.out.replace("\n", " ").replace("  ", " ")
-    assert done.out.endswith("laws: corotated, neoHookean (--law)\n")
+    assert done.out.endswith("laws: corotated, neoHookean, vonMises, crushable (--law)\n")
 
 
 def test_every_number_has_its_unit(gf_usd) -> None:

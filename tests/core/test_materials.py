@@ -16,14 +16,16 @@ from gf_usd.core.materials import (
     Material,
     check_law,
     find_preset,
+    law_parameters,
     presets,
     time_scale,
 )
 
 G0 = 9.81
 CHOICES = (
-    "rubber, metal, jelly, gelatin, soft-silicone, silicone, neoprene, natural-rubber, hard-rubber,"
-    " foam"
+    "rubber, metal, jelly, dented, clay, styrofoam, gelatin, soft-silicone, silicone, neoprene,"
+    " natural-rubber, hard-rubber, foam, polyurethane-foam, aluminium, mild-steel, copper, lead,"
+    " modelling-clay, wet-clay, dough, wax"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
 each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
@@ -41,6 +43,13 @@ def test_a_look_is_its_numbers_times_rho_g0_r(look, radius: float) -> None:
     assert made.damping_time == pytest.approx(look.damping * math.sqrt(radius / G0), rel=1e-12)
     assert (made.name, made.density, made.law) == (look.name, look.density, look.law)
     assert (made.friction, made.restitution) == (look.friction, look.restitution)
+    assert made.parameters.keys() == look.parameters.keys()
+    if "yield_stress" in look.parameters:
+        stress = look.parameters["yield_stress"] * unit
+        assert made.parameters["yield_stress"] == pytest.approx(stress, rel=1e-12)
+    if "flow_viscosity" in look.parameters:
+        viscous = look.parameters["flow_viscosity"] * unit * math.sqrt(radius / G0)
+        assert made.parameters["flow_viscosity"] == pytest.approx(viscous, rel=1e-12)
 
 
 @each_look
@@ -74,7 +83,9 @@ def test_a_physical_preset_is_the_same_at_every_size(preset) -> None:
     small, large = preset.material(0.01), preset.material(10.0)
     assert small == large
     assert small.youngs_modulus == preset.youngs_modulus
-    assert small.values.items() <= asdict(preset).items() | {"law": small.law}.items()
+    said = asdict(preset)
+    own = {p.name: said["parameters"].get(p.name, p.default) for p in law_parameters([small.law])}
+    assert small.values.items() <= {**said, **own, "parameters": None}.items()
     assert preset.source
 
 
@@ -95,7 +106,11 @@ def test_a_law_replaces_the_preset_s_own_and_nothing_else(preset, law: str) -> N
     own, other = asdict(preset.material(0.5)), asdict(preset.material(0.5, law))
     assert other.pop("law") == law
     own.pop("law")
+    kept, left = other.pop("parameters"), own.pop("parameters")
     assert own == other
+    # A law's own parameters go with it, but for those that the other law has too.
+    known = {p.name for p in law_parameters([law])}
+    assert kept == {name: value for name, value in left.items() if name in known}
 
 
 def test_a_material_that_is_given_stays_as_it_is() -> None:
@@ -128,8 +143,8 @@ def test_an_unknown_material_is_refused_with_the_nearest_name(name: str, guess: 
 
 
 def test_an_unknown_law_is_refused() -> None:
-    assert [check_law(token) for token in LAWS] == ["corotated", "neoHookean"]
+    assert [check_law(token) for token in LAWS] == list(LAWS)
     with pytest.raises(UsageError) as caught:
         check_law("stvk")
     assert caught.value.message == "there is no law 'stvk'"
-    assert caught.value.hint == "choose one of corotated, neoHookean"
+    assert caught.value.hint == "choose one of corotated, neoHookean, vonMises, crushable"

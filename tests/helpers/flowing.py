@@ -20,7 +20,7 @@ YIELD = Parameter(
     label="Yield stress",
 )
 ROW = LawSpec(
-    token="vonMises",
+    token="testFlow",
     code="von_mises_law",
     source="Simo and Hughes 1998, boxes 3.1 and 9.1",
     parameters=(YIELD,),

@@ -62,14 +62,14 @@ def _flow_kernel(spec: LawSpec, real: type):
     count, internals = MODULI + len(spec.parameters), len(spec.internal)
 
     @ti.kernel
-    def run(F: array, values: array, a: array, E: array, batches: ti.i32, dt: kind):
+    def run(F: array, values: array, a: array, E: array, batches: ti.i32, dt: kind, done: kind):
         for b in range(batches):
             o = b * 72
             q = [load_lanes(values, LANES * (count * b + k)) for k in ti.static(range(count))]
             before = [
                 load_lanes(a, LANES * (internals * b + k)) for k in ti.static(range(internals))
             ]
-            e, after = law.flow(nine(F, o), q, before, dt)
+            e, after, _ = law.flow(nine(F, o), q, before, dt, done)
             for lane in ti.static(range(8)):
                 for k in ti.static(range(9)):
                     E[o + 8 * k + lane] = e[k][lane]
@@ -152,7 +152,7 @@ def flow(
     lanes = np.ascontiguousarray(wide.reshape(batches, LANES, k).swapaxes(1, 2)).ravel()
     E = np.full_like(flat, np.nan)
     values = _values(token, batches, mu, lam, real, own)
-    _flow_kernel(LAWS[token], real)(flat, values, lanes, E, batches, dt)
+    _flow_kernel(LAWS[token], real)(flat, values, lanes, E, batches, dt, CONVERGED[real])
     after = lanes.reshape(batches, k, LANES).swapaxes(1, 2).reshape(-1, k)
     return _from_lanes(E, len(F)), after[: len(F)]
 

@@ -1,169 +1,35 @@
-"""A law that flows, for tests: Hencky elasticity, von Mises yield, linear isotropic hardening.
+"""A law that flows, for tests: Hencky elasticity, von Mises yield, hardening that depends on mu.
 
-    psi = mu sum e_i^2 + lam/2 (sum e_i)^2,   e_i = ln s_i of the stretches of F
-    yields where sqrt(3/2) 2 mu |dev e| > sigma_y + H a,   H = mu / 10
-
-with radial return in logarithmic strain [Simo and Hughes 1998, boxes 3.1 and 9.1], a the equivalent
-plastic strain.  Logarithms are continued below s = 0.1 as in `neo_hookean`; where det F < 0 the
-smallest stretch counts as negative.
+yields where sqrt(3/2) 2 mu |dev e| > sigma_y + H a,   H = mu / 10, with radial return in
+logarithmic strain [Simo and Hughes 1998, boxes 3.1 and 9.1], a the equivalent plastic strain.
 """
 
-import numpy as np
 import taichi as ti
 
-from gf_usd.physics.laws.neo_hookean import log_extended, log_extended_slope
-from gf_usd.physics.laws.simd3x3 import (
-    choose,
-    cofactor,
-    determinant,
-    let,
-    product,
-    put,
-    unrolled,
+from gf_usd.physics.laws.hencky import (  # noqa: F401
+    exp,
+    moduli,
+    pk1,
+    psi,
+    spectral,
+    stored,
+    strains,
 )
+from gf_usd.physics.laws.simd3x3 import choose, product
 
 HARDENING = 0.1  # [mu]
-SWEEPS = 6  # of Jacobi's iteration, which converges quadratically
-SMALL = 1e-6  # a stretch that is divided by is at least this large
-
-
-@unrolled
-def turn(D, C, V, p, q, r):
-    """Jacobi's rotation in the plane of p and q; C[r] is the entry at p and q."""
-    d = let(D[q] - D[p])
-    size = let(ti.sqrt(d * d + 4.0 * C[r] * C[r]) + ti.select(d >= 0.0, d, 0.0 - d) + 1e-30)
-    t = let(ti.select(d >= 0.0, 2.0 * C[r], -2.0 * C[r]) / size)
-    c = let(1.0 / ti.sqrt(1.0 + t * t))
-    s = let(t * c)
-    put(D[p], D[p] - t * C[r])
-    put(D[q], D[q] + t * C[r])
-    put(C[r], C[r] * 0.0)
-    rp = let(C[q])
-    put(C[q], c * rp - s * C[p])
-    put(C[p], s * rp + c * C[p])
-    for a in range(0, 9, 3):
-        v = let(V[a + p])
-        put(V[a + p], c * v - s * V[a + q])
-        put(V[a + q], s * v + c * V[a + q])
-
-
-@unrolled
-def gram(F):
-    """Diagonal and other entries of F^T F; those of the plane of p and q at the third number."""
-
-    def dot(p, q):
-        return F[p] * F[q] + F[3 + p] * F[3 + q] + F[6 + p] * F[6 + q]
-
-    return [dot(0, 0), dot(1, 1), dot(2, 2)], [dot(1, 2), dot(0, 2), dot(0, 1)]
 
 
 @ti.func
-def stretches(F):
-    """Signed stretches s and their directions at rest, F^T F = V diag(s^2) V^T."""
-    zero = F[0] * 0.0
-    one = zero + 1.0
-    V = [one, zero, zero, zero, one, zero, zero, zero, one]
-    D, C = gram(F)
-    for _ in range(SWEEPS):
-        turn(D, C, V, 0, 1, 2)
-        turn(D, C, V, 0, 2, 1)
-        turn(D, C, V, 1, 2, 0)
-    J = determinant(F, cofactor(F))
-    first = (D[0] <= D[1]) & (D[0] <= D[2])
-    second = (D[1] < D[0]) & (D[1] <= D[2])
-    third = (D[2] < D[0]) & (D[2] < D[1])
-    s0 = ti.sqrt(ti.max(D[0], 0.0))
-    s1 = ti.sqrt(ti.max(D[1], 0.0))
-    s2 = ti.sqrt(ti.max(D[2], 0.0))
-    s0 = ti.select((J < 0.0) & first, 0.0 - s0, s0)
-    s1 = ti.select((J < 0.0) & second, 0.0 - s1, s1)
-    s2 = ti.select((J < 0.0) & third, 0.0 - s2, s2)
-    return [s0, s1, s2], V
-
-
-@unrolled
-def spectral(d, V):
-    """V diag(d) V^T."""
-    left = let([V[3 * a + i] * d[i] for a in range(3) for i in range(3)])
-    return let(product(left, [V[3 * b + a] for a in range(3) for b in range(3)]))
-
-
-@ti.func
-def over(p, s):
-    """p / s, finite where s is not."""
-    return p / ti.select(s >= 0.0, ti.max(s, SMALL), ti.min(s, -SMALL))
-
-
-@ti.func
-def psi(F, q, converged):
-    """psi = mu sum e_i^2 + lam/2 (sum e_i)^2."""
-    s, _ = stretches(F)
-    e0 = log_extended(s[0])
-    e1 = log_extended(s[1])
-    e2 = log_extended(s[2])
-    trace = e0 + e1 + e2
-    return q[0] * (e0 * e0 + e1 * e1 + e2 * e2) + 0.5 * q[1] * trace * trace
-
-
-@ti.func
-def pk1(F, q, converged):
-    """P = F V diag(p_i / s_i) V^T, p_i = (2 mu e_i + lam sum e) de_i/ds_i."""
-    s, V = stretches(F)
-    e0 = log_extended(s[0])
-    e1 = log_extended(s[1])
-    e2 = log_extended(s[2])
-    m = 2.0 * q[0]
-    pressure = q[1] * (e0 + e1 + e2)
-    p0 = over((m * e0 + pressure) * log_extended_slope(s[0]), s[0])
-    p1 = over((m * e1 + pressure) * log_extended_slope(s[1]), s[1])
-    p2 = over((m * e2 + pressure) * log_extended_slope(s[2]), s[2])
-    return product(F, spectral([p0, p1, p2], V))
-
-
-@ti.func
-def exp(x):
-    return ti.Vector([ti.exp(x[lane]) for lane in ti.static(range(x.n))])
-
-
-@ti.func
-def flow(F, q, a, dt):
+def flow(F, q, a, dt, converged):
     """Radial return: with y the excess, e -= g n and a += sqrt(2/3) g, g = y / (2 mu + 2/3 H)."""
-    s, V = stretches(F)
-    e0 = log_extended(s[0])
-    e1 = log_extended(s[1])
-    e2 = log_extended(s[2])
-    mean = (e0 + e1 + e2) / 3.0
-    d0 = e0 - mean
-    d1 = e1 - mean
-    d2 = e2 - mean
-    size = ti.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    d, _, V = strains(F)
+    size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
     m = 2.0 * q[0]
     H = HARDENING * q[0]
     y = m * size - ti.sqrt(2.0 / 3.0) * (q[2] + H * a[0])
     g = ti.max(y, 0.0) / (m + H * 2.0 / 3.0)
-    r = g / ti.max(size, 1e-30)
-    back = spectral([exp((0.0 - r) * d0), exp((0.0 - r) * d1), exp((0.0 - r) * d2)], V)
+    r = 0.0 - g / ti.max(size, 1e-30)
     E = F
-    choose(E, y, product(F, back))
-    return E, [a[0] + ti.sqrt(2.0 / 3.0) * g]
-
-
-def logarithms(s):
-    """e (N, 3) of signed stretches."""
-    t = (np.minimum(s, 0.1) - 0.1) / 0.1
-    return np.log(np.maximum(s, 0.1)) + t - 0.5 * t * t
-
-
-def stored(s, J, q):
-    """psi of signed stretches."""
-    del J
-    e = logarithms(s)
-    return q[0] * (e * e).sum(1) + 0.5 * q[1] * e.sum(1) ** 2
-
-
-def moduli(s, J, q):
-    """2 mu (1 - e) / s^2 of the smallest stretch, lam (1 - ln J) / J^2; not less than at rest."""
-    least = np.clip(s.min(1), 0.1, 1.0)
-    volume = np.clip(J, 0.1, 1.0)
-    shear = 2.0 * q[0] * (1.0 - np.log(least)) / least**2
-    return shear, q[1] * (1.0 - np.log(volume)) / volume**2
+    choose(E, y, product(F, spectral([exp(r * d[0]), exp(r * d[1]), exp(r * d[2])], V)))
+    return E, [a[0] + ti.sqrt(2.0 / 3.0) * g], (m * size - m * g) * g

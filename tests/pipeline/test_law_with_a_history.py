@@ -29,7 +29,7 @@ def Material "Clay"
     float physics:youngsModulus = 1000
     float physics:poissonsRatio = 0.4
     float physics:density = 0.0016
-    uniform token gaussianFlesh:law = "vonMises"
+    uniform token gaussianFlesh:law = "testFlow"
     uniform float gaussianFlesh:yieldStress = %s
 }
 """
@@ -128,10 +128,45 @@ def test_the_schema_gets_its_token_and_attributes() -> None:
     )
     law = material.attributes["gaussianFlesh:law"]
     assert list(law.allowedTokens) == list(LAWS)
-    assert law.documentation.endswith("Range: corotated, neoHookean, vonMises")
+    assert law.documentation.endswith("Range: corotated, neoHookean, vonMises, crushable, testFlow")
     one, each = (p.attributes["gaussianFlesh:yieldStress"] for p in (material, particles))
     assert (one.typeName, one.default) == (Sdf.ValueTypeNames.Float, 1e9)
     assert each.typeName == Sdf.ValueTypeNames.FloatArray
     assert "Units: mass / (distance * second^2)" in one.documentation
     assert "Range: [0, inf)" in one.documentation
     assert "gaussianFlesh:yieldStress" in generate_schema.reference(layer)
+
+
+@pytest.mark.parametrize("solver", ["tl", "ul"])
+@pytest.mark.parametrize(
+    ("look", "name"), [("dented", "plasticStrain"), ("styrofoam", "lostVolume")]
+)
+def test_what_a_law_remembers_is_written_on_request(
+    tmp_path: Path, solver: str, look: str, name: str
+) -> None:
+    out = tmp_path / "out"
+    gf_usd.bake(
+        str(SPHERE), material=look, output=f"{out}/", particles=300, frames=26, solver=solver,
+        internal=True,
+    )  # fmt: skip
+    cache = Usd.Stage.Open(str(next(out.glob("*.cache.usdc"))))
+    (written,) = (
+        p.GetAttribute(f"gaussianFlesh:{name}") for p in cache.TraverseAll()
+        if p.GetAttribute(f"gaussianFlesh:{name}").HasAuthoredValue()
+    )  # fmt: skip
+    times = written.GetTimeSamples()
+    assert len(times) == 26
+    values = np.array([written.Get(t) for t in times])
+    assert (values[0] == 0.0).all()
+    assert (np.diff(values, axis=0) >= 0.0).all(), "it only grows"
+    assert values[-1].max() > 0.01
+    assert not list(value_range(cache))
+
+
+def test_an_elastic_body_remembers_nothing_and_says_so(tmp_path: Path) -> None:
+    made = gf_usd.bake(
+        str(SPHERE), material="rubber", output=f"{tmp_path}/", particles=100, frames=2,
+        internal=True,
+    )  # fmt: skip
+    report = json.loads(next(tmp_path.glob("*.report.json")).read_text())
+    assert any("--internal writes nothing" in note for note in report["notes"]), made

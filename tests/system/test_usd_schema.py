@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from gf_usd.core.materials import law_internals, law_parameters
+
 ROOT = Path(__file__).resolve().parents[2]
 GENERATOR = ROOT / "tools" / "generate_schema.py"
 
@@ -155,6 +157,9 @@ def test_particle_arrays_have_types_and_no_fallback() -> None:
         "velocities vector3f[] Varying None",
         "deformationGradients matrix3d[] Varying None",
         "vonMisesStress float[] Varying None",
+        "plasticStrain float[] Varying None",
+        "lostVolume float[] Varying None",
+        *(f"{p.attribute} float[] Uniform None" for p in law_parameters()),
         "materials rel Uniform None",
         "sourceMeshes rel Uniform None",
     }
@@ -265,5 +270,5 @@ def test_the_reference_names_every_property() -> None:
         "import gf_usd.system.usd_schema as schema\n"
         "print(*[name for api in schema.APIS for name in schema.property_names(api)])\n"
     ).split()
-    assert len(names) == 78
+    assert len(names) == 78 + 2 * len(law_parameters()) + len(law_internals())
     assert [name for name in names if f"| `{name}` |" not in text] == []

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from pxr import Usd, UsdGeom, UsdVol
 
+from gf_usd.core.materials import law_internals
 from gf_usd.layers.check.base import Finding, about, once, rule
 from gf_usd.layers.check.read import (
     Array,
@@ -37,6 +38,7 @@ PARTICLE_ARRAYS = tuple(
         "velocities",
         "deformationGradients",
         "vonMisesStress",
+        *(one.attribute for one in law_internals()),
     )
 )
 FIELD_ARRAYS = (

@@ -12,7 +12,7 @@ from math import isfinite
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdVol
 
-from gf_usd.core.materials import law_parameters
+from gf_usd.core.materials import law_internals, law_parameters
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.check.base import Finding, about, once, rule
 from gf_usd.layers.check.read import Array, array_of, authored, prims, samples, times
@@ -87,7 +87,8 @@ def limits(stage: Usd.Stage) -> dict[str, Interval]:
     for p in law_parameters():
         factor = units.factor(p.unit)
         own[f"gaussianFlesh:{p.attribute}"] = Interval(p.low / factor, p.high / factor)
-    return LIMITS | own
+    remembered = {f"gaussianFlesh:{one.attribute}": NOT_NEGATIVE for one in law_internals()}
+    return LIMITS | own | remembered
 
 
 # other prims have attributes of these names too: a PointInstancer mirrors with negative scales

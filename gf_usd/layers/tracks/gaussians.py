@@ -21,6 +21,7 @@ from pxr import Sdf, Usd, UsdVol, Vt
 from gf_usd.core.arrays import Floats, corners
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
+from gf_usd.core.materials import law_internals
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import box, f32, xyzw
@@ -46,6 +47,7 @@ class SplatTrack:
     settings : of the bake: whether deformation gradients and stress are written.
     units : of the stage.
     half : half precision where it is safe.
+    laws : of the materials; their internal variables are written where the settings ask for them.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class SplatTrack:
         settings: Settings,
         units: StageUnits,
         half: bool = False,
+        laws: Sequence[str] = (),
     ) -> None:
         self._path, self._count, self._units = path, len(p), units
         splats = UsdVol.ParticleField3DGaussianSplat.Define(cache, path)
@@ -88,6 +91,10 @@ class SplatTrack:
             self._gradients = self._varying(name, Types.Matrix3dArray)
         if settings.stress:
             self._stress = self._varying("gaussianFlesh:vonMisesStress", Types.FloatArray)
+        self._internal = {
+            one.name: (one.rest, self._varying(f"gaussianFlesh:{one.attribute}", Types.FloatArray))
+            for one in (law_internals(laws) if settings.internal else ())
+        }
 
     def write(
         self, pose: GaussianPose, positions: Floats, velocities: Vt.Vec3fArray, time_code: float
@@ -111,6 +118,10 @@ class SplatTrack:
             check(pose.stress, (self._count,), self._named("stress"), time_code)
             stress = np.asarray(pose.stress) / self._units.pressure
             self._stress.Set(Vt.FloatArray.FromNumpy(f32(stress)), time_code)
+        for name, (rest, attribute) in self._internal.items():
+            values = np.nan_to_num(pose.internal[name], nan=rest)  # laws without it: never moved
+            check(values, (self._count,), self._named(name), time_code)
+            attribute.Set(Vt.FloatArray.FromNumpy(f32(values)), time_code)
         reach = SUPPORT * np.sqrt(_variances(pose.orientations, scales))
         self.low = corners(positions - reach)[0]
         self.high = corners(positions + reach)[1]

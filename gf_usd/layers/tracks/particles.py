@@ -63,8 +63,9 @@ class ParticleTrack:
         if "gaussians" in choices.shapes:
             where = home.scope.AppendChild("Gaussians")
             self._splats = SplatTrack(
-                cache, where, particles, info.settings, asset.facts.units, choices.half
-            )
+                cache, where, particles, info.settings, asset.facts.units, choices.half,
+                [material.law for material in info.materials],
+            )  # fmt: skip
         if "points" in choices.shapes:
             where = home.scope.AppendChild("Points")
             self._twin = PointsTrack(cache, where, particles, self._unit)

@@ -5,8 +5,9 @@ q = (mu, lam, then the row's own parameters):
 
     psi(F, q, converged)    energy density [J/m^3 of rest volume], Taichi
     pk1(F, q, converged)    its gradient P = d psi / d F [Pa], Taichi
-    flow(F, q, a, dt)       only where the law flows, Taichi: the admissible F and internal
-                            variables a to which a trial state returns in dt [s] >= 0
+    flow(F, q, a, dt, converged)  only where the law flows, Taichi: the admissible F and internal
+                            variables a to which a trial state returns in dt [s] >= 0, and the
+                            work [J/m^3] of the remaining stress along the way, P : (trial F - F)
     stored(s, J, q)         psi of signed stretches s (N, 3) and their product J (N,), NumPy
     moduli(s, J, q)         d^2 psi / dF^2 along the planes that keep J, and d^2 psi / dJ^2 [Pa]
 

@@ -86,24 +86,24 @@ def flowed(laws: ti.template(), which, F, q, a, dt, converged):
             if ti.static(laws.several):
                 mine = lanes_of(which, number)
             if mine.max() > 0.0:
-                G, b = law.flow(F, q, a, dt)
+                G, b, work = law.flow(F, q, a, dt, converged)
                 choose(E, mine, G)
                 choose(A, mine, b)
-                D = difference(F, E)
-                moved = mine * double_dot(D, D)
-                if moved.max() > 0.0:
-                    work = double_dot(law.pk1(E, q, converged), D)
-                    loss = ti.select(moved > 0.0, ti.max(work, 0.0), loss)
+                loss = ti.select(mine > 0.0, ti.max(work, 0.0), loss)
     return E, A, loss
 
 
 @ti.func
 def compensate(Pi: ti.template(), F, E):
-    """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F flowed to E, in place."""
+    """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F flowed to E, in place.
+
+    Returns a number above 0 where any did.
+    """
     D = difference(E, F)
     moved = double_dot(D, D)
     if moved.max() > 0.0:
         choose(Pi, moved, product(Pi, product(inverse(F), E)))
+    return moved.max()
 
 
 @ti.func

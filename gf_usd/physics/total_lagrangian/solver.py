@@ -170,5 +170,6 @@ class TotalLagrangian(Solver):
                 for name, rows in body.embedded.items()
             },
             stress=von_mises(body, state) if body.settings.stress else None,
+            internal=now.internal if body.settings.internal else {},
             health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
         )  # fmt: skip

@@ -232,8 +232,30 @@ class StateView:
         """F_e = F F_p^-1 of gradients F (N, 3, 3) of the particles; F where no law flows."""
         if not self._body.law.set.flows:
             return F
+        return F @ self._plastic
+
+    @property
+    def internal(self) -> dict[str, Floats]:
+        """(N,) of each internal variable by name: see `ParticleLaws.internal`."""
+        if not self._body.law.set.flows:
+            return {}
         history = layout.from_lanes(self._body.layout, self._given[-2])
-        return F @ history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
+        return self._body.law.internal(history.astype(float))
+
+    @cached_property
+    def _plastic(self) -> Floats:
+        """F_p^-1 (N, 3, 3)."""
+        history = layout.from_lanes(self._body.layout, self._given[-2])
+        return history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
+
+    @property
+    def plastic_factor(self) -> Floats | float:
+        """|F_p^-1|^2 (N,) by its largest stretch; 1 where no law flows."""
+        if not self._body.law.set.flows:
+            return 1.0
+        from gf_usd.physics.per_particle import strains
+
+        return strains(self._plastic)[0][:, 2] ** 2
 
     def strains_beside(self, index: int, other: Floats) -> tuple[Floats, Floats]:
         """`elastic_strains` of another F, in the same call as those of F at `index`."""

@@ -144,6 +144,9 @@ class UpdatedLagrangian(Solver):
             particles=pose,
             embedded={name: ride.pose(x, v, F, L) for name, ride in body.embedded.items()},
             stress=self.von_mises() if s.stress else None,
+            internal=body.law.internal(state.rows("history", body.law.set.history).astype(float))
+            if s.internal and flows
+            else {},
             health=measure(
                 pose, (stretch, J), C, body.m, body.h, s,
                 elastic=elastic, contact=state.contact_energy(), flows=flows,

@@ -115,8 +115,12 @@ SUBSTANCES: dict[str, str] = {
     "hard-rubber": "hard rubber; ebonite; vulcanite; vulcanized rubber; vulcanised rubber",
     "foam": (
         "foam; foams; sponge; spongy; polyurethane; memory foam; foam rubber; rubber foam;"
-        " styrofoam; upholstery"
+        " upholstery"
     ),
+    "clay": "clay; plasticine; play dough; playdough; modelling clay; modeling clay; putty",
+    "styrofoam": "styrofoam; polystyrene; expanded polystyrene; crash foam; floral foam",
+    "dough": "dough; pastry; batter",
+    "wax": "wax; paraffin; beeswax; tallow",
 }
 
 OBJECTS: dict[str, str] = {
@@ -126,6 +130,7 @@ OBJECTS: dict[str, str] = {
         " pipe; girder; rim; rims; hubcap; cutlery; spoon; fork; knife; blade; coin; coins"
     ),
     "jelly": "jellyfish; pudding; custard; panna cotta; flan; blob; gumdrop; gummybear; gummy bear",
+    "wax": "candle; candles; crayon; crayons",
     "silicone": "spatula; gasket; gaskets; oven mitt",
     "neoprene": "wetsuit; mousepad; mouse pad",
     "natural-rubber": "glove; gloves; rubber band; rubber bands",
@@ -144,7 +149,7 @@ STAND_INS: dict[str, str] = {
         "wood; wooden; stone; rock; rocks; marble; granite; concrete; brick; glass; ceramic;"
         " ceramics; porcelain; clay pot; plastic; plastics; bone; bones; crystal"
     ),
-    "soft-silicone": "flesh; fat; muscle; muscles; tissue; tongue; meat; dough; putty",
+    "soft-silicone": "flesh; fat; muscle; muscles; tissue; tongue; meat",
     "foam": "cloth; fabric; cotton; wool; felt; leather; textile; fur",
 }
 

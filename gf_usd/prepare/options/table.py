@@ -186,6 +186,9 @@ class RequestOptions:
     )] = None
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
+    internal: Annotated[bool, Option(
+        WRITE, "Write what laws remember of every particle, such as the plastic strain.",
+    )] = False
     only: Annotated[str | None, Option(
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
         shown="all three", parse=texts.parse_only,

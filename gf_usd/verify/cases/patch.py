@@ -32,11 +32,20 @@ def neo_hookean(F: Floats, mu: float, lam: float) -> Floats:
     return mu * (F - inverse) + lam * np.log(np.linalg.det(F)) * inverse
 
 
+def hencky(F: Floats, mu: float, lam: float) -> Floats:
+    """P = U diag((2 mu e_i + lam sum e) / s_i) V^T, e = ln s, with an SVD."""
+    U, s, Vt = np.linalg.svd(F)
+    e = np.log(s)
+    return U @ np.diag((2.0 * mu * e + lam * e.sum()) / s) @ Vt
+
+
 # P(F) of each law as its source has it, with parameters of its own at their defaults: independent
 # of the kernels.  A law without a row here is an error, not another law.
 REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
     "corotated": corotated,
     "neoHookean": neo_hookean,
+    "vonMises": hencky,  # far below its yield stress
+    "crushable": hencky,
 }
 
 

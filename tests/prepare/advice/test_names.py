@@ -63,7 +63,10 @@ def test_every_list_names_a_preset_and_no_phrase_stands_in_two():
         for preset, text in lists.items()
         for phrase in text.split(";")
     ]
-    assert {preset for _, preset in every} == set(presets())
+    # A name that says steel gets the look `metal`: the real ones cost minutes, and are asked for.
+    by_hand = {"dented", "polyurethane-foam", "aluminium", "mild-steel", "copper", "lead"}
+    by_hand |= {"modelling-clay", "wet-clay"}
+    assert {preset for _, preset in every} == set(presets()) - by_hand
     assert len({phrase for phrase, _ in every}) == len(every) == len(PHRASES)
     assert all(split(" ".join(phrase)) == phrase for phrase, _ in every)
 

@@ -172,7 +172,7 @@ def test_values_out_of_range(write, values: dict[str, str], message: str, hint: 
         (
             'uniform token gaussianFlesh:law = "hyper"',
             "gaussianFlesh:law is 'hyper'",
-            "choose one of corotated, neoHookean",
+            "choose one of corotated, neoHookean, vonMises, crushable",
         ),
         (
             "float gaussianFlesh:dampingTime = -1",

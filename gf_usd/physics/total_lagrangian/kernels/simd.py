@@ -89,13 +89,14 @@ def elastic(
     a = rows(body.history, o + GRADIENT, laws.internals)
     which = body.constants[laws.constants * b + laws.which]
     E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
-    stress.compensate(Pi, F, E)
+    moved = stress.compensate(Pi, F, E)
     assign(F, E)
     if ti.static(acts):
-        put_rows(body.history, o, Pi)
-        put_rows(body.history, o + GRADIENT, A)
-        lost = o + laws.history - 1
-        body.history[lost] = body.history[lost] + body.V0[b] * loss
+        if moved > 0.0:
+            put_rows(body.history, o, Pi)
+            put_rows(body.history, o + GRADIENT, A)
+            lost = o + laws.history - 1
+            body.history[lost] = body.history[lost] + body.V0[b] * loss
     return Pi
 
 

@@ -1,0 +1,124 @@
+"""Crushable foam over Hencky's elastic law: volume that is lost stays lost.
+
+With the Kirchhoff stress of `von_mises`, its pressure p = -tr(tau) / 3 and sigma = sqrt(3/2) |s|,
+the material flows where the equivalent stress of Deshpande and Fleck (2000, eq. 3) exceeds a yield
+stress that grows as the cells close:
+
+    Q = sqrt((sigma^2 + alpha^2 p^2) / (1 + alpha^2 / 9)) > Y(c) = yield_stress + hardening c
+
+c is the volume lost for good, -ln det F_p where that is above 0, and alpha the shape of the cap
+(1.5 * sqrt(2) = 2.1 makes a uniaxial test show no plastic Poisson's ratio).  Associated flow
+de_p = l d(Q^2 (1 + alpha^2/9))/d tau returns stress along (its eq. 7, backward Euler)
+
+    s = s* / (1 + 6 mu l),   p = p* / (1 + 2 alpha^2 K l),   K = lam + 2 mu / 3
+
+with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with l.
+"""
+
+import taichi as ti
+
+from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
+    assign,
+    cayley,
+    deviator_of_series,
+    exp,
+    exponential,
+    gram,
+    moduli,
+    near,
+    pk1,
+    psi,
+    size_squared,
+    spectral,
+    stored,
+    strains,
+    times,
+)
+from gf_usd.physics.laws.simd3x3 import choose, cofactor, determinant, log, product
+
+ITERATIONS = 20
+CLOSE = 1e-6  # of Q: the step from such a residual ends at its square
+
+
+@ti.func
+def flow(F, q, a, dt, converged):
+    """See the module."""
+    D, C = gram(F)
+    Z = cayley(D, C)
+    E = F
+    lost = a[0] * 0.0
+    work = lost
+    J = determinant(F, cofactor(F))
+    if near(Z, converged) and J.min() > 0.0:
+        X = deviator_of_series(Z)
+        size = ti.sqrt(size_squared(X))
+        trace = log(J)
+        y, s, p = excess(q, a[0], size, trace)
+        if y.max() > 0.0:
+            m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
+            work = dissipated(q, m, s, p)
+            k = 1.0 / (1.0 + 3.0 * m) - 1.0
+            t = exp(trace * (1.0 / (1.0 + slope(q) * m) - 1.0) / 3.0)
+            assign(X, times(k, X))
+            choose(E, y, times(t, product(F, exponential(X))))
+    else:
+        d, trace, V = strains(F)
+        size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        y, s, p = excess(q, a[0], size, trace)
+        if y.max() > 0.0:
+            m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
+            work = dissipated(q, m, s, p)
+            k = 1.0 / (1.0 + 3.0 * m) - 1.0
+            t = trace * (1.0 / (1.0 + slope(q) * m) - 1.0) / 3.0
+            back = [exp(k * d[0] + t), exp(k * d[1] + t), exp(k * d[2] + t)]
+            choose(E, y, product(F, spectral(back, V)))
+    return E, [a[0] + lost], work
+
+
+@ti.func
+def dissipated(q, m, stress, pressure):
+    """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
+    u = 1.0 / (1.0 + 3.0 * m)
+    w = 1.0 / (1.0 + slope(q) * m)
+    shear = stress * stress * u * (1.0 - u) / (3.0 * q[0])
+    return shear + pressure * pressure * w * (1.0 - w) / (q[1] + q[0] * (2.0 / 3.0))
+
+
+@ti.func
+def slope(q):
+    """b = alpha^2 K / mu."""
+    return q[4] * q[4] * (q[1] / q[0] + 2.0 / 3.0)
+
+
+@ti.func
+def excess(q, a, size, trace):
+    """Q* - Y(c), sigma* and -p* [Pa] of a trial strain with |dev e| = size."""
+    s = ti.sqrt(6.0) * q[0] * size
+    p = (q[1] + q[0] * (2.0 / 3.0)) * trace
+    cap = q[4] * q[4]
+    Q = ti.sqrt((s * s + cap * p * p) / (1.0 + cap / 9.0))
+    return Q - q[2] - q[3] * a, s, p
+
+
+@ti.func
+def multiplier(q, a, y, stress, pressure, inward):
+    """m = 2 mu l of the return, and the growth of c; inward : -tr e* where that is above 0."""
+    cap = q[4] * q[4]
+    scale = 1.0 / (1.0 + cap / 9.0)
+    b = slope(q)
+    m = y * 0.0
+    steps, unsolved = 0, 1.0
+    while unsolved > 0.0 and steps < ITERATIONS:
+        u = 1.0 / (1.0 + 3.0 * m)
+        w = 1.0 / (1.0 + b * m)
+        s = stress * u
+        p = pressure * w
+        Q = ti.sqrt(scale * (s * s + cap * p * p))
+        r = Q - q[2] - q[3] * (a + inward * (1.0 - w))
+        fall = scale * (3.0 * s * s * u + cap * b * p * p * w) / ti.max(Q, 1e-30)
+        fall = fall + q[3] * inward * b * w * w
+        r = ti.select(y > 0.0, r, 0.0)
+        m = m + r / ti.max(fall, 1e-30)
+        unsolved = (ti.max(r, 0.0 - r) - CLOSE * Q).max()
+        steps += 1
+    return m, inward * (1.0 - 1.0 / (1.0 + b * m))

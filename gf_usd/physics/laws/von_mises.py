@@ -1,0 +1,110 @@
+"""Von Mises plasticity over Hencky's elastic law: metals, clay, paste.
+
+With the Kirchhoff stress tau = 2 mu e + lam tr(e) 1, s its deviator, sigma = sqrt(3/2) |s| and the
+equivalent plastic strain a, the material flows where
+
+    sigma > Y(a) = yield_stress + hardening a + saturation (1 - exp(-saturation_rate a))
+
+(linear hardening, and Voce's that saturates), as fast as Perzyna's viscosity lets it:
+da/dt = (sigma - Y(a)) / viscosity; 0: at once.  Radial return, backward Euler in a
+[Simo and Hughes 1998, boxes 3.1, 3.2 and 9.1; Perzyna 1966]: with the trial stress sigma*,
+
+    sigma* - 3 mu g = Y(a + g) + viscosity g / dt,   e -= g sqrt(3/2) s / |s|,   a += g
+
+whose left side falls and whose right side rises with g: one solution, at which Newton's iteration
+arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipates (sigma* - 3 mu g) g.
+"""
+
+import taichi as ti
+
+from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
+    assign,
+    cayley,
+    deviator_of_series,
+    exp,
+    exponential,
+    gram,
+    moduli,
+    near,
+    pk1,
+    psi,
+    size_squared,
+    spectral,
+    stored,
+    strains,
+    times,
+)
+from gf_usd.physics.laws.simd3x3 import choose, product
+
+ITERATIONS = 12  # of Newton, at most: from below on a concave curve, and quadratic
+CLOSE = 1e-5  # of the trial excess: the step from such a residual ends at its square
+MARGIN = 1.02  # 1 + |Z|^2 of the series
+INSTANT = 1e-30  # [s] a step this short lets nothing flow that is viscous
+
+
+@ti.func
+def flow(F, q, a, dt, converged):
+    """See the module."""
+    D, C = gram(F)
+    Z = cayley(D, C)
+    E = F
+    g = a[0] * 0.0
+    borne = g
+    if near(Z, converged):
+        Y = bearable(q, a[0])
+        # |dev E| <= |E| <= |Z| (1 + |Z|^2): below that, no series is asked for.
+        if (ti.sqrt(6.0) * q[0] * ti.sqrt(size_squared(Z)) * MARGIN - Y).max() > 0.0:
+            X = deviator_of_series(Z)
+            size = ti.sqrt(size_squared(X))
+            y = ti.sqrt(6.0) * q[0] * size - Y
+            if y.max() > 0.0:
+                g = growth(q, a[0], size, y, dt)
+                borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
+                assign(X, times(0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30), X))
+                choose(E, y, product(F, exponential(X)))
+    else:
+        d, _, V = strains(F)
+        size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        y = ti.sqrt(6.0) * q[0] * size - bearable(q, a[0])
+        if y.max() > 0.0:
+            g = growth(q, a[0], size, y, dt)
+            borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
+            k = 0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30)
+            choose(E, y, product(F, spectral([exp(k * d[0]), exp(k * d[1]), exp(k * d[2])], V)))
+    return E, [a[0] + g], borne * g
+
+
+@ti.func
+def growth(q, a, size, y, dt):
+    """g of the module, 0 where the excess y [Pa] is not above 0; size : |dev e| of the trial."""
+    stress = ti.sqrt(6.0) * q[0] * size
+    slow = q[6] / ti.max(dt, INSTANT)
+    g = y * 0.0
+    steps, unsolved = 0, 1.0
+    while unsolved > 0.0 and steps < ITERATIONS:
+        r = stress - 3.0 * q[0] * g - bearable(q, a + g) - slow * g
+        r = ti.select(y > 0.0, r, 0.0)
+        g = g + r / (3.0 * q[0] + hardening(q, a + g) + slow)
+        unsolved = (ti.max(r, 0.0 - r) - CLOSE * ti.max(y, 0.0)).max()
+        steps += 1
+        if q[4].max() <= 0.0:  # linear: one step ends it
+            unsolved = 0.0
+    return g
+
+
+@ti.func
+def bearable(q, a):
+    """Y(a) [Pa]."""
+    Y = q[2] + q[3] * a
+    if q[4].max() > 0.0:
+        Y = Y + q[4] * (1.0 - exp(0.0 - q[5] * a))
+    return Y
+
+
+@ti.func
+def hardening(q, a):
+    """dY/da [Pa]."""
+    H = q[3]
+    if q[4].max() > 0.0:
+        H = H + q[4] * q[5] * exp(0.0 - q[5] * a)
+    return H
