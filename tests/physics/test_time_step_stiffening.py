@@ -13,6 +13,9 @@ from gf_usd.physics.per_particle import strains
 from gf_usd.physics.time_step import stable_step, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
+# In tension their bound is that of the largest tension, which no single wave need feel.
+TIGHT_UNDER_PRESSURE = ("vonMises", "crushable")
+
 
 @pytest.mark.parametrize("token", LAWS)
 def test_no_wave_feels_more_and_one_feels_as_much(token: str) -> None:
@@ -31,6 +34,9 @@ def test_no_wave_feels_more_and_one_feels_as_much(token: str) -> None:
     most = felt(token, F, U[:, :, 2], Vt[:, 2, :])
     tight = laws.moduli(strains(F)[0], np.linalg.det(F))[1] > 0.0  # else the bound leaves U'' out
     assert tight.sum() > 350
+    if token in TIGHT_UNDER_PRESSURE:
+        tight &= np.linalg.det(F) < 1.0
+        assert tight.sum() > 100
     np.testing.assert_allclose(most[tight], k[tight], rtol=1e-5)
 
 

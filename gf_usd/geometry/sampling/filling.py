@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.geometry.sampling.content import POWERS, Content, Grid, find_content
@@ -129,6 +128,8 @@ def _parts(
     held = inside(P)
     if not held.any():
         return []
+    from scipy import ndimage  # loads scipy.special, and few contents are taken apart
+
     labeled: Any = ndimage.label(held.reshape((LATTICE,) * 3))
     label = labeled[0].ravel()
     if label.max() == 1:

@@ -271,8 +271,20 @@ def stored(s, J, q):
 
 
 def moduli(s, J, q):
-    """2 mu (1 - e) / s^2 of the smallest stretch, lam (1 - ln J) / J^2; not less than at rest."""
-    least = np.clip(s.min(1), J_EXTENSION, 1.0)
-    volume = np.clip(J, J_EXTENSION, 1.0)
-    shear = 2.0 * q[0] * (1.0 - np.log(least)) / least**2
-    return shear, q[1] * (1.0 - np.log(volume)) / volume**2
+    """Bounds of the stiffness that a wave feels, from the second derivatives in s.
+
+    With g = ln s, a wave along n and N has a_ij = n_i N_j in the axes of s, for which sum |a_ii| and
+    sum a_ij^2 are at most 1.  So (sum a_ii g_i')^2 lam <= lam g'^2 of the least stretch, and the
+    rest is at most the greater of 2 mu (g'^2 + g g'') + lam tr(e) g'' there and of the largest
+    tension over its stretch, (2 mu e_i + lam tr(e)) / s_i^2.
+    """
+    del J
+    mu, lam = q[0], q[1]
+    e, least = logarithms(s), np.maximum(s[:, 0], J_EXTENSION)
+    t = np.minimum(s[:, 0] - J_EXTENSION, 0.0) / J_EXTENSION
+    trace, slope, curvature = e.sum(1), (1.0 - t) / least, -1.0 / least**2
+    pressed = 2.0 * mu * (slope**2 + e[:, 0] * curvature) + lam * trace * curvature
+    pulled = (2.0 * mu[:, None] * e + (lam * trace)[:, None]) / np.maximum(s, J_EXTENSION) ** 2
+    across = np.maximum(s[:, 1], SMALL) * np.maximum(s[:, 2], SMALL)
+    shear = np.maximum(np.maximum(pressed, pulled.max(1)), 0.0) + lam * (slope**2 - 1.0 / least**2)
+    return shear, lam / (least * across) ** 2

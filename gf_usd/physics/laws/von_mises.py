@@ -12,7 +12,8 @@ da/dt = (sigma - Y(a)) / viscosity; 0: at once.  Radial return, backward Euler i
     sigma* - 3 mu g = Y(a + g) + viscosity g / dt,   e -= g sqrt(3/2) s / |s|,   a += g
 
 whose left side falls and whose right side rises with g: one solution, at which Newton's iteration
-arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipates (sigma* - 3 mu g) g.
+arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipates
+(sigma* - 3 mu g) g.
 """
 
 import taichi as ti

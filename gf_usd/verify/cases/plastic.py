@@ -167,7 +167,8 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
                     bound=bounds[2], kind=RELATIVE, unit="m", why=why,
                 )  # fmt: skip
         if len(cells) > 2:
-            error = np.array([one[round(END, 9)][0] for one in seen]) / FINAL[0] - 1.0
+            radii: Floats = np.array([one[round(END, 9)][0] for one in seen])
+            error = radii / FINAL[0] - 1.0
             yield Measure(
                 name="order", value=order(h, error), target=1.0, bound=0.1, kind=AT_LEAST,
                 why="at least the first order, which is all that the corner of the foot leaves",

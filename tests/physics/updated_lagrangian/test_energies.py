@@ -33,7 +33,8 @@ def test_no_wave_is_faster_in_the_world(token):
         world = felt(token, F, unit(rng, n), N) / apart**2
         assert (world <= k * (1.0 + 1e-6)).all()
         nearest = min(nearest, float((1.0 - world / k).min()))
-    assert nearest < 0.1, "the bound is no loose one"
+    # Hencky's has the stiffness of the least stretch in every direction: it is up to a third over.
+    assert nearest < (0.33 if LAWS[token].flows else 0.1), "the bound is no loose one"
 
 
 @pytest.mark.parametrize("token", LAWS)

@@ -91,7 +91,7 @@ def elastic(
     E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
     moved = stress.compensate(Pi, F, E)
     assign(F, E)
-    if ti.static(acts):
+    if ti.static(acts):  # noqa: SIM102  (known while the kernel is built; the next is not)
         if moved > 0.0:
             put_rows(body.history, o, Pi)
             put_rows(body.history, o + GRADIENT, A)
