@@ -74,9 +74,10 @@ def test_energy_is_never_made_out_of_nothing(material):
     # What new planes store is told apart (injected); 1e-5 is rounding of energies in float32.
     assert max(gain_of_frames(h)) <= 1e-5 * scale
     # ... and none is put in: where nothing presses bodies together there is no budget.  Springs
-    # of friction whose samples face something else are lost (measured: 4e-5 of it).
+    # of friction whose samples face something else are lost: each holds (mu k d)^2 / 2 k of the
+    # k d^2 / 2 of its plane, and a look loses few of them.
     assert sum(max(0.0, f.injected) for f in h) <= 1e-5 * scale
-    assert sum(abs(f.injected) for f in h) <= 1e-3 * scale
+    assert sum(abs(f.injected) for f in h) <= 0.01 * max(f.contact for f in h) * len(h)
     assert h[-1].kinetic + h[-1].elastic < h[0].kinetic
 
 

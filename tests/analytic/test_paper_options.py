@@ -31,7 +31,7 @@ def run(name="rubber", seed=0, velocity=(0.0, 0.0, 0.0), drop=False, **options):
     body = cloud(seed)
     said = {
         "frames": 60, "fps": 60.0, "substeps": 10, "cell": body.radius / 4.0, "followers": False,
-        "filter_rate": np.inf, "contact_rate": 2000.0, **options,
+        "filter_rate": np.inf, "contact_rate": 2000.0, "mass": "lumped", **options,
     }  # fmt: skip
     samples = None
     if drop:

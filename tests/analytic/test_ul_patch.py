@@ -20,6 +20,10 @@ def strained(token: str, real: type, **changes):
     x = solver.state.rows("x") @ A.T
     solver.state.arrays["x"].from_numpy(x.astype(real).ravel())
     solver.state.arrays["F"].from_numpy(np.tile(A.ravel(), len(body)).astype(real))
+    if LAWS[token].flows:  # F_e, of which nothing has flowed
+        history = solver.state.rows("history", solver.body.law.set.history)
+        history[:, :9] = A.ravel()
+        solver.state.put("history", history.ravel())
     return body, made, solver
 
 

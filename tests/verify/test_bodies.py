@@ -17,7 +17,7 @@ from gf_usd.verify.bodies import (
     settings,
     virial,
 )
-from gf_usd.verify.cases import manufactured
+from gf_usd.verify.cases.elastic import manufactured
 from gf_usd.verify.cases.elastic.cantilever import Beam
 from gf_usd.verify.cases.elastic.locking import standard
 from gf_usd.verify.cases.floor import no_pull

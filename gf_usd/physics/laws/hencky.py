@@ -273,7 +273,7 @@ def stored(s, J, q):
 def moduli(s, J, q):
     """Bounds of the stiffness that a wave feels, from the second derivatives in s.
 
-    With g = ln s, a wave along n and N has a_ij = n_i N_j in the axes of s, for which sum |a_ii| and
+    With g = ln s, a wave along n and N has a_ij = n_i N_j in the axes of s, where sum |a_ii| and
     sum a_ij^2 are at most 1.  So (sum a_ii g_i')^2 lam <= lam g'^2 of the least stretch, and the
     rest is at most the greater of 2 mu (g'^2 + g g'') + lam tr(e) g'' there and of the largest
     tension over its stretch, (2 mu e_i + lam tr(e)) / s_i^2.
