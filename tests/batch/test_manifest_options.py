@@ -24,7 +24,7 @@ def test_every_option_is_one_of_the_command() -> None:
         words = [word for word in job.words()[4:] if word.startswith("--")]
         assert words, name
         assert set(words) <= there, name
-    assert {name for name, option in KNOWN.items() if option.two_way} == {"wls"}
+    assert {name for name, option in KNOWN.items() if option.two_way} == {"wls", "self_contact"}
     indifferent = {name for name, option in KNOWN.items() if not option.decides}
     assert indifferent == {"strict", "max_hours", "threads", "limits"}
 

@@ -142,7 +142,7 @@ def test_the_paper_s_preset_runs(gf_usd, here: Path) -> None:
     assert result["check"] == []
     assert (settings["substeps"], settings["skin"], settings["followers"]) == (10, "paper", False)
     assert settings["filter_rate"] == "inf"
-    assert result["bakes"][0]["material"]["law"] == "neoHookean"
+    assert result["bakes"][0]["material"]["law"] == "corotated"
     assert result["bakes"][0]["health"]["substeps"] == 30
     assert any(note.startswith("skin paper: ") for note in result["notes"])
     assert strict((here / "sphere.rubber.report.json").read_text())["settings"] == settings

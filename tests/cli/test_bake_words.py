@@ -82,14 +82,14 @@ def test_a_dry_run_says_what_the_bake_then_does(gf_usd, here: Path, block: Path)
 def test_results_are_replaced_only_when_asked(gf_usd, here: Path, block: Path) -> None:
     assert gf_usd("bake", block, *SMALL, "-q").status == 0
     before = {name: (here / name).read_bytes() for name in names(here)}
-    again = gf_usd("bake", block, *SMALL, "--seed", "1")
+    again = gf_usd("bake", block, *SMALL, "--drop", "0.5r")
     assert again.status == 2
     assert again.err == (
         "error: block.rubber.usda exists already\n\n"
         "hint: add --overwrite to replace it, or choose another -o\n"
     )
     assert {name: (here / name).read_bytes() for name in names(here)} == before
-    assert gf_usd("bake", block, *SMALL, "--seed", "1", "-q", "--overwrite").status == 0
+    assert gf_usd("bake", block, *SMALL, "--drop", "0.5r", "-q", "--overwrite").status == 0
     assert names(here) == list(before)
     assert (here / "block.rubber.cache.usdc").read_bytes() != before["block.rubber.cache.usdc"]
 

@@ -175,7 +175,7 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
                 why=f"the mass matrix of bakes, {cells[-2]} cells a radius: the foot is crushed to"
                 " a twentieth within the first cell, and no mass is more exact there",
             )  # fmt: skip
-            radii: Floats = np.array([one[round(END, 9)][0] for one in seen])
+            radii = np.array([one[round(END, 9)][0] for one in seen])
             error = radii / FINAL[0] - 1.0
             yield Measure(
                 name="order", value=order(h, error), target=1.0, bound=0.1, kind=AT_LEAST,

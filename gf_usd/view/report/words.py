@@ -133,6 +133,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "mass": ("Mass matrix", ""),
     "deformation_gradients": ("F written", ""),
     "stress": ("Stress written", ""),
+    "internal": ("Internal variables written", ""),
     "skin": ("Skin", ""),
     "solver": ("Solver", ""),
     "floor_normal": ("Normal of the floor", ""),

@@ -80,8 +80,11 @@ def test_seed_and_solver_are_the_stage_s_unless_asked(plan) -> None:
     assert noted(seen, "seed is 7, as the stage asks for")
     other = plan(said, seed=8)
     assert not noted(other, "as the stage asks for")
-    assert np.array_equal(seen.particles.X, plan(cubes(), seed=7).particles.X)
-    assert not np.array_equal(seen.particles.X, other.particles.X)
+    assert (seen.settings.seed, other.settings.seed) == (7, 8)
+    assert np.array_equal(seen.particles.X, other.particles.X), "nothing is drawn at random"
+    paper = plan(said, preset="paper")
+    assert np.array_equal(paper.particles.X, plan(cubes(), preset="paper", seed=7).particles.X)
+    assert not np.array_equal(paper.particles.X, plan(said, preset="paper", seed=8).particles.X)
     ul = mesh("One", 'token gaussianFlesh:solver = "updatedLagrangian"')
     assert plan(ul).settings.solver == "ul"
     assert plan(ul, solver="tl").settings.solver == "tl"
