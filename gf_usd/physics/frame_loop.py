@@ -41,6 +41,7 @@ class FrameStats:
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
     sleeping: int = 0  # bodies that slept: there were no substeps
     plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
+    substeps: int | None = None  # that there were; None: as many as were asked for
 
 
 class Solver(ABC):
@@ -133,7 +134,9 @@ class Solver(ABC):
                 frame = self.read(index)
                 done = 0 if stats.flying or stats.sleeping else substeps
                 seen = {name: value for name, value in vars(stats).items() if value is not None}
-                health = replace(frame.health, substeps=done, rollbacks=attempt, **seen)
+                health = replace(
+                    frame.health, **{"substeps": done, "rollbacks": attempt, **seen}
+                )  # fmt: skip
                 particle, fault = self.guard.judge(last, health, frame.particles)
                 if not fault:
                     self.guard.passed()

@@ -35,12 +35,13 @@ from gf_usd.physics.contact.narrow_phase import (
     obstacles,
     pair_values,
 )
-from gf_usd.physics.contact.self_contact import FACE, SelfContact
+from gf_usd.physics.contact.self_contact import AHEAD, FACE, NEARLY, SelfContact
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 STAY = 1.0  # [spacings]
+FEWEST = 4  # substeps that are worth a detection of their own before something touches
 COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 # Springs that a sample may feel, over the one on the floor: its own, those of planes it carries,
 # and each of the two strained by both bodies.
@@ -82,7 +83,10 @@ class BodyContact:
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
-        self.crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
+        crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
+        # Substeps where something touches over those where nothing does; given ones stay.
+        rest = body.step
+        self._shorter = 1.0 if body.settings.substeps else rest.dt / rest.crowded(crowd).dt
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
@@ -180,9 +184,11 @@ class BodyContact:
             x, rate = x + constants @ c, rate + constants @ c_rate
         return x, rate
 
-    def detect(self, state: State, index: int, dt: float, done: int, left: int) -> int:
+    def detect(self, state: State, index: int, dt: float, done: int, left: int) -> tuple[int, int]:
         """Set the planes for the next substeps, and say how many they hold for, at most `left`.
 
+        And into how many shorter ones these are divided where something touches: the step of the
+        body alone is too long for springs between samples.
         index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
         """
         now, elapsed = state.view(), done * dt
@@ -221,10 +227,28 @@ class BodyContact:
         lost = (old.depth > EASE * self._spacing) & (self.planes.partner == narrow_phase.NOBODY)
         self.released = max(self.released, search.released, int(lost.sum()))
         hold = min(hold, self._sliding(v))
+        chunk = int(np.clip(hold / dt, 1, left))
+        free = self._untouched(v) / dt
+        if free >= min(chunk, FEWEST):
+            chunk = parts = min(chunk, int(min(free, left)))
+        else:
+            parts = int(np.ceil(chunk * self._shorter))
+        dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
         self._upload(state, now, values, dt, moved(self.planes, x, v, -dt if done else -0.5 * dt))
-        return int(np.clip(hold / dt, 1, left))
+        return chunk, parts
+
+    def _untouched(self, v: Floats) -> float:
+        """[s] for which no sample touches what it faces, at the speeds v (n, 3) [m/s] and more."""
+        f = self.planes
+        gap = self._gap - NEARLY * self._spacing
+        closing = -((v - f.ridden(v) - f.velocity) * f.normal).sum(1)
+        faces = f.partner != narrow_phase.NOBODY
+        if (gap[faces] <= 0.0).any():
+            return 0.0
+        comes = faces & (closing > 0.0)
+        return float((gap[comes] / (AHEAD * closing[comes])).min(initial=np.inf))
 
     def _sliding(self, v: Floats) -> float:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""

@@ -131,22 +131,18 @@ class Shortcuts:
         return out
 
 
-def strained_substeps(
-    body: Body, stretch: Floats, J: Floats, pairs: BodyContact | None, now: StateView, time: float
-) -> int:
+def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView) -> int:
     """Substeps a frame that a body as strained at a time [s] asks for; 1 where they are given.
 
+    Contact between samples takes shorter ones: see `BodyContact.detect`.
     stretch, J : of F_e.  Where a law flows, F changes by n (x) N, F_e by n (x) F_p^-T N, and so the
     stiffness in the grid's frame is that of F_e times |F_p^-1|^2: cells that are pressed flat for
     good are crossed sooner.
     """
     if body.settings.substeps:
         return 1
-    step = body.step
-    if pairs and pairs.imminent(now, time):
-        step = step.crowded(pairs.crowd)
     k = stiffness(body.law, stretch, J) * now.plastic_factor
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
-    dt = strained_step(step, speed, body.h, per_cell(body.particles, body.h), body.frequency)
+    dt = strained_step(body.step, speed, body.h, per_cell(body.particles, body.h), body.frequency)
     return int(np.ceil(body.settings.frame_time / dt))

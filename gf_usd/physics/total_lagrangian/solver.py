@@ -110,23 +110,26 @@ class TotalLagrangian(Solver):
             return stats
         if pairs:
             pairs.begin(state)
-        dt, left = self.frame_time / substeps, substeps
-        active = 0
-        self.active.move_springs(state, -0.5 * dt)
+        whole, left = self.frame_time / substeps, substeps
+        active = taken = 0
+        last = 0.0  # [s] the substep before
         while left:
-            chunk, watched = left, near
+            chunk, parts, watched = left, left, near
             if pairs:
-                chunk = pairs.detect(state, index, dt, substeps - left, left)
+                chunk, parts = pairs.detect(state, index, whole, substeps - left, left)
                 watched = np.union1d(near, pairs.planes.active)
+            dt = chunk * whole / parts
+            if dt != last:  # springs stand where the forces before are taken, half a step back
+                self.active.move_springs(state, 0.5 * (last - dt))
             active = max(active, self.active.select(state, watched))
-            self.launches.run(state, chunk, dt, len(watched))
-            left -= chunk
+            self.launches.run(state, parts, dt, len(watched))
+            left, taken, last = left - chunk, taken + parts, dt
             if pairs:
                 pairs.follow(state, dt, closed=left == 0)
-        self.active.move_springs(state, 0.5 * dt)
-        state.time += substeps * dt
+        self.active.move_springs(state, 0.5 * last)
+        state.time += substeps * whole
         state.recenter()
-        stats = self._stats(index, active)
+        stats = replace(self._stats(index, active), substeps=taken)
         self.shortcuts.note(state, stats)
         return stats
 
@@ -159,7 +162,7 @@ class TotalLagrangian(Solver):
         now, time = state.view(), state.time
         particles = now.pose(index)
         now.strains(index, particles.F)
-        self.strained = strained_substeps(body, *now.elastic_strains(index), pairs, now, time)
+        self.strained = strained_substeps(body, *now.elastic_strains(index), now)
         return Frame(
             index=index,
             time=time,
