@@ -329,12 +329,12 @@ PHYSICAL: dict[str, Physical] = {
         ),
         Physical(
             name="foam", density=52.0, youngs_modulus=1.7e6, poissons_ratio=0.27,
-            damping_time=2e-3, restitution=0.5,
+            damping_time=3e-5, restitution=0.5,
             source=f"{ASHBY} 1-3 MPa (flexible polymer foam, low density)",
         ),
         Physical(
             name="polyurethane-foam", density=60.0, youngs_modulus=1.5e7, poissons_ratio=0.3,
-            restitution=0.2, law="crushable",
+            restitution=0.2, damping_time=5e-6, law="crushable",
             parameters={"yield_stress": 4e5, "hardening": 4e5, "cap_shape": 1.5},
             source="a rigid foam of 60 kg/m^3: Gibson and Ashby, Cellular Solids, E = E_s (rho /"
             " rho_s)^2 and plateau 0.3 sigma_s (rho / rho_s)^1.5 with E_s = 1.6 GPa, sigma_s = 127"
@@ -387,7 +387,7 @@ PHYSICAL: dict[str, Physical] = {
         ),
         Physical(
             name="wax", density=900.0, youngs_modulus=2.0e8, poissons_ratio=0.4,
-            friction=0.5, restitution=0.3, law="vonMises",
+            friction=0.5, restitution=0.3, damping_time=5e-6, law="vonMises",
             parameters={"yield_stress": 1.5e6, "hardening": 1e6},
             source="paraffin wax at 20 C: E of 0.1 to 0.3 GPa, compressive strength 1 to 2 MPa",
         ),
