@@ -61,16 +61,20 @@ def corotated_with_half_mu(F, q, converged):
 
 
 @ti.func
-def move_upward(body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()):
-    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain)
+def move_upward(
+    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    coupled: ti.template(),
+):  # fmt: skip
+    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain, coupled)
 
 
 @ti.func
 def move_without_body_force(
-    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template()
-):
+    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    coupled: ti.template(),
+):  # fmt: skip
     b = ti.Vector([body.acceleration[3 * node + d] for d in range(3)])
-    move_node(body, node, contact, g - b, dt, drift, keep, plain)
+    move_node(body, node, contact, g - b, dt, drift, keep, plain, coupled)
 
 
 @ti.func
@@ -116,7 +120,7 @@ FAULTS = {
     "pins mirror without the sign": Fault(
         dependent_nodes, "mirrored", lambda *given: -mirrored(*given), "bar"
     ),
-    "followers keep their forces": Fault(nodes, "node_sum", sum_without_followers, "momentum"),
+    "followers keep their forces": Fault(nodes, "node_sum", sum_without_followers, "spin"),
     "no body force": Fault(substep, "move_node", move_without_body_force, "cantilever"),
 }
 

@@ -26,6 +26,7 @@ from gf_usd.geometry.surface import colors, nearest
 SIGMA_T = 0.75  # tangential standard deviation over the spacing: no gaps between neighbors
 SIGMA_R = 0.25  # along the normal
 LEAST_PARTICLES = 16  # fewer do not hold a grid
+LEAST_EXPECTED = 0.1  # by volume: with fewer, cells are so large that no surface is seen in them
 MOST_PARTICLES = 50_000_000
 # World to the frame of the grid: signed permutations, which lose no digit.
 TURNS = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
@@ -59,6 +60,8 @@ def sample_solid(
             f" (at most {MOST_PARTICLES})",
             "raise --spacing or lower --particles",
         )
+    if expected < LEAST_EXPECTED:
+        raise _too_few(0, a, solid)
     turn = TURNS[up]
     if uniform:
         filled = _uniform(solid, round(expected), np.random.default_rng(seed), turn)
@@ -67,11 +70,7 @@ def sample_solid(
     X, V0 = filled.X, filled.V0
     n = len(X)
     if n < LEAST_PARTICLES:
-        raise InputError(
-            f"only {n} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
-            f" (at least {LEAST_PARTICLES})",
-            "lower --spacing or raise --particles",
-        )
+        raise _too_few(n, a, solid)
     surface, normal, color = _look(solid, X, filled.body, bodies)
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
@@ -103,6 +102,14 @@ class _Filled:
     corner: Floats  # (bodies, 3) [m] of the grid of each body
     body: Ints | None = None  # (n,); None: all are one
     outside: int = 0  # particles outside of the solid
+
+
+def _too_few(n: int, a: float, solid: Solid) -> InputError:
+    return InputError(
+        f"only {n} particles fit at a spacing of {a:.3g} m into {solid.volume:.3g} m^3"
+        f" (at least {LEAST_PARTICLES})",
+        "lower --spacing or raise --particles",
+    )
 
 
 def _look(
