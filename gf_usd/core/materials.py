@@ -213,13 +213,23 @@ class DimensionlessPreset:
             damping_time=self.damping * time_scale(radius),
             friction=self.friction,
             restitution=self.restitution,
-            parameters={
-                p.name: self.parameters[p.name]
-                * {"Pa": scale, "Pa s": scale * time_scale(radius)}.get(p.unit, 1.0)
-                for p in law_parameters([law or self.law])
-                if p.name in self.parameters
-            },
+            parameters=_own(
+                self.parameters,
+                law or self.law,
+                {"Pa": scale, "Pa s": scale * time_scale(radius)},
+            ),
         )
+
+
+def _own(
+    parameters: Mapping[str, float], law: str, scales: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Those of a preset's parameters that a law has, times the scale of their unit."""
+    return {
+        p.name: parameters[p.name] * (scales or {}).get(p.unit, 1.0)
+        for p in law_parameters([law])
+        if p.name in parameters
+    }
 
 
 def time_scale(radius: float) -> float:
@@ -288,11 +298,7 @@ class Physical:
             damping_time=self.damping_time,
             friction=self.friction,
             restitution=self.restitution,
-            parameters={
-                p.name: self.parameters[p.name]
-                for p in law_parameters([law or self.law])
-                if p.name in self.parameters
-            },
+            parameters=_own(self.parameters, law or self.law),
         )
 
 

@@ -18,7 +18,6 @@ with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with l.
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
-    assign,
     cayley,
     deviator_of_series,
     exp,
@@ -32,9 +31,16 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
     spectral,
     stored,
     strains,
-    times,
 )
-from gf_usd.physics.laws.simd3x3 import choose, cofactor, determinant, log, product
+from gf_usd.physics.laws.simd3x3 import (
+    assign,
+    choose,
+    cofactor,
+    determinant,
+    log,
+    product,
+    scaled,
+)
 
 ITERATIONS = 20
 CLOSE = 1e-6  # of Q: the step from such a residual ends at its square
@@ -59,8 +65,8 @@ def flow(F, q, a, dt, converged):
             work = dissipated(q, m, s, p)
             k = 1.0 / (1.0 + 3.0 * m) - 1.0
             t = exp(trace * (1.0 / (1.0 + slope(q) * m) - 1.0) / 3.0)
-            assign(X, times(k, X))
-            choose(E, y, times(t, product(F, exponential(X))))
+            assign(X, scaled(k, X))
+            choose(E, y, scaled(t, product(F, exponential(X))))
     else:
         d, trace, V = strains(F)
         size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])

@@ -18,8 +18,9 @@ has the deviator of E; tr E = ln J.  Three terms leave 2 |Z|^7 / 7, which `NEAR`
 import numpy as np
 import taichi as ti
 
-from gf_usd.physics.laws.neo_hookean import log_extended, log_extended_slope
+from gf_usd.physics.laws.neo_hookean import J_EXTENSION, log_extended, log_extended_slope
 from gf_usd.physics.laws.simd3x3 import (
+    assign,
     cofactor,
     determinant,
     let,
@@ -31,7 +32,6 @@ from gf_usd.physics.laws.simd3x3 import (
 
 SWEEPS = 6  # of Jacobi's iteration, which converges quadratically
 SMALL = 1e-6  # a stretch that is divided by is at least this large
-J_EXTENSION = 0.1  # s from which the logarithm is continued
 NEAR = 1.0e-2, 6e-5  # |Z|^2 up to which the series is exact to 1e-7, and to 1e-15
 
 
@@ -121,21 +121,8 @@ def strains(F):
 
 
 @unrolled
-def times(k, A):
-    """k A of a list of lane vectors."""
-    k = let(k)
-    return let([k * a for a in A])
-
-
-@unrolled
-def squared(Z):
-    """Z^2 of a symmetric Z: three entries of the diagonal, then those at 12, 02 and 01."""
-    return commuting(Z, Z)
-
-
-@unrolled
 def commuting(A, B):
-    """A B of symmetric matrices that commute, as in `squared`."""
+    """A B of symmetric matrices that commute: the diagonal, then the entries at 12, 02 and 01."""
     a, b, c, d, e, f = A
     u, v, w, x, y, z = B
     return let(
@@ -170,8 +157,8 @@ def size_squared(Z):
 @unrolled
 def deviator_of_series(Z):
     """Deviator of Z + Z^3/3 + Z^5/5."""
-    W = squared(Z)
-    V = squared(W)
+    W = commuting(Z, Z)
+    V = commuting(W, W)
     Y = [1.0 + W[i] / 3.0 + 0.2 * V[i] for i in range(3)]
     L = commuting(Z, let(Y + [W[i] / 3.0 + 0.2 * V[i] for i in range(3, 6)]))
     mean = let((L[0] + L[1] + L[2]) / 3.0)
@@ -181,7 +168,7 @@ def deviator_of_series(Z):
 @unrolled
 def exponential(X):
     """1 + X + X^2/2 + X^3/6 + X^4/24 of a symmetric X, as nine entries."""
-    S = squared(X)
+    S = commuting(X, X)
     T = commuting(S, let([0.5 + X[i] / 6.0 + S[i] / 24.0 for i in range(3)]
                          + [X[i] / 6.0 + S[i] / 24.0 for i in range(3, 6)]))  # fmt: skip
     a, b, c = (1.0 + X[i] + T[i] for i in range(3))
@@ -222,13 +209,6 @@ def pk1(F, q, converged):
     else:
         assign(P, spectral_pk1(F, q))
     return P
-
-
-@unrolled
-def assign(A, B):
-    """A <- B, in place."""
-    for a, b in zip(A, let(B)):
-        put(a, b)
 
 
 @unrolled

@@ -84,6 +84,13 @@ def combination(p, A, q, B):
 
 
 @unrolled
+def assign(A, B):
+    """A <- B, in place."""
+    for a, b in zip(A, let(B)):
+        put(a, b)
+
+
+@unrolled
 def double_dot(A, B):
     """A : B = sum_ab A_ab B_ab."""
     s = A[0] * B[0]

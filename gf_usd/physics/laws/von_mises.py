@@ -19,7 +19,6 @@ arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipat
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
-    assign,
     cayley,
     deviator_of_series,
     exp,
@@ -33,9 +32,8 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
     spectral,
     stored,
     strains,
-    times,
 )
-from gf_usd.physics.laws.simd3x3 import choose, product
+from gf_usd.physics.laws.simd3x3 import assign, choose, product, scaled
 
 ITERATIONS = 12  # of Newton, at most: from below on a concave curve, and quadratic
 CLOSE = 1e-5  # of the trial excess: the step from such a residual ends at its square
@@ -61,7 +59,7 @@ def flow(F, q, a, dt, converged):
             if y.max() > 0.0:
                 g = growth(q, a[0], size, y, dt)
                 borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
-                assign(X, times(0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30), X))
+                assign(X, scaled(0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30), X))
                 choose(E, y, product(F, exponential(X)))
     else:
         d, _, V = strains(F)

@@ -239,14 +239,17 @@ class StateView:
         """(N,) of each internal variable by name: see `ParticleLaws.internal`."""
         if not self._body.law.set.flows:
             return {}
-        history = layout.from_lanes(self._body.layout, self._given[-2])
-        return self._body.law.internal(history.astype(float))
+        return self._body.law.internal(self._history)
+
+    @cached_property
+    def _history(self) -> Floats:
+        """(N, k) of the particles, as `LawSet.history` counts them."""
+        return layout.from_lanes(self._body.layout, self._given[-2]).astype(float)
 
     @cached_property
     def _plastic(self) -> Floats:
         """F_p^-1 (N, 3, 3)."""
-        history = layout.from_lanes(self._body.layout, self._given[-2])
-        return history[:, :GRADIENT].reshape(-1, 3, 3).astype(float)
+        return self._history[:, :GRADIENT].reshape(-1, 3, 3)
 
     @property
     def plastic_factor(self) -> Floats | float:

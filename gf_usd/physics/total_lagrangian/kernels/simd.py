@@ -23,6 +23,7 @@ from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import (
     LANES,
+    assign,
     at,
     let,
     product,
@@ -98,13 +99,6 @@ def elastic(
             lost = o + laws.history - 1
             body.history[lost] = body.history[lost] + body.V0[b] * loss
     return Pi
-
-
-@unrolled
-def assign(A, B):
-    """A <- B, in place."""
-    for a, b in zip(A, let(B)):
-        put(a, b)
 
 
 @ti.func
