@@ -224,7 +224,8 @@ def test_many_at_once_with_threads_beside_them(tmp_path: Path) -> None:
 
     def noise() -> None:
         while not stop.is_set():
-            tempfile.mkstemp(dir=tmp_path)
+            with tempfile.NamedTemporaryFile(dir=tmp_path):
+                pass
             logging.getLogger("noise").debug("x")
 
     threads = [threading.Thread(target=noise) for _ in range(2)]
