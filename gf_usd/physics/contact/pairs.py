@@ -92,6 +92,8 @@ class BodyContact:
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
         # [m] of the last detection; what overlaps at the first one may be as deep as it is.
         self._gap = np.full(len(samples.X), -np.inf)
+        # [m] then, of what each sample saw of its own body, whatever else it faced.
+        self._own_gap = np.full(len(samples.X), (FACING + TRAVEL) * self._spacing)
 
     def _meets(self, body: int) -> bool:
         """Whether a body meets itself; one without samples, or all of which is held, does not."""
@@ -109,6 +111,7 @@ class BodyContact:
             **{f"contact_{name}": getattr(self.planes, name) for name in ARRAYS},
             "contact_detected": self._detected,
             "contact_gap": self._gap,
+            "contact_own_gap": self._own_gap,
             "contact_x": self._x,
             "contact_stiffness": self._k,
         }
@@ -119,6 +122,7 @@ class BodyContact:
         self.planes = ContactPlanes(**planes)
         self._detected = float(saved["contact_detected"])
         self._gap = np.asarray(saved["contact_gap"])
+        self._own_gap = np.asarray(saved["contact_own_gap"])
         self._x = np.asarray(saved["contact_x"])
         self._k = np.asarray(saved["contact_stiffness"])
 
@@ -157,7 +161,7 @@ class BodyContact:
         if near or hold < span:
             return True
         return any(
-            own.imminent(x[m := self._members[k]], v[m], span, *self._known(k, x))
+            own.imminent(x[m := self._members[k]], v[m], span, self._before(k, x), self._own_gap[m])
             for k, own in self._own.items()
             if still is None or not still[k]
         )
@@ -165,7 +169,8 @@ class BodyContact:
     def pass_by(self, flying: Ints, time: float) -> None:
         """A frame has passed, up to `time` [s], in which flying bodies (B,) had nothing near."""
         for k in np.flatnonzero(flying):
-            self._gap[self._members[k]] = (FACING + TRAVEL) * self._spacing
+            away = (FACING + TRAVEL) * self._spacing
+            self._gap[self._members[k]] = self._own_gap[self._members[k]] = away
             self.planes.forget(self._members[k])
         self._detected = time
 
@@ -293,9 +298,11 @@ class BodyContact:
         rows = self._candidates(search, near, theirs)
         if len(rows) == 0:
             return
-        # What was inside at the last detection is there still; what begins to be may be at a fold.
-        gap = self._gap[rows]
-        known = np.where(gap < 0.0, gap - EASE * self._spacing, 0.0)
+        # What was inside it at the last detection is there still; what begins to be may be at a
+        # fold, and so may what was inside something else.
+        gap, faced = self._gap[rows], self.planes.partner[rows]
+        was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == other)
+        known = np.where(was, gap - EASE * self._spacing, 0.0)
         skin = self._skins[other]
         found, rest = skin.near(search.x[rows], known, theirs, nodes, offset, search.reach)
         search.offer(
@@ -305,13 +312,17 @@ class BodyContact:
     def _face_themselves(self, search: ContactSearch, v: Floats) -> float:
         """Offer what bodies have near of themselves; returns for how long [s] that is all."""
         hold = float("inf")
+        known = self._own_gap
+        self._own_gap = np.full(len(known), (FACING + TRAVEL) * self._spacing)
         for k, own in self._own.items():
             m = self._members[k]
             near, until = own.judge(search.x[m], v[m])
             hold = min(hold, until)
             if not near:
                 continue
-            found = own.find(search.x[m], v[m], FACE * self._spacing, *self._known(k, search.x))
+            before = self._before(k, search.x)
+            found = own.find(search.x[m], v[m], FACE * self._spacing, before, known[m])
+            self._own_gap[m[found.rows]] = found.gap
             hold = min(hold, found.hold)
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
@@ -335,19 +346,18 @@ class BodyContact:
         beside = away + depth[rows, None] * f.normal[rows]
         near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
         rows, point = rows[near], point[near]
+        self._own_gap[rows] = -depth[rows]
         search.offer(
             rows, -depth[rows], f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True
         )
 
-    def _known(self, body: int, x: Floats) -> tuple[Floats, Floats]:
-        """Where the samples of a body were at the last detection, and their gaps [m].
+    def _before(self, body: int, x: Floats) -> Floats:
+        """Where the samples of a body were at the last detection.
 
-        Before the first one they were where they are, x (n, 3) [m] of all, and faced nothing.
+        Before the first one they were where they are, x (n, 3) [m] of all.
         """
         m = self._members[body]
-        new = np.isinf(self._gap[m])
-        before = np.where(new[:, None], x[m], self._x[m])
-        return before, np.where(new, (FACING + TRAVEL) * self._spacing, self._gap[m])
+        return np.where(np.isinf(self._gap[m])[:, None], x[m], self._x[m])
 
     def _face_obstacle(
         self, search: ContactSearch, near: Sequence[int], which: int, frame: float, span: float
