@@ -303,7 +303,8 @@ class Pin:
     """A region whose motion is given: held where it is, or following the source's animation.
 
     The region's anchors are points whose place is known at every frame; between them it moves by
-    an affine fit.
+    an affine fit.  Where only some axes are held, its boundary is a symmetry plane: the body slides
+    along it without friction, and what lies behind is its mirror image, without mass and stress.
     """
 
     name: str  # as asked for, e.g. "/Duck/mesh:feet"

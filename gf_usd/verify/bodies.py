@@ -166,6 +166,12 @@ def clamp(axis: int, at: float) -> Pin:
     return Pin(name="clamp", inside=inside, nearest=nearest, anchors=anchors, path=anchors[None])
 
 
+def mirror_plane(axis: int, at: float) -> Pin:
+    """A symmetry plane: what lies above a coordinate [m] slides along it."""
+    x, y, z = (axis == a for a in range(3))
+    return replace(clamp(axis, at), name="plane", axes=(x, y, z))
+
+
 def look(name: str, body: Particles, **changes: Any) -> Material:
     """A preset on a body; changes replace fields of the material."""
     made = DIMENSIONLESS[name].material(body.radius)

@@ -125,7 +125,8 @@ def build_contact(
     paper's: it only slows down.
     mass : of the free nodes; None: lumped.
     """
-    rows, constants = stencil.rows(samples.X, samples.body, samples.cell_copy), None
+    # The floor acts along what a pin lets slide: a sample has one row for all axes.
+    rows, constants = stencil.across.rows(samples.X, samples.body, samples.cell_copy), None
     if stencil.held.any:
         free = stencil.free_count
         constants = rows.W[:, free:]

@@ -52,6 +52,7 @@ class NodalMass:
     lumped: Floats  # (n,) [kg] M
     springs: sparse.csr_matrix  # (n, n) [kg] k_ij, symmetric, nothing on the diagonal
     ground: Floats  # (n,) [kg] sum_j K_ij: 0 but next to pins
+    axes: tuple[NodalMass, NodalMass, NodalMass] | None = None  # along each, where pins slide
 
     @cached_property
     def laplacian(self) -> sparse.csr_matrix:
@@ -64,14 +65,30 @@ class NodalMass:
         """Whether K is nothing."""
         return not (self.springs.nnz or self.ground.any())
 
+    @property
+    def strengths(self) -> Floats:
+        """(nnz, 3) [kg] of the springs along each axis."""
+        row, column = self.springs.nonzero()
+        axes = self.axes or (self, self, self)
+        return np.stack([np.asarray(one.springs[row, column]).ravel() for one in axes], 1)
+
+    @property
+    def grounds(self) -> Floats:
+        """(n, 3) [kg] `ground` along each axis."""
+        return np.stack([one.ground for one in self.axes or (self, self, self)], 1)
+
     def acceleration(self, f: Floats) -> Floats:
-        """M~^-1 f of forces (n, ...) [N]."""
+        """M~^-1 f of forces (n, ...) [N]; (n, 3) are vectors."""
+        if self.axes and f.shape[1:] == (3,):
+            return np.stack([one.acceleration(f[:, a]) for a, one in enumerate(self.axes)], 1)
         inverse = per_row(1.0 / self.lumped, f)
         a = inverse * f
         return a if self.is_lumped else a + inverse * (self.laplacian @ a)
 
     def momentum(self, v: Floats) -> Floats:
         """p = M~ v [kg m/s] of velocities (n, 3) [m/s], by conjugate gradients, to rounding."""
+        if self.axes:
+            return np.stack([one.momentum(v[:, a]) for a, one in enumerate(self.axes)], 1)
         if self.is_lumped:
             return per_row(self.lumped, v) * v
         root = per_row(np.sqrt(self.lumped), v)
@@ -98,6 +115,8 @@ class NodalMass:
     @cached_property
     def lightest(self) -> float:
         """Largest eigenvalue of M M~^-1: how much lighter than M a motion may be."""
+        if self.axes:
+            return max(one.lightest for one in self.axes)
         if self.is_lumped:
             return 1.0
         start = np.random.default_rng(0).normal(size=len(self.lumped))
@@ -118,12 +137,26 @@ def lumped_mass(stencil: Stencil) -> NodalMass:
 
 def consistent_mass(stencil: Stencil, m: Floats) -> NodalMass:
     """M~ of a stencil with particles of masses m (N,) [kg], 0 where a pin holds them."""
+    if stencil.factors is not None:
+        return _of_axes(stencil, m)
     K = reduced(stencil, cell_springs(stencil, m))
     exact = split(K, stencil.mass, 0.0)
     sparse_mass = split(K, stencil.mass, WEAK)
     out = balanced(stencil, sparse_mass, m)
     # E^T K E is positive semi-definite; without the weak springs, of either sign, it need not be.
     return out if positive(out) else exact
+
+
+def _of_axes(stencil: Stencil, m: Floats) -> NodalMass:
+    """M~ with springs of each axis; those of the whole are of the axes that are free."""
+    x, y, z = (consistent_mass(stencil.along(axis), m) for axis in range(3))
+    free = consistent_mass(stencil.across, m)
+    union = sum((abs(one.springs) for one in (x, y, z)), abs(free.springs))
+    row, column = union.nonzero()
+    k = np.asarray(free.springs[row, column]).ravel()
+    springs = sparse.csr_matrix((k, (row, column)), shape=union.shape)
+    springs.sort_indices()
+    return NodalMass(lumped=free.lumped, springs=springs, ground=free.ground, axes=(x, y, z))
 
 
 def links() -> tuple[Ints, Ints]:

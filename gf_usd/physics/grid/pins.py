@@ -11,6 +11,15 @@ so that u = g on the boundary to second order in h, and uniform strain up to the
 Both are rows of the same kind as those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces go
 back through the same numbers.  Particles inside a pin move as given and carry no stress.
 
+A pin may hold some axes and let the others slide, as a symmetry plane does: the field goes on
+across the boundary odd in what is held and even in what is not,
+
+    u_la = +u_a(X'_l)  for a free axis a
+
+and behind its reach by an affine fit.  The row of such a node is that of a held one times a factor
+of each axis: 1 held, -1 free; 0 held and deep.  Where pins that hold different axes overlap, as the
+planes of a quarter of a body, a node holds the axes of all, mirrored at one boundary after another.
+
 How a pinned region moves between its anchors.
 
 Anchors are points whose place is known at every frame.  Any other point of the region moves by the
@@ -26,8 +35,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
@@ -42,33 +54,68 @@ REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outs
 
 @dataclass(frozen=True, kw_only=True)
 class PinnedPoints:
-    """Which of a set of points are held, and by which pin."""
+    """Which of a set of points are held, along which axes, and by which pin."""
 
-    pin: Ints  # (n,) index of the pin; -1: free
+    axes: Ints  # (n, 3) index of the pin that holds each axis; -1: free
+
+    @cached_property
+    def pin(self) -> Ints:
+        """(n,) the first pin that holds a point along any axis; -1: free."""
+        first = np.where(self.free, np.iinfo(self.axes.dtype).max, self.axes).min(1)
+        return np.where(self.free.all(1), -1, first)
 
     @property
     def any(self) -> bool:
-        return bool((self.pin >= 0).any())
+        return bool((self.axes >= 0).any())
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(n, 3) axes that no pin holds."""
+        return np.asarray(self.axes < 0)
+
+    @property
+    def slide(self) -> NDArray[np.bool_]:
+        """(n,) held along some axes only."""
+        return np.asarray(self.free.any(1) & ~self.free.all(1))
+
+    def at(self, rows: Any) -> PinnedPoints:
+        """Some of the points."""
+        return PinnedPoints(axes=self.axes[rows])
 
 
 def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
-    """The first pin that holds each point X (n, 3) [m]."""
-    out = np.full(len(X), -1)
+    """The first pin that holds each point X (n, 3) [m], and those after it that hold other axes."""
+    out = np.full((len(X), 3), -1)
     for index, pin in enumerate(pins):
-        free = np.flatnonzero(out < 0)
-        out[free[np.asarray(pin.inside(X[free]), bool)]] = index
-    return PinnedPoints(pin=out)
+        axes = np.asarray(pin.axes, bool)
+        free = np.flatnonzero((out[:, axes] < 0).all(1))
+        inside = free[np.asarray(pin.inside(X[free]), bool)]
+        out[np.ix_(inside, axes)] = index
+    return PinnedPoints(axes=out)
 
 
 def mirror_points(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> Floats:
-    """X' (n, 3) [m] of held nodes near the boundary of their pin; nan for free and deep ones."""
-    out = np.full(X.shape, np.nan)
+    """X' (n, 3) [m] of held nodes near the boundary of their pins; nan for free and deep ones."""
+    out = np.where(held.free.all(1)[:, None], np.nan, X)
     for index, pin in enumerate(pins):
-        mine = np.flatnonzero(held.pin == index)
+        mine = np.flatnonzero((held.axes == index).any(1) & np.isfinite(out).all(1))
         if len(mine):
-            b = pin.nearest(X[mine])
-            near = np.linalg.norm(b - X[mine], axis=1) < REACH * h
-            out[mine[near]] = 2.0 * b[near] - X[mine[near]]
+            b = pin.nearest(out[mine])
+            near = np.linalg.norm(b - out[mine], axis=1) < REACH * h
+            out[mine] = np.where(near[:, None], 2.0 * b - out[mine], np.nan)
+    return out
+
+
+def axis_factors(held: PinnedPoints, mirror: Floats) -> Floats | None:
+    """(n, 3) factors of the rows of held nodes: see the module; None where no pin slides.
+
+    mirror : (n, 3) of `mirror_points`.
+    """
+    if not held.slide.any():
+        return None
+    out = np.where(held.free, -1.0, 1.0)
+    out[np.isnan(mirror).any(1)[:, None] & ~held.free] = 0.0
+    out[held.free.all(1)] = 1.0
     return out
 
 
@@ -121,29 +168,30 @@ class PinConstraint:
     def check(self, nodes: PinnedPoints) -> None:
         """Raise InputError for a pin that holds no node of the grid."""
         for index, pin in enumerate(self.pins):
-            if not (nodes.pin == index).any():
+            if not (nodes.axes == index).any():
                 raise InputError(
                     f"--pin {pin.name} holds no node of the grid: it is smaller than a cell, or"
                     " away from the body",
                     "enlarge it, or use more particles (--particles) for a finer grid",
                 )
 
-    def constants(self, pin: Ints, X: Floats, mirror: Floats, frame: float) -> Floats:
-        """c (n, 3) [m] of followers at X: g(X), and where they mirror g(X) + g(X')."""
-        out = self.pose(PinnedPoints(pin=pin), X, frame)[0] - X
+    def constants(self, held: PinnedPoints, X: Floats, mirror: Floats, frame: float) -> Floats:
+        """c (n, 3) [m] of followers at X: g(X), and where they mirror g(X) + g(X'); 0 if free."""
+        out = self.pose(held, X, frame)[0] - X
         ghost = np.isfinite(mirror).all(1)
-        out[ghost] += (
-            self.pose(PinnedPoints(pin=pin[ghost]), mirror[ghost], frame)[0] - mirror[ghost]
-        )
+        out[ghost] += self.pose(held.at(ghost), mirror[ghost], frame)[0] - mirror[ghost]
         return out
 
     def pose(self, held: PinnedPoints, X: Floats, frame: float) -> tuple[Floats, Floats]:
-        """x (n, 3) [m] and F (n, 3, 3) of held points; X and I for free ones."""
+        """x (n, 3) [m] and F (n, 3, 3) of held points; X and I along what is free."""
         x, F = X.copy(), np.broadcast_to(np.eye(3), (len(X), 3, 3)).copy()
         for index, motion in enumerate(self.motions):
-            mine = np.flatnonzero(held.pin == index)
+            own = held.axes == index
+            mine = np.flatnonzero(own.any(1))
             if len(mine) and motion.moving:
-                x[mine], F[mine] = motion.at(X[mine], frame)
+                goes, A = motion.at(X[mine], frame)
+                x[mine] = np.where(own[mine], goes, x[mine])
+                F[mine] = np.where(own[mine][:, :, None], A, F[mine])
         return x, F
 
     def override(
@@ -155,18 +203,23 @@ class PinConstraint:
         frame_time: float,
         offset: Floats,
     ) -> Pose:
-        """A pose with the held points where they belong; offset (3,) [m] shifts all."""
+        """A pose with the held points where they belong; offset (3,) [m] shifts all.
+
+        Along a free axis they ride on the grid as they are.
+        """
         mine = np.flatnonzero(held.pin >= 0)
         if not len(mine):
             return pose
-        part = PinnedPoints(pin=held.pin[mine])
+        part = held.at(mine)
+        fixed = ~part.free
         x, F = self.pose(part, X[mine], index)
         before = self.pose(part, X[mine], max(index - 1, 0))[0]
         after = self.pose(part, X[mine], index + 1)[0]
         out_x, out_v, out_F = pose.x.copy(), pose.v.copy(), pose.F.copy()
-        out_x[mine] = x + offset
-        out_v[mine] = (after - before) / (frame_time * (2.0 if index else 1.0))
-        out_F[mine] = F
+        rate = (after - before) / (frame_time * (2.0 if index else 1.0))
+        out_x[mine] = np.where(fixed, x + offset, out_x[mine])
+        out_v[mine] = np.where(fixed, rate, out_v[mine])
+        out_F[mine] = np.where(fixed[:, :, None], F, out_F[mine])
         return Pose(x=out_x, v=out_v, F=out_F)
 
 

@@ -12,7 +12,7 @@ Some nodes are no unknowns and follow the others (`followers`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,8 +22,20 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import CellCopies
 from gf_usd.core.neighbors import STENCIL as OFFSETS
 from gf_usd.physics.grid.copies import NodeCopies, link_copies, number_nodes
-from gf_usd.physics.grid.dependent_nodes import FREE_MASS, Fits, split_nodes
-from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, mirror_points, pinned_by
+from gf_usd.physics.grid.dependent_nodes import (
+    FREE_MASS,
+    Fits,
+    affine_fit,
+    replaced,
+    split_nodes,
+)
+from gf_usd.physics.grid.pins import (
+    PinConstraint,
+    PinnedPoints,
+    axis_factors,
+    mirror_points,
+    pinned_by,
+)
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
 CHUNK = 1 << 16  # points at once: what is made on the way is many times what stays
@@ -86,6 +98,7 @@ class Stencil:
     dims: Ints = field(repr=False)  # (3,) of the key space
     corner: Ints = field(repr=False)  # (3,) ijk of key 0
     copies: NodeCopies | None = None  # of nodes near several limbs; None: there are none
+    factors: Floats | None = None  # (M - free, 3) of `follow` along each axis; None: 1
 
     @property
     def node_count(self) -> int:
@@ -104,6 +117,24 @@ class Stencil:
     def free_X(self) -> Floats:
         """(free, 3) [m] positions of the free nodes."""
         return self.node_X[: self.free_count]
+
+    def along(self, axis: int) -> Stencil:
+        """The same with `follow` as it is along an axis, where pins slide."""
+        return self if self.factors is None else self._scaled(self.factors[:, axis])
+
+    @property
+    def across(self) -> Stencil:
+        """The same with `follow` as it is along the axes that are free where pins slide."""
+        return self if self.factors is None else self._scaled(self.factors.min(1))
+
+    def _scaled(self, factors: Floats) -> Stencil:
+        rows = sparse.csr_matrix(sparse.diags_array(factors) @ self.follow)
+        return replace(self, follow=rows, factors=None)
+
+    def slid(self, u: Floats) -> Floats:
+        """(M - free, 3) what sliding pins add to c of followers, u (free, 3) of the free nodes."""
+        assert self.factors is not None
+        return (self.factors - 1.0) * (self.follow @ u)
 
     def locate(self, ijk: Ints) -> Ints:
         """Compact index of grid nodes (..., 3), the first copy of each; -1: no particle reaches."""
@@ -313,7 +344,7 @@ def build_stencil(
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)
         inside[cell_nodes[cell[m[order] == 0.0]]] = True
-        held = PinnedPoints(pin=np.where((count > 1) & ~inside, -1, held.pin))
+        held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
     mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(
         node_ijk,
@@ -330,6 +361,13 @@ def build_stencil(
     renumber[ordered] = np.arange(len(mass))
     mirror = mirror[ordered]
     mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
+    held = held.at(ordered)
+    after = slice(int(free.sum()), None)
+    factors = axis_factors(held.at(after), mirror[after])
+    if factors is not None:
+        deep = np.flatnonzero(held.at(after).slide & (np.diff(follow.indptr) == 0))
+        at = node_ijk[ordered][after][deep]
+        follow = replaced(follow, deep, -affine_fit(at, node_ijk[free]))
     corner = node_ijk.min(0)
     dims = node_ijk.max(0) + 1 - corner
     return Stencil(
@@ -345,13 +383,14 @@ def build_stencil(
         follow=follow,
         shift=shift,
         node_body=node_body[ordered],
-        held=PinnedPoints(pin=held.pin[ordered]),
+        held=held,
         mirror=mirror,
         sorted_keys=linear(node_ijk - corner, dims),
         sorted_node=renumber,
         dims=dims,
         corner=corner,
         copies=linked.renumbered(renumber) if linked else None,
+        factors=factors,
     )
 
 

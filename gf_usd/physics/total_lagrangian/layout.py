@@ -162,7 +162,21 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
         "share": np.zeros(3 * stencil.node_count),
         "inverse_mass": 1.0 / mass.lumped,
         "node_mass": np.stack([stencil.node_mass, ground], 1).ravel(),
+        **sliding_arrays(stencil, mass),
     }
+
+
+def sliding_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
+    """By axis, of a body with pins that slide: of nodes the spring to the ground or the factors
+    that followers have; of the springs of the mass their strengths, in the order of `follow`.
+    """
+    if stencil.factors is None:
+        return {"slide": np.zeros(1), "springs": np.zeros(1)}
+    slide = np.ones((stencil.node_count, 3))
+    slide[stencil.free_count :] = stencil.factors
+    slide[: stencil.free_count] = mass.grounds
+    springs = mass.strengths if mass.springs.nnz else np.zeros((1, 3))
+    return {"slide": slide.ravel(), "springs": springs.ravel()}
 
 
 def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> dict[str, Any]:

@@ -34,12 +34,15 @@ class Options:
     meets: bool = False  # bodies meet each other, themselves or obstacles
     coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
     plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
+    slides: bool = False  # a pin holds some axes and lets the others slide
 
 
 DEFAULT = Options()
 
 
-def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> Options:
+def options_of(
+    settings: Settings, meets: bool = False, plain: bool = False, slides: bool = False
+) -> Options:
     """The options that the settings ask for."""
     return Options(
         anchored=settings.wls,
@@ -48,6 +51,7 @@ def options_of(settings: Settings, meets: bool = False, plain: bool = False) -> 
         meets=meets,
         coupled=settings.mass != LUMPED,
         plain=plain,
+        slides=slides,
     )
 
 

@@ -142,7 +142,10 @@ def build_body(
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = stencil.rows(particles.X, particles.body, copies.of if copies else None)
-    frequency = None if lumped else highest_frequency(rows, mass, per, h)
+    frequency = None
+    if not lumped:
+        seen = (rows,) if stencil.factors is None else axis_rows(stencil, particles, copies)
+        frequency = highest_frequency(seen, mass, per, h)
     on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
@@ -155,7 +158,9 @@ def build_body(
     if not (meets and contact):
         contact_setup = None
     plain = settings.device != "cpu" if plain is None else plain
-    options = limits.options_of(settings, contact_setup is not None, plain)
+    options = limits.options_of(
+        settings, contact_setup is not None, plain, stencil.factors is not None
+    )
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -302,22 +307,40 @@ def largest_step(
     )
 
 
-def highest_frequency(rows: Rows, mass: NodalMass, per: Mapping[str, Floats], h: float) -> float:
+def axis_rows(stencil: Stencil, particles: Particles, copies: CellCopies | None) -> list[Rows]:
+    """Rows of the particles for each axis of u, where pins slide."""
+    of = copies.of if copies else None
+    return [stencil.along(axis).rows(particles.X, particles.body, of) for axis in range(3)]
+
+
+def highest_frequency(
+    rows: Sequence[Rows], mass: NodalMass, per: Mapping[str, Floats], h: float
+) -> float:
     """The highest frequency of the body at rest, in units of c/h of its fastest material.
 
     That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
     symmetric part of sum_i u_i (x) G_ip.
+    rows : of the particles; one for all axes of u, or one for each.
     """
     n = len(mass.lumped)
-    G = [g[:, :n] for g in rows.G]
-    back = [g.T.tocsr() for g in G]
+    parts = [slice(None)] if len(rows) == 1 else [slice(a, a + 1) for a in range(len(rows))]
+    G = [[g[:, :n] for g in one.G] for one in rows]
+    back = [[g.T.tocsr() for g in one] for one in G]
     shear, bulk = (per["V0"] * per[name] for name in ("mu", "lam"))
 
     def stiffness(u: Floats) -> Floats:
-        D = np.stack([g @ u for g in G], -1)  # (N, 3, 3)
+        D = np.concatenate(
+            [np.stack([g @ u[:, a] for g in one], -1) for a, one in zip(parts, G)], 1
+        )  # (N, 3, 3)
         P = shear[:, None, None] * (D + D.swapaxes(1, 2))
         P[:, range(3), range(3)] += (bulk * np.einsum("naa->n", D))[:, None]
-        return sum((g @ P[:, :, b] for b, g in enumerate(back)), np.zeros_like(u))
+        return np.concatenate(
+            [
+                sum((g @ P[:, a, b] for b, g in enumerate(one)), np.zeros_like(u[:, a]))
+                for a, one in zip(parts, back)
+            ],
+            1,
+        )
 
     start = np.random.default_rng(0).normal(size=(n, 3))
     w2 = largest_eigenvalue(mass.acceleration, stiffness, start)

@@ -124,7 +124,7 @@ class State(DeviceState):
         free = nodes.free_count
         start, end = (
             pin_constraint.constants(
-                nodes.held.pin[free:], nodes.node_X[free:], nodes.mirror[free:], frame
+                nodes.held.at(slice(free, None)), nodes.node_X[free:], nodes.mirror[free:], frame
             )
             for frame in (index - 1, index)
         )
@@ -294,6 +294,8 @@ class StateView:
         if self._body.pin_constraint is None:
             return self.u, self.v
         c, rate = self.constants
+        if (stencil := self._body.stencil).factors is not None:
+            c, rate = c + stencil.slid(self.u), rate + stencil.slid(self.v)
         return np.concatenate([self.u, c]), np.concatenate([self.v, rate])
 
     @cached_property

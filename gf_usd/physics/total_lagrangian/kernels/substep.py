@@ -83,7 +83,7 @@ def pack_type(real, epoch: int):
         *("acceleration", "anchor", "anchor_rate", "work"),
         *("sample_height", "sample_constants", "sample_spring"),
         *("sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
-        *("share", "leader_weight", "follow_weight"),
+        *("share", "leader_weight", "follow_weight", "slide", "springs"),
         *("numbers", "pair"),
     )
     ints = (
@@ -145,7 +145,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         if ti.static(part.name == "open"):
             drift_node(body, n, 0.5 * dt)
         elif ti.static(part.name == "open followers"):
-            follow(body, n, free, 0.5 * dt)
+            follow(body, n, free, 0.5 * dt, options.slides)
         elif ti.static(part.name == "momentum" and options.plain):
             particle_velocity(body, n, nodes)
         elif ti.static(part.name == "momentum"):
@@ -153,13 +153,13 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "node momentum"):
             node_momentum(body, n, nodes)
         elif ti.static(part.name == "loss"):
-            follower_loss(body, n, free, options.plain)
+            follower_loss(body, n, free, options.plain, options.slides)
         elif ti.static(part.name == "filter"):
-            filter_node(body, n, alpha, options.plain, options.coupled)
+            filter_node(body, n, alpha, options.plain, options.coupled, options.slides)
         elif ti.static(part.name == "filter lumped"):
             keep_raw(body, n, filter_momentum(body, n, options.plain))
         elif ti.static(part.name == "filtered followers"):
-            follow(body, n, free, 0.0 * dt)
+            follow(body, n, free, 0.0 * dt, options.slides)
         elif ti.static(part.name == "stress" and options.plain):
             particle_stress(body, n, nodes, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "stress"):
@@ -175,13 +175,16 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "pair total"):
             pair_total(body, body.sample_active[n])
         elif ti.static(part.name == "share"):
-            follower_share(body, n, free, dt, options.plain)
+            follower_share(body, n, free, dt, options.plain, options.slides)
         elif ti.static(part.name == "move"):
-            move_node(body, n, active, g, dt, drift, keep, options.plain, options.coupled)
+            move_node(
+                body, n, active, g, dt, drift, keep, options.plain, options.coupled,
+                options.slides,
+            )  # fmt: skip
         elif ti.static(part.name == "move lumped"):
             keep_raw(body, n, force(body, n, active, options.plain))
         elif ti.static(part.name == "follow"):
-            follow(body, n, free, drift)
+            follow(body, n, free, drift, options.slides)
 
     @ti.kernel
     def queued(
