@@ -74,9 +74,18 @@ def bake(
                 advance(done, total)
                 emit("frame", done=done, total=total, particles=len(plan.particles))
 
-            result = run(prepared, on_frame, max_hours=max_hours, slice=slice)
+            told: list[str] = []
+
+            def remark(text: str) -> None:
+                told.append(text)
+                emit("note", message=text)
+                if not quiet:
+                    typer.echo(f"note: {text}", err=True)
+
+            result = run(prepared, on_frame, max_hours=max_hours, slice=slice, remark=remark)
         for note in result.notes[len(plan.notes) :]:
-            emit("note", message=note)
+            if note not in told:
+                emit("note", message=note)
         for look, warning in result.warnings:
             emit("warning", look=look, **warning.as_json())
         emit("finished", **result.as_json())

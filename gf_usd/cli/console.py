@@ -21,10 +21,11 @@ def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
     """What would be done and what it would cost; max_hours is where `run` refuses."""
-    from gf_usd.pipeline.budget import duration
+    from gf_usd.pipeline.budget import duration, shortcuts
     from gf_usd.prepare.plan import describe
 
     d = {**describe(prepared.plan), **prepared.cost}
+    saved = shortcuts(prepared.cost, prepared.plan.materials)
     if as_json:
         typer.echo(json.dumps(d, indent=1))
         return
@@ -45,21 +46,21 @@ def show_plan(
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        about {_bytes(d['estimated_bytes'])}",
         *(f"would write {path}" for path in d["outputs"]),
-        *(f"note: {note}" for note in d["notes"]),
+        *(f"note: {note}" for note in (*d["notes"], *saved)),
     ]
     typer.echo("\n".join(lines), err=err)
 
 
 def announce(prepared: Prepared) -> None:
     """One line on stderr of what is about to be spent, and the notes."""
-    from gf_usd.pipeline.budget import duration
+    from gf_usd.pipeline.budget import duration, shortcuts
 
     plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
-    for note in plan.notes:
+    for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(f"note: {note}", err=True)
     typer.echo(
         f"{len(plan.particles)} particles, {plan.settings.frames} frames, {each} substeps a frame:"

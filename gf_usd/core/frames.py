@@ -120,6 +120,7 @@ class Settings:
     samples_per_frame: int = 1  # states written a frame, for motion blur
     first: int = 0  # frame that is written first; below 0 the rest pose is held
     shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
+    mass_scaling: float = 1.0  # the moduli of materials that flow were divided by it
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""

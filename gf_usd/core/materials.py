@@ -485,6 +485,12 @@ class Material:
         return self.parameters.get(one.name, one.default)
 
     @property
+    def yield_strain(self) -> float | None:
+        """Y / E, the elastic strain at which it yields; None where it never does."""
+        stress = self.parameters.get(YIELD_STRESS.name) if LAWS[self.law].flows else None
+        return None if stress is None else stress / self.youngs_modulus
+
+    @property
     def values(self) -> dict[str, Any]:
         """Every field, with the parameters of the law among them, as reports hold it."""
         fields = {name: value for name, value in vars(self).items() if name != "parameters"}

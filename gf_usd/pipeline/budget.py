@@ -128,6 +128,7 @@ def estimate(
             {
                 "name": material.name,
                 "substeps_per_frame": count,
+                "substeps_per_sample": count / settings.samples_per_frame,
                 "seconds": float(seconds),
                 "disk_bytes": int(disk),
                 "memory_bytes": int(memory),
@@ -185,8 +186,36 @@ def require_affordable(
         f" {drop:.3g} m, need {row['substeps_per_frame']} substeps of {dt:.2g} s in each of"
         f" {settings.frames} frames",
         "take a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
-        f" --max-hours {math.ceil(hours * 1.2)} lets it run",
+        + "".join(f" {line};" for line in shortcuts({**cost, "per_material": [row]}, materials))
+        + f" --max-hours {math.ceil(hours * 1.2)} lets it run",
     )
+
+
+LONG = 300.0  # [s] from where a bake of a material that flows is told how it could be shorter
+ELASTIC = 0.02  # of strain at yield: more is seen as springback
+
+
+def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
+    """What --mass-scaling would save of long bakes of stiff materials that flow.
+
+    The largest factor with which a material is strained elastically by no more than ELASTIC when it
+    yields, in two digits.
+    """
+    found = []
+    for row in cost["per_material"]:
+        material = next(m for m in materials if m.name == row["name"])
+        strain = material.yield_strain
+        if row["seconds"] < LONG or strain is None or not 0.0 < strain <= ELASTIC / 4.0:
+            continue
+        digit = 10.0 ** (math.floor(math.log10(ELASTIC / strain)) - 1)
+        factor = math.floor(ELASTIC / strain / digit) * digit
+        found.append(
+            f"--mass-scaling {factor:g} would bake {material.name}, in which waves run at"
+            f" {material.wave_speed:.3g} m/s, in about {duration(row['seconds'] / factor**0.5)}: it"
+            f" yields at an elastic strain of {100.0 * factor * strain:.2g} % in place of"
+            f" {100.0 * strain:.2g} %"
+        )
+    return tuple(found)
 
 
 def duration(seconds: float) -> str:

@@ -26,6 +26,7 @@ from gf_usd.pipeline.budget import (
 from gf_usd.pipeline.checkpoint import CheckpointWriter, Resume, find_resume, finished, identity
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
+from gf_usd.pipeline.forecast import Forecast
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
+Remark = Callable[[str], None]  # told, in words, what turns out while it runs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +164,12 @@ def run(
     *,
     max_hours: float = MAX_HOURS,
     slice: int | None = None,
+    remark: Remark | None = None,
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
     slice : full value clips after which it ends, to be resumed; None: at its end.
+    remark : is told at once what the result's notes hold in the end: see `Forecast`.
 
     Raises UsageError for a slice of a bake without clips, and where another bake is writing the
     same (see `output_lock`); InputError where it would take longer than max_hours [h], or more disk
@@ -198,7 +202,16 @@ def run(
     )
     sequences = [files.lock for each in plan.sequences for files in each]
     with output_lock(plan.outputs.root, sequences, plan.seen):
-        return _run_locked(prepared, progress, checkpoints)
+        forecast = Forecast(
+            prepared.cost, sampled(settings).frames, max_hours, again=_again(plan), remark=remark
+        )
+        return _run_locked(prepared, progress, checkpoints, forecast)
+
+
+def _again(plan: Plan) -> str:
+    """How to have the rest of a bake that ended early, in words."""
+    go_on = "the same command with --resume goes on"
+    return go_on if plan.choices.clip_frames else "bake again"
 
 
 def _folder(plan: Plan) -> Path:
@@ -207,7 +220,10 @@ def _folder(plan: Plan) -> Path:
 
 
 def _run_locked(
-    prepared: Prepared, progress: Progress | None, checkpoints: CheckpointWriter
+    prepared: Prepared,
+    progress: Progress | None,
+    checkpoints: CheckpointWriter,
+    forecast: Forecast,
 ) -> BakeResult:
     from gf_usd.layers.check.run import review
 
@@ -225,10 +241,12 @@ def _run_locked(
     baked: list[BakedVariant] = []
     notes = list(plan.notes)
     for number in range(len(plan.materials)):
-        result, variant, more, error = _run_variant(prepared, number, progress, checkpoints)
+        result, variant, more, error = _run_variant(
+            prepared, number, progress, checkpoints, forecast
+        )
         results.append(result)
         baked.append(variant)
-        notes += more
+        notes += (*more, *forecast.take())
         if error is not None:
             baked = [replace(one, cache=partial_path(one.cache)) for one in baked]
             results = [replace(r, cache=one.cache) for r, one in zip(results, baked)]
@@ -266,7 +284,11 @@ def _run_locked(
 
 
 def _run_variant(
-    prepared: Prepared, number: int, progress: Progress | None, checkpoints: CheckpointWriter
+    prepared: Prepared,
+    number: int,
+    progress: Progress | None,
+    checkpoints: CheckpointWriter,
+    forecast: Forecast,
 ) -> tuple[VariantResult, BakedVariant, tuple[str, ...], SolverError | None]:
     """Simulate one variant into its cache, which keeps its partial name.
 
@@ -307,7 +329,7 @@ def _run_variant(
         _folder(plan),
         plan.frame_bytes / n,
         reserve(total),
-        "the same command with --resume goes on" if plan.choices.clip_frames else "bake again",
+        _again(plan),
     )
     failure = None
     with CacheWriter(
@@ -335,6 +357,7 @@ def _run_variant(
                 frame = index // n + 1
                 if progress and index % n == 0:
                     progress(number * total + frame, total * len(plan.materials))
+                forecast.after(number, index, sample.health.substeps, builder.solver.substeps)
                 if cache.full:
                     last, state = sample.health, builder.state()
                     full = {"last": last, "log": log.state(), "cache": cache.state(), **state}

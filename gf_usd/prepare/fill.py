@@ -165,6 +165,7 @@ def fill(
         replace(particles, material=index), tables[0], slot, parts, solid, bodies, spec,
         (request.blend_width or 0.0) * unit,
     )  # fmt: skip
+    tables, particles, scaled = body_materials.mass_scaled(tables, particles, settings.mass_scaling)
     made = tuple(
         replace(_main(table, index, particles.V0), name=preset.name)
         for preset, table in zip(presets, tables)
@@ -215,7 +216,8 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
-            *regional, *own, *dict.fromkeys(flow), *physics.notes, *embedded_points, *left, *skin,
+            *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes, *embedded_points,
+            *left, *skin,
             *_options(made, each), *split, *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip

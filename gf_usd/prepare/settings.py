@@ -194,6 +194,7 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
         skin=request.skin or ("paper" if paper else "embed"),
         solver=request.solver or "tl",
         shortcuts=not request.no_shortcuts,
+        mass_scaling=request.mass_scaling or 1.0,
     )
 
 

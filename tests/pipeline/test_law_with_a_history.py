@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from flowing import ROW, registered
-from pxr import Sdf, Usd
+from pxr import Sdf, Usd, UsdGeom
 
 import gf_usd
 from gf_usd.core.errors import InputError
@@ -104,7 +105,7 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
 
 def test_particles_have_values_of_their_own_and_defaults() -> None:
     body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
-    said = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
+    said: dict[str, Any] = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
     flows = Material(name="a", law=ROW.token, **said)
     given = Material(name="b", law=ROW.token, parameters={"yield_stress": 7.0}, **said)
     plain = Material(name="c", law="corotated", **said)
@@ -170,3 +171,27 @@ def test_an_elastic_body_remembers_nothing_and_says_so(tmp_path: Path) -> None:
     )  # fmt: skip
     report = json.loads(next(tmp_path.glob("*.report.json")).read_text())
     assert any("--internal writes nothing" in note for note in report["notes"]), made
+
+
+def test_mass_scaling_leaves_the_same_shape_in_fewer_substeps(tmp_path: Path) -> None:
+    heights, substeps = [], []
+    for factor in (1.0, 4.0):
+        out = tmp_path / f"{factor:g}"
+        made = gf_usd.bake(
+            str(SPHERE), material="dented", output=f"{out}/", particles=600, mass_scaling=factor
+        )
+        report = json.loads(made.report.read_text())
+        assert report["settings"]["mass_scaling"] == factor
+        stage = Usd.Stage.Open(str(made.root))
+        layer = stage.GetRootLayer().ExportToString()
+        assert f"double mass_scaling = {factor:g}" in layer
+        (mesh,) = (p for p in stage.TraverseAll() if p.IsA(UsdGeom.Mesh))
+        points = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get(stage.GetEndTimeCode()))
+        heights.append(np.ptp(points[:, 1]))
+        substeps.append(made.health["substeps"])
+        first = report["bakes"][0]["per_frame"][0]
+        assert first["mass"] == pytest.approx(7800.0 * report["volume_m3"], rel=1e-6)
+    assert heights[0] < 1.6  # of 2: it is dented
+    # 6 % of elastic strain at yield in place of 1.4 %: a part of it comes back
+    assert heights[1] == pytest.approx(heights[0], rel=0.02)
+    assert substeps[1] < 0.65 * substeps[0]

@@ -11,7 +11,7 @@ import pytest
 from physics_stages import bound, mesh, prim
 from planned import SOFT, at, planner, table
 
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import spread
 from gf_usd.prepare.plan import Plan
 
@@ -140,3 +140,36 @@ def test_a_material_file_says_what_was_chosen(plan, tmp_path: Path) -> None:
     assert table(made)[0].law == "vonMises"
     (note,) = about_yield(made)
     assert note.endswith("</Stuff>: a yield stress is stated and no law: vonMises")
+
+
+def test_mass_scaling_divides_the_moduli_of_what_flows_alone(plan) -> None:
+    stage = mesh("One", 'token gaussianFlesh:material = "lead"') + mesh("Two", at(3.0))
+    plain, scaled = (table(plan(stage, mass_scaling=f)) for f in (None, 16.0))
+    for a, b in zip(plain, scaled):
+        assert b.youngs_modulus == pytest.approx(
+            a.youngs_modulus / (16.0 if a.name == "lead" else 1.0)
+        )
+        assert (b.density, b.parameters, b.poissons_ratio) == (
+            a.density, a.parameters, a.poissons_ratio,
+        )  # fmt: skip
+    made = plan(stage, mass_scaling=16.0)
+    assert made.settings.mass_scaling == 16.0
+    (note,) = (note for note in made.notes if "--mass-scaling" in note)
+    assert note == (
+        "--mass-scaling 16: lead has a Young's modulus of 1e+09 Pa in place of 1.6e+10 Pa, and"
+        " yields at an elastic strain of 1.2 % in place of 0.075 %; mass, weight and yield stress"
+        " stay"
+    )
+
+
+def test_mass_scaling_reaches_painted_moduli(plan) -> None:
+    stiff = 'float[] primvars:gaussianFlesh:youngsModulus = [2e6] (interpolation = "constant")'
+    made = plan(mesh("One", stiff, PAINTED), mass_scaling=4.0)
+    values = spread(made.particles, table(made))
+    assert values["youngs_modulus"] == pytest.approx(5e5)
+    assert values["poissons_ratio"] == pytest.approx(table(made)[0].poissons_ratio)
+
+
+def test_mass_scaling_of_an_elastic_body_is_refused(plan) -> None:
+    with pytest.raises(UsageError, match="no material of the bake flows: rubber is neoHookean"):
+        plan(mesh("One"), mass_scaling=16.0)

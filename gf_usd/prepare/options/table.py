@@ -151,6 +151,10 @@ class RequestOptions:
         MATERIAL, "Width of the transition between materials of one body [stage units].",
         shown="0", low=0.0, high=1e6,
     )] = None
+    mass_scaling: Annotated[float | None, Option(
+        MATERIAL, "Divide the elastic moduli of materials that flow by this: steps grow by its"
+        " root, as with so many times the mass and strength.", shown="1", low=1.0, high=1e6,
+    )] = None
     filter_rate: Annotated[float | None, Option(
         METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
     )] = None
@@ -239,7 +243,8 @@ class BakeOptions(RequestOptions, AssetOptions):
         WRITE, "Treat warnings about the result as an error (status 4).", decides=False,
     )] = False
     max_hours: Annotated[float, Option(
-        WRITE, "Refuse a bake that is estimated to take longer [h].", low=0.0, decides=False,
+        WRITE, "Refuse a bake that is estimated to take longer [h], and end one that takes twice as"
+        " long.", low=0.0, decides=False,
     )] = MAX_HOURS
     limits: Annotated["Limits | None", Option(
         WRITE, "Limits of the process that reads an untrusted file: time [s], memory [B], output"

@@ -1,0 +1,120 @@
+"""What a bake takes in all, seen from the frames behind it.
+
+The estimate before a bake has the substeps of the body at rest.  They grow where it is strained,
+and stay many where it is pressed flat for good: cells that are a tenth as thick are crossed in a
+tenth of the time.  So the time that is left is estimated anew after every sample,
+
+    seconds = samples left * (seconds of a substep, of a sample as lately) * (substeps it asks for)
+
+and a surprise is told once, and again when it doubles.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from gf_usd.core.errors import OutOfResources
+from gf_usd.pipeline.budget import Cost, duration
+
+SURPRISE = 2.0  # times as long as was said last; the estimate holds within that (`budget`)
+MATTERS = 60.0  # [s] longer, at least: less is no news
+LATELY = 10  # samples: an impact is over, or what it did to the step stays
+OVERRUN = 2.0  # times --max-hours at which a bake ends, since its estimate holds within that
+MORE = 1.5  # times the substeps at rest, which then explain a surprise
+
+
+@dataclass(frozen=True)
+class _Seen:
+    seconds: float
+    substeps: int
+
+
+class Forecast:
+    """Follows one bake.
+
+    cost : of `budget.estimate`; samples : of each material, all together; max_hours : [h], of the
+    command; again : how to go on after the end, in words; remark : is told of surprises; clock :
+    [s].
+    """
+
+    def __init__(
+        self,
+        cost: Cost,
+        samples: int,
+        max_hours: float,
+        *,
+        again: str = "",
+        remark: Callable[[str], None] | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._rows: Sequence[dict] = cost["per_material"]
+        self._samples, self._limit, self._again = samples, max_hours * 3600.0, again
+        self._clock = clock
+        self._began = self._last = clock()
+        self._said = max(float(cost["estimated_seconds"]), 1e-9)
+        self._lately: deque[_Seen] = deque(maxlen=LATELY)
+        self._material = -1
+        self._remark = remark
+        self._surprises: list[str] = []
+
+    def take(self) -> tuple[str, ...]:
+        """The surprises since this was last asked."""
+        taken, self._surprises = tuple(self._surprises), []
+        return taken
+
+    def after(self, material: int, index: int, substeps: int, following: int) -> None:
+        """A sample is written: say so where the whole takes much longer than was said.
+
+        material : number of it; index : of the sample; substeps : that it took; following : that
+        the next one asks for.
+
+        Raises OutOfResources where the bake has taken OVERRUN times its limit.
+        """
+        now = self._clock()
+        if material != self._material:
+            self._material = material
+            self._lately.clear()
+        elif substeps:
+            self._lately.append(_Seen(now - self._last, substeps))
+        self._last = now
+        left = self._samples - 1 - index
+        later = sum(float(row["seconds"]) for row in self._rows[material + 1 :])
+        spent = now - self._began
+        if left + later > 0 and spent > OVERRUN * self._limit:
+            raise OutOfResources(
+                f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
+                f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
+                f" {self._samples} frames are left",
+                f"give more --max-hours; {self._again}",
+                frame=index,
+            )
+        if len(self._lately) < LATELY or not left:
+            return
+        each = sum(s.seconds for s in self._lately) / sum(s.substeps for s in self._lately)
+        many = sum(s.substeps for s in self._lately) / len(self._lately)
+        # The next sample alone may stand at a peak, and the mean may lie before one.
+        whole = spent + later + left * each * min(many, following)
+        if whole < SURPRISE * self._said or whole < self._said + MATTERS:
+            return
+        before, self._said = self._said, whole
+        self._surprises.append(self._words(material, whole, before, many))
+        if self._remark:
+            self._remark(self._surprises[-1])
+
+    def _words(self, material: int, whole: float, before: float, many: float) -> str:
+        row = self._rows[material]
+        rest = float(row["substeps_per_sample"])
+        if many > MORE * rest:
+            why = (
+                f"strained as it is, {row['name']} takes {many:.0f} substeps where it took"
+                f" {rest:.0f} at rest"
+            )
+        else:
+            why = "substeps take longer than estimated: other programs may use this machine"
+        limit = ""
+        if whole > OVERRUN * self._limit:
+            limit = f"; it ends after {duration(OVERRUN * self._limit)}, twice --max-hours"
+        return f"the bake will take about {duration(whole)}, not {duration(before)}: {why}{limit}"

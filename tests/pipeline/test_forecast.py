@@ -1,0 +1,168 @@
+"""What is said of the time a bake takes while it runs, and where it ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gf_usd
+from gf_usd.core.errors import OutOfResources, SolverError
+from gf_usd.core.materials import PHYSICAL, find_preset
+from gf_usd.pipeline import forecast as forecasts
+from gf_usd.pipeline.budget import LONG, shortcuts
+from gf_usd.pipeline.forecast import Forecast
+
+SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def cost(seconds: float, *names: str) -> dict[str, Any]:
+    """Of 100 samples of 100 substeps at rest each."""
+    rows = [
+        {"name": name, "seconds": seconds, "substeps_per_sample": 100.0}
+        for name in names or ("clay",)
+    ]
+    return {"per_material": rows, "estimated_seconds": seconds * len(rows)}
+
+
+def follow(
+    made: Forecast,
+    clock: Clock,
+    substeps: list[int],
+    each: float,
+    first: int = 0,
+    material: int = 0,
+) -> None:
+    """Samples of so many substeps, of each [s]."""
+    following = [*substeps[1:], substeps[-1]]
+    for k, (now, then) in enumerate(zip(substeps, following)):
+        clock.now += each * now
+        made.after(material, first + k, now, then)
+
+
+def test_a_bake_as_long_as_estimated_is_no_news() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 100, 0.01 * 1.9)
+    assert made.take() == ()
+
+
+def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
+    clock, told = Clock(), []
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock, remark=told.append)
+    follow(made, clock, [100] * 10 + [400] * 90, 0.01)
+    (line,) = made.take()
+    assert told == [line]
+    assert "not 100 s: strained as it is, clay takes " in line
+    assert line.endswith("substeps where it took 100 at rest")
+    said = float(line.split("about ")[1].split(" minutes")[0]) * 60.0
+    assert 200.0 <= said <= 380.0  # 10 of 100 substeps and 90 of 400, each of .01 s: 370 s
+    assert made.take() == ()
+
+
+def test_it_is_told_again_when_it_doubles_again() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 100.0, clock=clock)
+    follow(made, clock, [100] * 10 + [400] * 30 + [3000] * 60, 0.01)
+    assert len(made.take()) == 3  # 4, 8 and 16 times as long
+
+
+def test_a_peak_at_the_impact_is_no_surprise() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 10 + [900] + [100] * 89, 0.01)
+    assert made.take() == ()
+
+
+def test_a_slow_machine_is_told_from_a_small_step() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 100, 0.05)
+    (line,) = made.take()
+    assert "other programs may use this machine" in line
+
+
+def test_short_bakes_and_frames_without_substeps_say_nothing() -> None:
+    clock = Clock()
+    short = Forecast(cost(5.0), 100, 1.0, clock=clock)
+    follow(short, clock, [100] * 100, 0.005)  # ten times as long: 50 s
+    assert short.take() == ()
+    asleep = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(asleep, clock, [0] * 100, 1.0)
+    assert asleep.take() == ()
+
+
+def test_the_materials_that_follow_count_as_estimated() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0, "clay", "dented"), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 100, 0.01 * 2.5)
+    assert made.take() == ()  # 250 s and 100 s, of 200 s
+    follow(made, clock, [100] * 100, 0.01 * 2.5, material=1)
+    (line,) = made.take()
+    assert "not 3.33 minutes" in line
+
+
+def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 0.1, again="go on", clock=clock)
+    with pytest.raises(OutOfResources) as caught:
+        follow(made, clock, [100] * 100, 0.09)  # 900 s of 720 s
+    assert caught.value.frame == 80
+    assert "the bake has taken 12.2 minutes, and --max-hours 0.1 lets it take 12" in str(
+        caught.value.message
+    )
+    assert "19 of 100 frames are left" in caught.value.message
+    assert "go on" in caught.value.hint
+    (line,) = made.take()
+    assert line.endswith("; it ends after 12 minutes, twice --max-hours")
+
+
+def test_the_last_frame_is_never_too_late() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 0.1, clock=clock)
+    follow(made, clock, [100] * 99, 0.0)
+    clock.now = 1e6
+    made.after(0, 99, 100, 100)
+
+
+def test_a_bake_that_is_too_long_leaves_its_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(forecasts, "OVERRUN", 0.0)
+    with pytest.raises(SolverError, match="--max-hours 1 lets it take"):
+        gf_usd.bake(str(SPHERE), material="clay", output=f"{tmp_path}/", particles=100, frames=6)
+    assert list(tmp_path.glob("*.cache.partial.usdc"))
+    assert list(tmp_path.glob("*.report.json"))
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [("mild-steel", 16.0), ("lead", 26.0), ("copper", 5.8), ("aluminium", 4.9), ("silicone", None)],
+)
+def test_stiff_metals_are_offered_mass_scaling(name: str, factor: float | None) -> None:
+    made = PHYSICAL[name].material(1.0)
+    rows = {"per_material": [{"name": name, "seconds": 3600.0}]}
+    lines = shortcuts(rows, [made])
+    if factor is None:
+        assert lines == ()
+        return
+    (line,) = lines
+    assert line.startswith(f"--mass-scaling {factor:g} would bake {name}")
+    assert made.yield_strain is not None
+    assert 0.018 <= factor * made.yield_strain <= 0.02
+    assert f"about {60.0 / factor**0.5:.3g} minutes" in line
+    assert shortcuts({"per_material": [{"name": name, "seconds": LONG - 1.0}]}, [made]) == ()
+
+
+def test_looks_and_soft_materials_have_nothing_to_gain() -> None:
+    for name in ("dented", "clay", "wax", "dough"):
+        made = find_preset(name).material(1.0)
+        assert shortcuts({"per_material": [{"name": name, "seconds": 1e5}]}, [made]) == ()
