@@ -40,6 +40,7 @@ class Parameter:
     label: str  # for the report
     low: float = 0.0  # [unit] least value
     high: float = float("inf")  # [unit] largest value
+    required: bool = False  # a bake is refused where neither material nor paint states it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,7 @@ class LawSpec:
 YIELD_STRESS = Parameter(
     name="yield_stress", unit="Pa", attribute="yieldStress", default=1e9,
     meaning="Stress at which the material begins to flow: equivalent, before any hardening.",
-    label="Yield stress",
+    label="Yield stress", required=True,
 )  # fmt: skip
 HARDENING = Parameter(
     name="hardening", unit="Pa", attribute="hardening", default=0.0,
@@ -160,6 +161,21 @@ def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
     wanted = set(LAWS if tokens is None else tokens)
     rows = [row for token, row in LAWS.items() if token in wanted]
     return tuple({v.name: v for row in rows for v in row.internal if v.attribute}.values())
+
+
+def flowing_law(stated: Iterable[str], otherwise: str) -> str:
+    """The law of a material that states these parameters by name, and no law.
+
+    One that states what only laws that flow ask for (a yield stress) flows: by `otherwise` where
+    that asks for it, else by the first law that has all that is stated.
+    """
+    wanted = set(stated)
+    asked = {p.name for p in law_parameters() if p.required} & wanted
+    if not asked or asked <= {p.name for p in LAWS[otherwise].parameters}:
+        return otherwise
+    having = [t for t, row in LAWS.items() if asked <= {p.name for p in row.parameters}]
+    whole = [t for t in having if wanted <= {p.name for p in LAWS[t].parameters}]
+    return (whole or having)[0]
 
 
 def check_law(law: str) -> str:
@@ -408,6 +424,7 @@ class Fixed:
     """A material that is given whole, for example by a file."""
 
     given: Material
+    notes: tuple[str, ...] = ()  # what was chosen for it
 
     @property
     def name(self) -> str:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAWS, Material, law_parameters
+from gf_usd.core.materials import LAWS, Material, flowing_law, law_parameters
 from gf_usd.core.units import StageUnits
 
 Triple = tuple[float, float, float]
@@ -68,7 +68,7 @@ class PhysicsMaterialSpec:
             return None
         return Material(
             name=self.path.rpartition("/")[2],
-            law=self.law or DEFAULT_LAW,
+            law=self.law or flowing_law(self.parameters, DEFAULT_LAW),
             density=_or(self.density, density),
             youngs_modulus=self.youngs_modulus,
             poissons_ratio=self.poissons_ratio,
@@ -82,7 +82,7 @@ class PhysicsMaterialSpec:
         """`base` with what is stated in its place; the whole material where it is elastic."""
         return self.whole(base.density) or Material(
             name=base.name,
-            law=self.law or base.law,
+            law=self.law or flowing_law(self.parameters, base.law),
             density=_or(self.density, base.density),
             youngs_modulus=base.youngs_modulus,
             poissons_ratio=base.poissons_ratio,
@@ -358,6 +358,7 @@ def read_material_spec(
     *,
     where: str,
     assume: Assume | None = None,
+    say: Assume | None = None,
 ) -> PhysicsMaterialSpec:
     """What the Material prim at `path` says.
 
@@ -365,6 +366,7 @@ def read_material_spec(
     assume : without it a Young's modulus needs a Poisson's ratio next to it, and both values that
         the vocabularies give a meaning of their own (0 or -inf: not stated; 0.5: incompressible)
         and missing ones are refused.  With it they are settled, and it is told how.
+    say : is told how Newton's words on flow are read; None: `assume` is.
 
     Raises InputError for a value that is not a number in its range, or a law that is none.
     """
@@ -390,7 +392,8 @@ def read_material_spec(
         restitution=_up_to(authored, "restitution", where, "restitution", 1.0),
         law=law,
         damping_time=_damping_time(authored, where, units, young),
-        parameters=_parameters(authored, where, units),
+        parameters=_parameters(authored, where, units)
+        or _newtons(authored, where, units, law, say or assume),
     )
 
 
@@ -421,6 +424,50 @@ def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, 
             out[one.name] = _closed(
                 where, one.name, value * units.factor(one.unit), one.high, one.low
             )
+    return out
+
+
+# Newton bounds sqrt(J2), the stress of pure shear, and ours sqrt(3 J2), the equivalent one; its
+# viscosity is that of shear, and ours goes with the equivalent rate: three times it.
+NEWTONS = {"yield_stress": ("yieldStress", 3.0**0.5), "flow_viscosity": ("viscosity", 3.0)}
+# What has no counterpart here, with the value at which it changes nothing.
+NOT_OURS = {"internalFriction": 0.0, "tensileYieldRatio": 1.0, "yieldPressure": float("inf")}
+
+
+def _newtons(
+    authored: Authored, where: str, units: StageUnits, law: str | None, say: Assume | None
+) -> dict[str, float]:
+    """Newton's words on flow as parameters of ours, in SI; none without a yield stress above 0."""
+
+    def stated(name: str) -> float | None:
+        value = _float(authored(PREFIXES[1] + name), PREFIXES[1] + name, where)
+        return None if value is None or value == float("-inf") else value
+
+    out = {}
+    for one in law_parameters():
+        if one.name in NEWTONS:
+            name, factor = NEWTONS[one.name]
+            value = stated(name)
+            if value:
+                SI = value * factor * units.factor(one.unit)
+                out[one.name] = _closed(where, PREFIXES[1] + name, SI, one.high, one.low)
+    if "yield_stress" not in out:
+        return {}
+    left = [name for name, nothing in NOT_OURS.items() if stated(name) not in (None, nothing)]
+    hardening = stated("hardening")
+    if hardening and law == "crushable":
+        # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
+        out["hardening"] = _closed(
+            where, PREFIXES[1] + "hardening", hardening * out["yield_stress"], float("inf")
+        )
+    elif hardening:
+        left.append("hardening")
+    if say and left:
+        say(
+            "the yield stress is read in Newton's words, but not "
+            + ", ".join(PREFIXES[1] + name for name in left)
+            + ": it is the same in tension and under any pressure"
+        )
     return out
 
 

@@ -14,6 +14,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
 from gf_usd.core.materials import Material, law_parameters
+from gf_usd.core.stage import NEWTONS
 from gf_usd.core.units import StageUnits
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
@@ -22,6 +23,7 @@ Types = Sdf.ValueTypeNames
 # API schemas of others, known by name only: usd-core has no definition of them
 VOLUME_MATERIAL_API = "PhysicsVolumeDeformableMaterialAPI"  # AOUSD proposal
 NEWTON_MATERIAL_API = "NewtonMPMMaterialAPI"
+VOLUME_KEEPING = "vonMises"  # the law whose flow Newton has words for
 
 
 def write_materials(
@@ -123,5 +125,22 @@ def _write(
         ("newton:mpm:elasticDamping", young * material.damping_time),
         # Newton's fallback, 0, is a material that falls apart under tension, like sand
         ("newton:mpm:tensileYieldRatio", 1.0),
+        *_newtons_flow(material, units),
     ):
         prim.CreateAttribute(name, Types.Float, False).Set(value)
+
+
+def _newtons_flow(material: Material, units: StageUnits) -> list[tuple[str, float]]:
+    """Newton's words on a material that flows without losing volume; see `core.stage.NEWTONS`.
+
+    Newton's fallback of internalFriction would make its strength grow with pressure.
+    """
+    if material.law != VOLUME_KEEPING:
+        return []
+    words = [("newton:mpm:internalFriction", 0.0)]
+    for one in law_parameters([material.law]):
+        if one.name in NEWTONS:
+            name, factor = NEWTONS[one.name]
+            value = material.parameter(one) / units.factor(one.unit) / factor
+            words.append((f"newton:mpm:{name}", value))
+    return words

@@ -151,12 +151,16 @@ def fill(
     def finish(preset: Any, radius: float) -> Material:
         return replace(preset.material(radius, law), **own_values)
 
-    tables, index = [], particles.material
+    tables, index, flow = [], particles.material, []
     for preset in presets:
         table, index = body_materials.table(
             preset, parts, slot, particles, solid, bodies, spec, finish
         )
-        tables.append(tuple(replace(m, law=law or m.law) for m in table))
+        table = tuple(replace(m, law=law or m.law) for m in table)
+        tables.append(table)
+        of_part = {int(k): table[int(index[slot == k][0])] for k in np.unique(slot)}
+        body_materials.require_parameters(asset.facts.path, particles, slot, of_part, solid, spec)
+        flow += body_materials.flow_notes(preset, law, parts, of_part, solid, spec)
     particles, own = with_own_values(
         replace(particles, material=index), tables[0], slot, parts, solid, bodies, spec,
         (request.blend_width or 0.0) * unit,
@@ -211,7 +215,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
-            *regional, *own, *physics.notes, *embedded_points, *left, *skin,
+            *regional, *own, *dict.fromkeys(flow), *physics.notes, *embedded_points, *left, *skin,
             *_options(made, each), *split, *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip

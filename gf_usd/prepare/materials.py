@@ -9,15 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
-from gf_usd.core.materials import DimensionlessPreset, Material, find_preset, lame, law_parameters
-from gf_usd.core.stage import StageSpec, SubsetMaterial
+from gf_usd.core.materials import (
+    LAWS,
+    DimensionlessPreset,
+    Fixed,
+    Material,
+    find_preset,
+    flowing_law,
+    lame,
+    law_parameters,
+)
+from gf_usd.core.stage import BodyPhysics, PhysicsMaterialSpec, StageSpec, SubsetMaterial
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.regions import Region
 
@@ -25,6 +36,7 @@ if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
 
 
+FLOW = frozenset(p.name for p in law_parameters() if p.required)  # asks for a law that flows
 AUTHORED = "authored"  # the look of a stage whose prims do not all ask for the same
 SAME = 1e-3  # relative: materials that differ by less are one
 
@@ -178,11 +190,90 @@ def _authored(
     if stated is not None and isinstance(base, DimensionlessPreset):
         base = replace(base, density=stated)  # a look's moduli go with its density
     made = finish(base, radius)
-    if body is None:
-        return made
-    if part.subset is not None:
-        return part.subset.resolve(body.resolve(made), body.density)
-    return body.resolve(made)
+    if part.subset is not None and body is not None:
+        made = part.subset.resolve(body.resolve(made), body.density)
+    elif body is not None:
+        made = body.resolve(made)
+    own = _own_spec(part, body)
+    if own is None or own.law is None:
+        painted = spec.painted.get(path, {}).keys() & FLOW
+        made = replace(made, law=flowing_law(painted, made.law))
+    return made
+
+
+def _own_spec(part: MaterialPart, body: BodyPhysics | None) -> PhysicsMaterialSpec | None:
+    """What the stage's own material of a part says; None where it has none."""
+    if part.region is not None or body is None:
+        return None
+    return part.subset.spec if part.subset else body.spec
+
+
+def flow_notes(
+    look: Any,
+    law: str | None,
+    parts: Sequence[MaterialPart],
+    materials: Mapping[int, Material],
+    solid: Solid,
+    spec: StageSpec,
+) -> tuple[str, ...]:
+    """Where a yield stress is stated: which law was chosen for it, or that none uses it.
+
+    look : as of `table`; law : that the command asks for; materials : of the parts that have
+    particles, by their place in parts.
+    """
+    notes = list(look.notes) if isinstance(look, Fixed) else []
+    for k, material in materials.items():
+        part, path = parts[k], solid.surfaces[parts[k].surface].path
+        painted = spec.painted.get(path, {}).keys() & FLOW
+        own = _own_spec(part, spec.bodies.get(path)) if isinstance(look, Authored) else None
+        stated = own.parameters.keys() & FLOW if own else set()
+        if not LAWS[material.law].flows and (painted or material.parameters.keys() & FLOW):
+            notes.append(
+                f"<{path}>: a yield stress is stated and not used, because the law {material.law}"
+                " does not flow: --law vonMises does"
+            )
+        elif law is None and stated and own and own.law is None:
+            notes.append(f"<{own.path}>: a yield stress is stated and no law: {material.law}")
+        elif law is None and painted and not stated and (own is None or own.law is None):
+            notes.append(f"<{path}>: a yield stress is painted: the law is {material.law}")
+    return tuple(dict.fromkeys(notes))
+
+
+def require_parameters(
+    path: Path,
+    particles: Particles,
+    slot: Ints,
+    materials: Mapping[int, Material],
+    solid: Solid,
+    spec: StageSpec,
+) -> None:
+    """Raise InputError where a law asks for what neither its material nor paint states.
+
+    path : of the asset, for messages; slot, materials : as of `table` and `flow_notes`.
+    """
+    for k, material in materials.items():
+        for p in LAWS[material.law].parameters:
+            if not p.required or p.name in material.parameters:
+                continue
+            bare = [p.name not in spec.painted.get(s.path, {}) for s in solid.surfaces]
+            mine = np.flatnonzero(slot == k)
+            found = mine[np.array(bare)[_nearest_surface(solid, particles)[mine]]]
+            if len(found):
+                surface = solid.surfaces[int(particles.surface[found[0]])]
+                raise InputError(
+                    f"{path}: <{surface.path}>: the law {material.law} asks for a"
+                    f" {p.label.lower()}, and {material.name} (Young's modulus"
+                    f" {material.youngs_modulus:.3g} Pa) states none",
+                    f"author gaussianFlesh:{p.attribute} on a material or paint it as a primvar,"
+                    " or take a material that flows, such as clay or mild-steel",
+                )
+
+
+def _nearest_surface(solid: Solid, particles: Particles) -> Ints:
+    """(N,) the surface that each particle is nearest to."""
+    from gf_usd.geometry.surface import nearest
+
+    return nearest(solid, particles.X).surface
 
 
 def _with_masses(

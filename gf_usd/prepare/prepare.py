@@ -256,7 +256,9 @@ def _find(name: str, request: Request) -> Any:
     from gf_usd.readers.usd_bake.material_file import is_material_file, read_material
 
     if is_material_file(name):
-        return materials.Fixed(read_material(Path(name)))
+        notes: list[str] = []
+        given = read_material(Path(name), notes.append)
+        return materials.Fixed(given, tuple(notes))
     look = materials.find_preset(name.strip())
     # The paper has every solid corotated.
     return replace(look, law="corotated") if request.preset == "paper" else look

@@ -9,9 +9,14 @@ from gf_usd.verify.registry import CASES, run_case
 
 # Double precision last, so that Taichi starts anew once.
 ORDERED = sorted(CASES, key=lambda case: case.f64)
+LONG = {"hertz", "lamb", "penetration", "collisions"}  # a third of the time of all
 
 
-@pytest.mark.parametrize("case", ORDERED, ids=lambda case: case.name)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=[pytest.mark.slow] if c.name in LONG else []) for c in ORDERED],
+    ids=lambda case: case.name,
+)
 def test_every_figure_is_within_its_bound(case: Case) -> None:
     result = run_case(case)
     assert result.measures

@@ -27,7 +27,12 @@ STATES = {
 }
 
 
-@pytest.mark.parametrize("state", STATES)
+LONGER = {"half", "held", "range"}  # share their code with the others
+
+
+@pytest.mark.parametrize(
+    "state", [pytest.param(s, marks=[pytest.mark.slow] if s in LONGER else []) for s in STATES]
+)
 def test_slices_come_to_the_same_bits(gf_usd, here: Path, block: Path, state: str) -> None:
     words = ("bake", block, *SMALL, *STATES[state], "-q")
     assert gf_usd(*words, "-o", "one/").status == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -64,12 +66,15 @@ def test_a_crash_and_a_changed_file_are_failures(
 def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    monkeypatch.setattr(bake_assets, "gf_usd", lambda *words: (3, "", "error: no"))
+    def refuse(*words: str, hint: str = "yes", left: str = "") -> tuple[int, str, str]:
+        if left:
+            Path(words[3], left).write_text("")
+        event = {"event": "error", "status": 3, "message": "no", "hint": hint}
+        return 3, json.dumps(event) + "\n", f"error: no\n\nhint: {hint}"
+
+    monkeypatch.setattr(bake_assets, "gf_usd", refuse)
+    assert run(monkeypatch, folder)[0] == 0
+    monkeypatch.setattr(bake_assets, "gf_usd", partial(refuse, hint=""))
     assert run(monkeypatch, folder)[0] == 1
-
-    def litter(*words: str) -> tuple[int, str, str]:
-        Path(words[3], "left.usda").write_text("")
-        return 3, "", "error: no\n\nhint: yes"
-
-    monkeypatch.setattr(bake_assets, "gf_usd", litter)
+    monkeypatch.setattr(bake_assets, "gf_usd", partial(refuse, left="left.usda"))
     assert run(monkeypatch, folder)[0] == 1

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import re
 import resource
 import subprocess
 import sys
@@ -20,6 +19,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 BESIDE = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
 BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
@@ -80,19 +80,22 @@ def bake(path: Path, folder: Path, out: Path, options: Sequence[str]) -> Outcome
     target.mkdir()
     began = cpu()
     status, stdout, stderr = gf_usd(
-        "bake", str(path), "-o", f"{target}/", "--json", "--quiet", *options
+        "bake", str(path), "-o", f"{target}/", "--events", "-", "--quiet", *options
     )
     seconds = cpu() - began
-    ending, words = "failed", _reason(stderr, path, folder)
+    events = {event["event"]: event for event in map(json.loads, stdout.splitlines())}
     if status == 0:
-        result = json.loads(stdout)
-        ending, words = _checked(result)
-    elif status == REFUSED and "hint: " in stderr and not any(target.iterdir()):
-        ending = "refused"
+        ending, words = _checked(events["finished"])
+    elif "error" in events:
+        refused = status == REFUSED and events["error"]["hint"] and not any(target.iterdir())
+        ending = "refused" if refused else "failed"
+        words = _reason(events["error"], path, folder)
+    else:
+        ending, words = "failed", (stderr.strip() or "no message").splitlines()[-1]
     return Outcome(asset=name, ending=ending, words=words, seconds=seconds)
 
 
-def _checked(result: dict[str, object]) -> tuple[str, str]:
+def _checked(result: dict[str, Any]) -> tuple[str, str]:
     report = json.loads(Path(str(result["report"])).read_text(encoding="utf-8"))
     status, stdout, _ = gf_usd("check", str(result["root"]), "--json")
     found = [f for f in json.loads(stdout)["findings"] if f["severity"] == "error"]
@@ -107,14 +110,12 @@ def _checked(result: dict[str, object]) -> tuple[str, str]:
     return ("baked", words) if sound else ("failed", f"check: {ours or found}")
 
 
-def _reason(stderr: str, path: Path, folder: Path) -> str:
+def _reason(error: dict[str, str], path: Path, folder: Path) -> str:
     """Message and hint on one line, with the asset by its name."""
-    text = stderr.strip() or "no message"
+    text = f"{error['message'].strip()}. Hint: {error['hint'].strip()}"
     for long in (f"{path.absolute()}", f"{path}", f"{folder.absolute()}/", f"{folder}/"):
         text = text.replace(long, path.name if long.endswith(path.name) else "")
-    found = re.search(r"error: (.*?)\n\s*hint: (.*)", text, re.DOTALL)
-    lines = f"{found[1].strip()}. Hint: {found[2].strip()}" if found else text.splitlines()[-1]
-    return " ".join(lines.split())
+    return " ".join(text.split())
 
 
 def table(outcomes: Sequence[Outcome]) -> str:

@@ -11,8 +11,8 @@ from typing import Any
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import Material
-from gf_usd.core.stage import Authored, read_material_spec, states_modulus
+from gf_usd.core.materials import LAWS, Material
+from gf_usd.core.stage import Assume, Authored, read_material_spec, states_modulus
 from gf_usd.core.units import StageUnits
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 
@@ -24,8 +24,10 @@ def is_material_file(name: str) -> bool:
     return Path(name).suffix.lower() in SUFFIXES
 
 
-def read_material(path: Path) -> Material:
+def read_material(path: Path, say: Assume | None = None) -> Material:
     """The one material with a Young's modulus in a file, or the one its default prim is.
+
+    say : is told what was chosen for it.
 
     Raises InputError where the file cannot be read, has none, has several, or has values out of
     range.
@@ -46,7 +48,7 @@ def read_material(path: Path) -> Material:
             f"{path} has {len(found)} materials: {', '.join(f'<{p.GetPath()}>' for p in found)}",
             "make one of them the default prim",
         )
-    return _material(path, found[0], _units(path, stage))
+    return _material(path, found[0], _units(path, stage), say)
 
 
 def _open(path: Path) -> Usd.Stage:
@@ -83,13 +85,20 @@ def _authored(prim: Usd.Prim) -> Authored:
     return authored
 
 
-def _material(path: Path, prim: Usd.Prim, units: StageUnits) -> Material:
+def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None) -> Material:
     where = f"{path}: <{prim.GetPath()}>"
-    spec = read_material_spec(_authored(prim), str(prim.GetPath()), units, where=where)
+
+    def tell(text: str) -> None:
+        if say:
+            say(f"{where}: {text}")
+
+    spec = read_material_spec(_authored(prim), str(prim.GetPath()), units, where=where, say=tell)
     if spec.poissons_ratio is None:
         raise InputError(f"{where} has no Poisson's ratio", "author physics:poissonsRatio")
     if spec.density is None:
         raise InputError(f"{where} has no density", "author physics:density")
     material = spec.whole()
     assert material is not None  # both moduli are there
+    if spec.law is None and LAWS[material.law].flows:
+        tell(f"a yield stress is stated and no law: {material.law}")
     return material

@@ -1,17 +1,18 @@
-"""One bake in a process of its own, watched without waiting for it.
+"""One bake in a process of its own, followed by its events (docs/farm.md) without waiting for it.
 
 Nothing here knows Blender.
 """
 
 from __future__ import annotations
 
+import json
 import queue
 import subprocess
 import threading
 import time
 from typing import IO, Any
 
-from .program import ProgramError, error_in, progress_in, result_in, surroundings
+from .program import ProgramError, error_in, surroundings
 
 GRACE = 20.0  # [s] that gf-usd has to stop after it is asked to: it finishes a step first
 FAILED = 1  # exit status of gf-usd for a bake that broke off; 2 and 3 are refusals
@@ -20,26 +21,33 @@ FAILED = 1  # exit status of gf-usd for a bake that broke off; 2 and 3 are refus
 class Job:
     """A running gf-usd.
 
-    Call `step` now and then; it returns True once the process has ended.  Then `result` is what
-    `bake --json` printed, or `error` says why there is none.
+    Call `step` now and then; it returns True once the process has ended.  Then `result` holds the
+    event `finished`, or `error` says why there is none.
+
+    Parameters
+    ----------
+    command : a bake; the option that makes it print its events is added.
 
     Raises ProgramError where the process cannot be started.
     """
 
     def __init__(self, command: list[str], folder: str) -> None:
         self.done, self.total = 0, 0  # frames
+        self.seconds_left: float | None = None
         self.notes: list[str] = []
+        self.warnings: list[str] = []
         self.result: dict[str, Any] | None = None
         self.error: ProgramError | None = None
         self.canceled = False
         self.failed = False  # while it ran: what it wrote until then is there
         self._deadline = 0.0
-        self._words: list[str] = []
+        self._first: tuple[float, int] | None = None  # time and number of the first frame
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._printed = ""
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                [*command, "--events", "-"],
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                 encoding="utf-8", errors="replace", cwd=folder, env=surroundings(),
             )  # fmt: skip
         except OSError as error:
@@ -48,8 +56,8 @@ class Job:
         assert self._process.stderr is not None
         # both pipes are read at once, or a full one would stop the process
         self._readers = [
-            threading.Thread(target=self._print, args=(self._process.stdout,), daemon=True),
-            threading.Thread(target=self._listen, args=(self._process.stderr,), daemon=True),
+            threading.Thread(target=self._listen, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._print, args=(self._process.stderr,), daemon=True),
         ]
         for reader in self._readers:
             reader.start()
@@ -60,7 +68,7 @@ class Job:
         return self.done / self.total if self.total else 0.0
 
     def step(self) -> bool:
-        """Take in what was said since; whether it is over."""
+        """Take in the events since the last call; whether the process has ended."""
         self._hear()
         status = self._process.poll()
         if status is None:
@@ -73,13 +81,10 @@ class Job:
         self.failed = status == FAILED and not self.canceled
         if self.canceled:
             self.error = ProgramError("canceled")
-        elif status:
-            self.error = error_in("\n".join(self._words))
-        else:
-            try:
-                self.result = result_in(self._printed)
-            except ProgramError as error:
-                self.error = error
+        elif status and self.error is None:
+            self.error = error_in(self._printed)
+        elif not status and self.result is None:
+            self.error = ProgramError("gf-usd ended without a result", self._printed[-200:])
         return True
 
     def wait(self, pause: float = 0.1) -> None:
@@ -100,14 +105,40 @@ class Job:
     def _listen(self, stream: IO[str]) -> None:
         with stream:
             for line in stream:
-                self._lines.put(line.rstrip("\n"))
+                self._lines.put(line)
 
     def _hear(self) -> None:
         while not self._lines.empty():
             line = self._lines.get()
-            progress = progress_in(line)
-            if progress:
-                self.done, self.total = progress
-            elif line.startswith(("note: ", "warning: ")):
-                self.notes.append(line)
-            self._words.append(line)
+            try:
+                event = json.loads(line)
+            except json.JSONDecodeError:
+                # of a program that does not know events, or was killed in the middle of one
+                self.error = ProgramError(f"gf-usd printed no event: {line[:200]!r}")
+                continue
+            self._take(event)
+
+    def _take(self, event: dict[str, Any]) -> None:
+        what = event["event"]
+        if what == "plan":
+            self.seconds_left = event["estimated_seconds"]
+        elif what == "frame":
+            self._advance(event)
+        elif what == "note":
+            self.notes.append(event["message"])
+        elif what == "warning":
+            self.warnings.append(f"{event['message']}. {event['hint']}".strip())
+        elif what == "finished":
+            self.result = event
+        elif what == "error":
+            self.error = ProgramError(event["message"], event["hint"])
+
+    def _advance(self, event: dict[str, Any]) -> None:
+        self.done, self.total = event["done"], event["total"]
+        if self._first is None:
+            self._first = event["time"], self.done
+            return
+        began, first = self._first
+        if self.done > first:
+            each = (event["time"] - began) / (self.done - first)
+            self.seconds_left = each * (self.total - self.done)

@@ -18,15 +18,34 @@ ROOT = "/root"
 
 
 def selected(context: bpy.types.Context) -> list[Any]:
-    """The selected mesh objects that are no results of an earlier bake."""
-    return [o for o in context.selected_objects if o.type == "MESH" and SOURCE not in o]
+    """The selected mesh objects that are neither results of an earlier bake nor obstacles."""
+    bars = obstacles(context)
+    return [
+        o for o in context.selected_objects
+        if o.type == "MESH" and SOURCE not in o and o not in bars
+    ]  # fmt: skip
 
 
-def make_copies(context: bpy.types.Context, originals: list[Any]) -> list[str]:
+def obstacles(context: bpy.types.Context) -> list[Any]:
+    """The meshes of the collection of obstacles: visible, and no results of earlier bakes."""
+    chosen = context.scene.gf_usd.obstacles
+    if chosen is None:
+        return []
+    return [
+        o
+        for o in chosen.all_objects
+        if o.type == "MESH" and SOURCE not in o and not o.hide_viewport
+    ]
+
+
+def make_copies(
+    context: bpy.types.Context, originals: list[Any], ending: str = "soft"
+) -> list[str]:
     """Names of new objects with the meshes of the originals as they are in this frame.
 
     Modifiers are applied, and materials, UVs and attributes kept.  They belong to no collection
-    yet, and are kept alive until `show` or `discard`.  Their names are fit for prims.
+    yet, and are kept alive until `show` or `discard`.  Their names are fit for prims, and end in
+    `_soft` or another `ending`.
     """
     graph = context.evaluated_depsgraph_get()
     names = []
@@ -35,7 +54,7 @@ def make_copies(context: bpy.types.Context, originals: list[Any]) -> list[str]:
         mesh = bpy.data.meshes.new_from_object(
             shape, preserve_all_data_layers=True, depsgraph=graph
         )
-        copy = bpy.data.objects.new(_free_name(original.name), mesh)
+        copy = bpy.data.objects.new(_free_name(original.name, ending), mesh)
         copy.matrix_world = shape.matrix_world
         copy[SOURCE] = original.name
         copy.use_fake_user = True
@@ -43,15 +62,20 @@ def make_copies(context: bpy.types.Context, originals: list[Any]) -> list[str]:
     return names
 
 
-def _free_name(name: str) -> str:
+def _free_name(name: str, ending: str) -> str:
     """A name that the exporter leaves as it is: fit for a prim, and like no other object's."""
     taken = {_plain(other.name) for other in bpy.data.objects}
-    stem = f"{_plain(name)}_soft"
+    stem = f"{_plain(name)}_{ending}"
     free, number = stem, 1
     while free in taken:
         number += 1
         free = f"{stem}_{number}"
     return free
+
+
+def prim_path(name: str) -> str:
+    """Of a copy in the exported stage."""
+    return f"{ROOT}/{name}"
 
 
 def _plain(name: str) -> str:
@@ -147,12 +171,12 @@ def show(context: bpy.types.Context, names: list[str], root: Path) -> list[Any]:
         copy.use_fake_user = False
         modifier = copy.modifiers.new(MODIFIER, "MESH_SEQUENCE_CACHE")
         modifier.cache_file = cache
-        modifier.object_path = f"{ROOT}/{copy.name}"
+        modifier.object_path = prim_path(copy.name)
         modifier.read_data = {"VERT"}
     # only now Blender reads the file
     context.view_layer.update()
     known = {row.path for row in cache.object_paths}
-    lost = {f"{ROOT}/{copy.name}" for copy in copies} - known
+    lost = {prim_path(copy.name) for copy in copies} - known
     if lost:
         raise ProgramError(
             f"{root} has no {', '.join(sorted(lost))}",

@@ -9,11 +9,11 @@ from typing import Any
 
 import bpy
 
-from . import objects
+from . import objects, stage
 from .job import Job
 from .preferences import program
 from .program import ProgramError
-from .settings import options
+from .settings import frame_range, options
 from .state import state
 
 TICK = 0.2  # [s] between two looks at the process
@@ -92,10 +92,13 @@ class GFUSD_OT_bake(bpy.types.Operator):
         shown = objects.show(context, self.names, Path(job.result["root"]))
         for note in job.notes:
             self.report({"INFO"}, note)
+        for warning in job.warnings:
+            self.report({"WARNING"}, warning)
         found = job.result["check"]
         said = f"{', '.join(item.name for item in shown)}: {job.result['frames']} frames"
-        self.tidy(context, said, f"gf-usd check: {len(found)} findings" if found else "")
-        self.report({"WARNING"} if found else {"INFO"}, said)
+        doubts = [*job.warnings, *([f"gf-usd check: {len(found)} findings"] if found else [])]
+        self.tidy(context, said, "\n".join(doubts))
+        self.report({"WARNING"} if doubts else {"INFO"}, said)
         return {"FINISHED"}
 
     def fail(self, context: bpy.types.Context, error: ProgramError) -> set[str]:
@@ -123,34 +126,72 @@ class GFUSD_OT_bake(bpy.types.Operator):
 
 
 def start(context: bpy.types.Context) -> tuple[Job, list[str], Path]:
-    """Export the selection and start gf-usd on it.
+    """Export the selection and the obstacles, and start gf-usd on them.
 
     Returns the job, the names of the copies, and the new folder that everything goes to.
 
     Raises ProgramError where it cannot be started; then nothing of it is left.
     """
-    scene = context.scene
+    scene, settings = context.scene, context.scene.gf_usd
     words = program(context)
+    originals, bars = objects.selected(context), objects.obstacles(context)
+    frames = frame_range(settings, scene)
     here = scene.frame_current
-    scene.frame_set(scene.frame_start)
-    try:
-        originals = objects.selected(context)
-        names = objects.make_copies(context, originals)
-    finally:
-        scene.frame_set(here)
+    names: list[str] = []
+    standing: list[str] = []
     folder = None
     try:
-        more = options(scene.gf_usd, scene, objects.lowest_vertex(names))
+        scene.frame_set(scene.frame_start)
+        names = objects.make_copies(context, originals)
+        standing = objects.make_copies(context, bars, "obstacle")
+        pinned = _pinned(context, originals, names, frames)
+        motions = dict(zip(standing, stage.record(context, bars, frames), strict=True))
+        more = options(settings, scene, objects.lowest_vertex(names))
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", originals[0].name)
         folder = new_folder(scene, stem)
         asset = folder / f"{stem}.source.usdc"
-        objects.export(context, names, asset)
+        objects.export(context, [*names, *standing], asset)
+        subsets = stage.complete(asset, frames, obstacles=motions, pinned=pinned)
         command = [*words, "bake", str(asset), "--output", str(folder / f"{stem}.soft.usda")]
+        for subset in subsets:
+            command += ["--pin", subset]
         # the last word wins, so that More can change what the panel says
-        return Job([*command, "--json", *more], str(folder)), names, folder
+        return Job([*command, *more], str(folder)), names, folder
     except ProgramError:
         clear(names, folder)
         raise
+    finally:
+        objects.discard(standing)
+        scene.frame_set(here)
+
+
+def _pinned(
+    context: bpy.types.Context, originals: list[Any], names: list[str], frames: range
+) -> dict[str, tuple[stage.Motion, list[int]]]:
+    """Motion and pinned faces of the copies that have any.
+
+    Raises ProgramError where the pin group is in none of the objects, or has no face.
+    """
+    group = context.scene.gf_usd.pin_group
+    if not group:
+        return {}
+    faces = {
+        name: stage.pinned_faces(original, bpy.data.objects[name], group)
+        for original, name in zip(originals, names, strict=True)
+    }
+    held = [(o, name) for o, name in zip(originals, names, strict=True) if faces[name]]
+    if not held:
+        there = sorted({g.name for o in originals for g in o.vertex_groups})
+        raise ProgramError(
+            f"no face of the selected objects is in the vertex group {group!r}",
+            f"give its vertices a weight above {stage.WEIGHT:g}; there are the groups: "
+            f"{', '.join(there) or 'none'}",
+        )
+    motions = stage.record(context, [original for original, _ in held], frames)
+    return {
+        name: (motion, faces[name])
+        for (_, name), motion in zip(held, motions, strict=True)
+    }  # fmt: skip
 
 
 def new_folder(scene: bpy.types.Scene, stem: str) -> Path:
@@ -185,6 +226,8 @@ def clear(names: list[str], folder: Path | None) -> None:
 def show_progress(context: bpy.types.Context, job: Job) -> None:
     """In the status bar and in the panel."""
     where = f"frame {job.done} of {job.total}" if job.total else "filling the meshes"
+    if job.seconds_left is not None:
+        where += f", about {job.seconds_left:.0f} s left"
     text = "gf-usd: stopping" if job.canceled else f"gf-usd: {where} (Esc stops it)"
     if context.workspace is not None:
         context.workspace.status_text_set(text)

@@ -39,6 +39,8 @@ class GFUSD_PT_bake(bpy.types.Panel):
             layout.prop(settings, "as_placed")
             if not settings.as_placed:
                 layout.prop(settings, "drop")
+        layout.prop(settings, "obstacles")
+        layout.prop(settings, "pin_group")
         layout.prop(settings, "extra")
         layout.prop(settings, "folder")
         if settings.folder.startswith("//") and not bpy.data.filepath:

@@ -1,4 +1,4 @@
-"""gf-usd as a program: where it is, what it offers, and what its words mean.
+"""gf-usd as a program: where it is, which presets it has, and its errors.
 
 Nothing here knows Blender.
 """
@@ -11,9 +11,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
 
-PROGRESS = re.compile(r"frame (\d+)/(\d+)")
 # with a capital where the command line itself is wrong
 ERROR = re.compile(r"^[eE]rror: ", re.MULTILINE)
 HINT = "set the path of gf-usd, or of a Python that has it, in the add-on's preferences"
@@ -22,7 +20,7 @@ PATIENCE = 60.0  # [s]
 
 
 class ProgramError(Exception):
-    """gf-usd cannot be run, or refused; says what is wrong and what to do about it."""
+    """gf-usd cannot be run, or refused: `message` is what is wrong, `hint` what to do about it."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -74,31 +72,14 @@ def list_materials(program: list[str]) -> list[tuple[str, str]]:
 
 
 def error_in(said: str) -> ProgramError:
-    """What gf-usd meant by what it left on stderr: its own words and its own hint."""
+    """The message and the hint of an error that gf-usd printed before it wrote any event."""
     starts = list(ERROR.finditer(said))
     if starts:
         message, _, hint = said[starts[-1].end() :].partition("\n\nhint: ")
         return ProgramError(message.strip(), hint.strip())
     lines = [line for line in said.splitlines() if line.strip()]
     # what a traceback ends with
-    return ProgramError("\n".join(lines[-3:]) or "gf-usd ended without a word")
-
-
-def progress_in(line: str) -> tuple[int, int] | None:
-    """(frames done, frames in all) where a line of stderr says so."""
-    found = PROGRESS.match(line)
-    return (int(found[1]), int(found[2])) if found else None
-
-
-def result_in(said: str) -> dict[str, Any]:
-    """The result that `bake --json` printed.
-
-    Raises ProgramError where it is not JSON.
-    """
-    try:
-        return json.loads(said)
-    except json.JSONDecodeError as error:
-        raise ProgramError(f"gf-usd printed no result: {said[:200]!r}", HINT) from error
+    return ProgramError("\n".join(lines[-3:]) or "gf-usd ended without a message")
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:

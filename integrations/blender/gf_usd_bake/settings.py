@@ -18,6 +18,13 @@ def _suggest(
     return (row for row in materials(context) if typed.lower() in row[0])
 
 
+def _suggest_groups(
+    settings: "GFUSD_Settings", context: bpy.types.Context, typed: str
+) -> list[str]:
+    names = {g.name for o in context.selected_objects for g in getattr(o, "vertex_groups", ())}
+    return sorted(name for name in names if typed.lower() in name.lower())
+
+
 class GFUSD_Settings(bpy.types.PropertyGroup):
     """The options of a bake."""
 
@@ -29,8 +36,8 @@ class GFUSD_Settings(bpy.types.PropertyGroup):
         search_options={"SUGGESTION"},
     )
     particles: IntProperty(
-        name="Particles", default=8000, min=16, soft_max=200_000,
-        description="About how many fill the meshes",
+        name="Particles", default=0, min=0, soft_max=200_000,
+        description="About how many fill the meshes; 0: chosen by gf-usd from their thickness",
     )  # fmt: skip
     scene_range: BoolProperty(
         name="Scene Range", default=True, description="Bake the frame range of the scene"
@@ -52,6 +59,18 @@ class GFUSD_Settings(bpy.types.PropertyGroup):
     floor: FloatProperty(
         name="Height", default=0.0, unit="LENGTH", description="Of the floor, along Z"
     )
+    obstacles: PointerProperty(
+        name="Obstacles",
+        type=bpy.types.Collection,
+        description="Meshes that the body collides with; they follow their animation",
+    )
+    pin_group: StringProperty(
+        name="Pin Group",
+        description="Vertex group that follows the animation of its object instead of falling: "
+        "the faces whose vertices all weigh more than a half",
+        search=_suggest_groups,
+        search_options={"SUGGESTION"},
+    )
     extra: StringProperty(
         name="More",
         description="More options of gf-usd bake, as on its command line, e.g. --friction 0.2",
@@ -71,9 +90,14 @@ def options(settings: GFUSD_Settings, scene: bpy.types.Scene, lowest: float) -> 
 
     Raises ProgramError where the body reaches below the floor, or the extra options do not parse.
     """
-    count = scene.frame_end - scene.frame_start + 1 if settings.scene_range else settings.frames
-    words = ["--material", settings.material, "--particles", str(settings.particles)]
-    words += ["--start", str(scene.frame_start), "--frames", str(count)]
+    words = ["--material", settings.material]
+    if settings.particles:
+        words += ["--particles", str(settings.particles)]
+    frames = frame_range(settings, scene)
+    words += ["--start", str(frames.start), "--frames", str(len(frames))]
+    # --gravity of a vector of zeros has no direction, and says so
+    gravity = scene.gravity if scene.use_gravity else (0.0, 0.0, 0.0)
+    words += ["--gravity", ",".join(f"{g:.6g}" for g in gravity) if any(gravity) else "0"]
     if scene.unit_settings.scale_length != 1.0:
         # Blender's exporter takes every unit for a meter
         words += ["--meters-per-unit", repr(round(scene.unit_settings.scale_length, 9))]
@@ -86,6 +110,12 @@ def options(settings: GFUSD_Settings, scene: bpy.types.Scene, lowest: float) -> 
         return words + shlex.split(settings.extra)
     except ValueError as error:
         raise ProgramError(f"More: {settings.extra!r}: {error}", "close the quotes") from error
+
+
+def frame_range(settings: GFUSD_Settings, scene: bpy.types.Scene) -> range:
+    """The frames of the scene that are baked."""
+    first = scene.frame_start
+    return range(first, scene.frame_end + 1 if settings.scene_range else first + settings.frames)
 
 
 def _height(settings: GFUSD_Settings, lowest: float) -> str:

@@ -43,6 +43,68 @@ def in_centimeters(out):
     return {"ended": ended, **scene_state()}
 
 
+def block(name, place, size):
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=place)
+    made = bpy.context.object
+    made.name, made.scale = name, size
+    bpy.context.view_layer.update()
+    return made
+
+
+def onto_a_lift(out):
+    """A ball above a slab that rises, in a collection of obstacles."""
+    slab = block("Lift", (0.0, 0.0, 0.4), (3.0, 3.0, 0.2))
+    for frame, height in ((FIRST, 0.4), (LAST, 0.6)):
+        slab.location.z = height
+        slab.keyframe_insert("location", frame=frame)
+    for curve in slab.animation_data.action.layers[0].strips[0].channelbags[0].fcurves:
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+    bars = bpy.data.collections.new("Obstacles")
+    scene().collection.children.link(bars)
+    bars.objects.link(slab)
+    scene().gf_usd.obstacles = bars
+    scene().gf_usd.has_floor = False
+    sphere("Ball", (0.0, 0.0, 1.05))
+    slab.select_set(True)  # an obstacle is not baked, even if selected
+    ended = list(bpy.ops.gf_usd.bake())
+    return {"ended": ended, **scene_state(), "lift": slab.hide_get()}
+
+
+def hung(out):
+    """A bar whose upper end is in a vertex group, and swings with its object."""
+    bar = block("Bar", (0.0, 0.0, 2.0), (0.3, 0.3, 1.2))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.subdivide(number_cuts=4)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    group = bar.vertex_groups.new(name="hung up")
+    top = [v.index for v in bar.data.vertices if v.co.z > 0.25]
+    group.add(top, 1.0, "REPLACE")
+    for frame, x in ((FIRST, 0.0), (LAST, 0.2)):
+        bar.location.x = x
+        bar.keyframe_insert("location", frame=frame)
+    scene().frame_set(FIRST)
+    scene().gf_usd.has_floor = False
+    said = []
+    scene().gf_usd.pin_group = "nowhere"
+    try:
+        bpy.ops.gf_usd.bake()
+    except RuntimeError as error:
+        said.append(str(error))
+    scene().gf_usd.pin_group = "hung up"
+    ended = list(bpy.ops.gf_usd.bake())
+    return {"ended": ended, "said": said, "top": top, **scene_state()}
+
+
+def gravity_of_the_scene(out):
+    """A ball that falls sideways."""
+    scene().gravity = (3.0, 0.0, 0.0)
+    scene().gf_usd.has_floor = False
+    scene().gf_usd.particles = 0
+    sphere("Ball", (0.0, 0.0, 1.0))
+    return {"ended": list(bpy.ops.gf_usd.bake()), **scene_state()}
+
+
 def twice(out):
     """A second bake takes the place of the first."""
     sphere("Ball", (0.0, 0.0, 1.0))
@@ -270,6 +332,9 @@ def world_vertices():
 
 
 package, program, case, target = sys.argv[1:]
+# a release of Blender has its own OpenUSD on the path, the wheel does not
+carried = Path(bpy.utils.system_resource("PYTHON")).glob("lib/python*/site-packages")
+sys.path.append(str(next(carried)))
 bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.extensions.package_install_files(
     filepath=package, repo="user_default", enable_on_install=True

@@ -1,0 +1,159 @@
+"""Yield stresses in material files: by our names and Newton's, and the law that goes with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pxr import Sdf, Usd
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.materials import PHYSICAL, Material, flowing_law
+from gf_usd.core.units import StageUnits
+from gf_usd.layers.materials import write_materials
+from gf_usd.readers.usd_bake.material_file import read_material
+
+HEAD = '#usda 1.0\n(\nmetersPerUnit = 0.01\n)\ndef Material "Soft"\n{\n%s\n}\n'
+SOUND = """float physics:youngsModulus = 1e4
+float physics:poissonsRatio = 0.3
+float physics:density = 0.0011
+"""
+REL = 1e-6  # values in a file are float32
+
+
+def read(tmp_path: Path, *lines: str) -> tuple[Material, list[str]]:
+    """The material of a file in centimeters (a pressure of 1 is 100 Pa), and what was said."""
+    path = tmp_path / "soft.usda"
+    path.write_text(HEAD % (SOUND + "\n".join(lines)))
+    said: list[str] = []
+    return read_material(path, said.append), [one.partition("</Soft>: ")[2] for one in said]
+
+
+@pytest.mark.parametrize(
+    ("stated", "otherwise", "law"),
+    [
+        ((), "neoHookean", "neoHookean"),
+        (("hardening",), "neoHookean", "neoHookean"),  # it hardens what never yields
+        (("yield_stress",), "neoHookean", "vonMises"),
+        (("yield_stress", "hardening", "saturation"), "corotated", "vonMises"),
+        (("yield_stress", "cap_shape"), "neoHookean", "crushable"),
+        (("yield_stress",), "crushable", "crushable"),
+    ],
+)
+def test_the_law_of_what_is_stated(stated: tuple[str, ...], otherwise: str, law: str) -> None:
+    assert flowing_law(stated, otherwise) == law
+
+
+def test_a_yield_stress_without_a_law_flows_and_says_so(tmp_path: Path) -> None:
+    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20")
+    assert made.law == "vonMises"
+    assert made.parameters == {"yield_stress": pytest.approx(2000.0, rel=REL)}
+    assert said == ["a yield stress is stated and no law: vonMises"]
+
+
+def test_a_law_that_is_stated_stays(tmp_path: Path) -> None:
+    law = 'uniform token gaussianFlesh:law = "%s"'
+    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "neoHookean")
+    assert (made.law, said) == ("neoHookean", [])
+    made, said = read(tmp_path, "float gaussianFlesh:yieldStress = 20", law % "crushable")
+    assert (made.law, said) == ("crushable", [])
+
+
+def test_newtons_words_are_read_in_its_meaning(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:viscosity = 0.5",
+        "float newton:mpm:internalFriction = 0",
+        "float newton:mpm:tensileYieldRatio = 1",
+        "float newton:mpm:yieldPressure = -inf",
+    )
+    assert made.law == "vonMises"
+    assert made.parameters == {
+        "yield_stress": pytest.approx(3**0.5 * 2000.0, rel=REL),  # of sqrt(J2)
+        "flow_viscosity": pytest.approx(3 * 50.0, rel=REL),
+    }
+    assert said == ["a yield stress is stated and no law: vonMises"]
+
+
+def test_what_newton_says_beyond_our_laws_is_named(tmp_path: Path) -> None:
+    _, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:internalFriction = 0.5",
+        "float newton:mpm:tensileYieldRatio = 0.1",
+        "float newton:mpm:hardening = 5",
+    )
+    assert said[0].startswith(
+        "the yield stress is read in Newton's words, but not newton:mpm:internalFriction,"
+        " newton:mpm:tensileYieldRatio, newton:mpm:hardening"
+    )
+
+
+def test_newtons_hardening_is_that_of_lost_volume(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:hardening = 5",
+        'uniform token gaussianFlesh:law = "crushable"',
+    )
+    assert made.parameters["hardening"] == pytest.approx(5 * 3**0.5 * 2000.0, rel=REL)
+    assert said == []
+
+
+def test_our_names_go_before_newtons(tmp_path: Path) -> None:
+    made, _ = read(
+        tmp_path, "float newton:mpm:yieldStress = 20", "float gaussianFlesh:yieldStress = 7"
+    )
+    assert made.parameters == {"yield_stress": pytest.approx(700.0, rel=REL)}
+
+
+@pytest.mark.parametrize("value", ["0", "-inf"])
+def test_newtons_fallbacks_say_nothing(tmp_path: Path, value: str) -> None:
+    made, said = read(
+        tmp_path, f"float newton:mpm:yieldStress = {value}", "float newton:mpm:hardening = 5"
+    )
+    assert (made.law, made.parameters, said) == ("neoHookean", {}, [])
+
+
+def test_a_yield_stress_of_newtons_below_zero_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="newton:mpm:yieldStress is -"):
+        read(tmp_path, "float newton:mpm:yieldStress = -3")
+
+
+@pytest.mark.parametrize("name", ["modelling-clay", "polyurethane-foam", "lead"])
+def test_what_a_bake_writes_is_read_back(tmp_path: Path, name: str) -> None:
+    material = PHYSICAL[name].material(1.0)
+    path = tmp_path / "baked.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetMetadata("metersPerUnit", 0.01)
+    units = StageUnits(meters_per_unit=0.01)
+    write_materials(stage, Sdf.Path("/Materials"), [material], name, units)
+    stage.Save()
+    said: list[str] = []
+    made = read_material(path, said.append)
+    assert said == []
+    assert made.law == material.law
+    for parameter, value in material.values.items():
+        if parameter not in ("name", "law"):
+            assert made.values[parameter] == pytest.approx(value, rel=REL), parameter
+
+
+def test_newton_is_told_of_flow_in_its_words(tmp_path: Path) -> None:
+    """A stage with Newton's words alone, as it would write them, is the same material."""
+    clay = PHYSICAL["modelling-clay"].material(1.0)
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetMetadata("metersPerUnit", 0.01)
+    (prim_path,) = write_materials(
+        stage, Sdf.Path("/Materials"), [clay], "clay", StageUnits(meters_per_unit=0.01)
+    )
+    prim = stage.GetPrimAtPath(prim_path)
+    assert prim.GetAttribute("newton:mpm:internalFriction").Get() == 0.0
+    for attribute in prim.GetAttributes():
+        if attribute.GetName().startswith("gaussianFlesh:"):
+            prim.RemoveProperty(attribute.GetName())
+    stage.Export(str(tmp_path / "theirs.usda"))
+    made = read_material(tmp_path / "theirs.usda")
+    assert made.law == "vonMises"
+    for name in ("yield_stress", "flow_viscosity"):
+        assert made.parameters[name] == pytest.approx(clay.parameters[name], rel=REL)
