@@ -125,6 +125,7 @@ def order(h: Floats, error: Floats) -> float:
 
 def frequency(t: Floats, q: Floats, guess: float) -> float:
     """Angular frequency of q = a cos(w t) + b sin(w t) + c, by least squares from a guess."""
+    q = q / np.abs(q).max()  # or a small swing would have no gradient, and the guess be the answer
 
     def basis(w: float) -> Floats:
         return np.stack([np.cos(w * t), np.sin(w * t), np.ones_like(t)], 1)

@@ -24,7 +24,15 @@ from gf_usd.verify.cases import (
     sides,
 )
 from gf_usd.verify.cases.contact import collisions, hertz, slope
-from gf_usd.verify.cases.elastic import bar, cantilever, locking, manufactured, vibration
+from gf_usd.verify.cases.elastic import (
+    bar,
+    cantilever,
+    finite,
+    locking,
+    manufactured,
+    slanted,
+    vibration,
+)
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -37,6 +45,8 @@ CASES: tuple[Case, ...] = (
     *limbs.CASES,
     *locking.CASES,
     *manufactured.CASES,
+    *finite.CASES,
+    *slanted.CASES,
     *vibration.CASES,
     *floor.CASES,
     *slope.CASES,

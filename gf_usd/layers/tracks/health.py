@@ -75,6 +75,8 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
     "overlap": (Types.Float, "deepest_overlap_m", "length"),
     "contactsLetGo": (Types.Int, "let_go_max", ""),
     "restingPenetration": (Types.Float, "resting_penetration_m", "length"),
+    "insideShare": (Types.Float, "inside_at_end_share", ""),
+    "insideDepth": (Types.Float, "inside_at_end_m", "length"),
     "frictionCaps": (Types.Int64, "friction_capped", ""),
     "restitution": (Types.Float, "restitution", ""),
 }

@@ -76,8 +76,8 @@ def converge(*counts: int) -> Callable[[str], Iterator[Measure]]:
             curve=curve("mean least stretch of the rubber drop", "sigma"),
         )  # fmt: skip
         for name, bound, why in (
-            ("sigma", 0.005, "a mean over all particles: the scatter of one sampling, as measured"),
-            ("spread", 0.005, "a mean over all particles: the scatter of one sampling"),
+            ("sigma", 0.005, "a mean over all particles; half a percent is asked for"),
+            ("spread", 0.005, "a mean over all particles; half a percent is asked for"),
             (
                 "height", 0.025,
                 "the mesh's lowest point goes into the soft floor by an amount that depends on the"
@@ -99,8 +99,8 @@ CASES = (
         name="drop",
         what="A rubber ball falls by three radii on a soft floor, with more and more particles."
         "  Mean stretch and height at the deepest squash must settle.",
-        source="a prototype of this solver in NumPy; its height ratio (.557) is not compared: how"
-        " it was read is not recorded",
+        source="no outside truth: a prototype of this solver in NumPy, and the case itself at other"
+        " resolutions",
         quick=converge(250, 500, 1000, 2000),
         full=converge(250, 500, 1000, 2000, 4000, 8000),
     ),

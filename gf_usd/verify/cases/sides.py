@@ -104,7 +104,7 @@ CASES = (
         what="The Total Lagrangian solver and the Updated Lagrangian baseline drop the same rubber"
         " ball on the same floor.  Height, stretch and place at the deepest squash must agree; how"
         " high each lets it rebound is compared.",
-        source="each other",
+        source="no outside truth: each other",
         quick=sides(1000),
         full=sides(8000),
     ),

@@ -183,3 +183,16 @@ def test_an_unknown_total_has_no_value() -> None:
     spec = Sdf.CreatePrimInLayer(layer, "/A")
     author_totals(spec, {"frames": 3, "restitution": None}, StageUnits())
     assert [p.name for p in spec.properties] == [PREFIX + "total:frames"]
+
+
+def test_what_lies_inside_is_a_total_in_stage_units(tmp_path: Path) -> None:
+    measured = replace(HEALTH, inside_share=0.125, inside_depth=0.02)
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    for name, health in (("measured", measured), ("not", HEALTH)):
+        spec = Sdf.CreatePrimInLayer(layer, f"/{name}")
+        author_totals(spec, totals(info_of(PLAIN.asset(tmp_path)), health), UNITS)
+    stage = Usd.Stage.Open(layer)
+    seen, none = (values(stage.GetPrimAtPath(path)) for path in ("/measured", "/not"))
+    assert seen["total:insideShare"] == pytest.approx(0.125)
+    assert seen["total:insideDepth"] == pytest.approx(2.0, rel=1e-6)  # a unit is a centimeter
+    assert not {"total:insideShare", "total:insideDepth"} & set(none)

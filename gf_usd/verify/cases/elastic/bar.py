@@ -130,9 +130,9 @@ def hang(*cells: int) -> Callable[[str], Iterator[Measure]]:
         times, tips = np.transpose([stretch(n, device) for n in cells])
         yield Measure(
             name="tip", value=float(tips[-1]), target=LIMIT, bound=TIP, kind=RELATIVE, unit="m",
-            why=f"{cells[-1]} cells along the edge; 1 % is what is asked for: linear finite elements"
-            " on the same equations (tools/vertical_reference.py, 8, 12, 16, 24, 32, 48 along the"
-            " edge) have -1.7640, -1.7618, -1.7571, -1.7519, -1.7519, -1.7511",
+            why=f"{cells[-1]} cells along the edge; 1 % is what is asked for: linear finite"
+            " elements on the same equations (tools/vertical_reference.py, 8, 12, 16, 24, 32, 48"
+            " along the edge) have -1.7640, -1.7618, -1.7571, -1.7519, -1.7519, -1.7511",
             curve=Curve(
                 title="vertical bar, lowest point of the tip", x_label="h [m]", y_label="tip [m]",
                 x=tuple(1.0 / np.array(cells)), y=tuple(tips), logarithmic=False, target=LIMIT,

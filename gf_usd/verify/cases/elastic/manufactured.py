@@ -131,7 +131,7 @@ CASES = (
         " tractions that it needs by the Neo-Hookean law.  The largest L2 error of displacement"
         " over half a period must fall with h^2.",
         source="made-up solution: u = G sin(pi X) sin(c pi t + phi), G = 1e-4",
-        quick=converge(4, 8, 12),
+        quick=converge(4, 6, 8),
         full=converge(4, 8, 16, 32),
         f64=True,
     ),
