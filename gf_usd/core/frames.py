@@ -176,7 +176,7 @@ class Health:
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
-    inside_share: float | None = None  # of the surface, inside a body; None: not looked at
+    inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
 
 

@@ -434,8 +434,8 @@ def _inside(h: HealthSummary) -> Said:
     if share is None or share <= INSIDE:
         return None
     return (
-        f"{100.0 * share:.2g} % of the surface lies inside a body at the end, up to"
-        f" {1000.0 * h['inside_at_end_m']:.3g} mm deep",
+        f"{100.0 * share:.2g} % of the surface lies half a spacing and more inside a body at the"
+        f" end, up to {1000.0 * h['inside_at_end_m']:.3g} mm deep",
         "take more --particles, a stiffer material or a lower impact (--drop), and leave"
         " --no-self-contact out",
     )

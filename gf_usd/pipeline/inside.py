@@ -4,6 +4,11 @@ A triangle is inside where the surface of all bodies winds around both points a 
 middle, on either side (generalized winding number; Jacobson, Kavan and Sorkine-Hornung 2013, summed
 fast as Barill et al. 2018, by libigl): one of the two is within the body it bounds anyway.  What is
 inside at rest, as where shells overlap in the source, is the asset's own and does not count.
+
+Nor does what is less than DEEP under the surface of what it is in.  Contact acts on samples a
+spacing apart: places of the surface are up to half of that from the nearest of them, and its
+springs are made to yield by a quarter of a spacing in an impact.  So surfaces that are pressed
+together stand in each other by a part of a spacing, and look as if they touched.
 """
 
 from __future__ import annotations
@@ -25,6 +30,7 @@ LOOKS = 8  # times that a bake is looked at before its end
 GLANCE = 1500  # triangles of such a look
 MOST = 20_000  # triangles of the last look
 WAYS = 16  # directions in which the depth is looked for
+DEEP = 0.5  # [spacings] from where a triangle inside counts
 STEEP = 0.5  # cosine with the normal of a way back that leaves its own curved surface
 DEEPEST = 64  # triangles whose depth is looked for, at most
 STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0])  # [spacings]
@@ -34,7 +40,7 @@ STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0])
 class Inside:
     """What was found at one time."""
 
-    share: float  # of the area looked at
+    share: float  # of the area looked at, more than DEEP inside
     depth: float  # [m] of the deepest, to where it comes out, in steps of STEPS
 
 
@@ -51,6 +57,9 @@ class InsideMeasure:
             np.concatenate([outward(one) + k for one, k in zip(surfaces, first)]), dtype=np.int64
         )
         self._points = np.concatenate([np.asarray(one.points, float) for one in surfaces])
+        counts = [len(one.triangles) for one in surfaces]
+        self._ends = np.cumsum([0, *counts])
+        self._surface = np.repeat(np.arange(len(surfaces)), counts)
         self._spacing, self._last = spacing, frames - 1
         self._stride = max(1, -(-frames // LOOKS))
         self._rest: dict[int, Ints] = {}  # which of a look's triangles are inside at rest
@@ -68,21 +77,49 @@ class InsideMeasure:
             self._rest[step] = self._inside(self._points, looked)[0]
         moved = np.concatenate([poses[path].x for path in self._paths])
         inside, area, center, normal = self._inside(moved, looked)
-        inside = inside & ~self._rest[step]
+        rows = np.flatnonzero(inside & ~self._rest[step])
+        deep = rows[~self._shallow(moved, looked[rows], center[rows], normal[rows])]
         total = float(area.sum())
-        share = float(area[inside].sum()) / total if total > 0.0 else 0.0
-        return Inside(share=share, depth=self._depth(moved, center[inside], normal[inside]))
+        share = float(area[deep].sum()) / total if total > 0.0 else 0.0
+        deepest = deep if len(deep) else rows
+        return Inside(share=share, depth=self._depth(moved, center[deepest], normal[deepest]))
+
+    def _shallow(self, points: Floats, which: Ints, center: Floats, normal: Floats) -> Ints:
+        """Whether triangles `which` (n,) that are inside come out within DEEP.
+
+        Ahead a place is out where nothing winds around it.  Behind it is still in the body that the
+        triangle bounds, and out of what else that is in, where all wind once and a half at most and
+        its own surface does.  Of one surface the two cannot be told apart where a part is thinner
+        at rest than DEEP: such a part counts unless it comes out ahead.
+        """
+        reach = DEEP * self._spacing
+        out = np.zeros(len(which), bool)
+        _, _, X, N = self._geometry(self._points, which)
+        thick = np.abs(self._turns(self._points, X - reach * N)) > WITHIN
+        for side, within, least in ((-1.0, 1.0 + WITHIN, STEEP), (1.0, WITHIN, 0.0)):
+            for way in directions(side * normal, least):
+                left = np.flatnonzero(~out & (thick | (side > 0.0)))
+                at = center[left] + reach * way[left]
+                free = np.abs(self._turns(points, at)) <= within
+                if side < 0.0:
+                    left, at = left[free], at[free]
+                    free = np.abs(self._own_turns(points, which[left], at)) > WITHIN
+                out[left[free]] = True
+        return out
 
     def _inside(self, points: Floats, looked: Ints) -> tuple[Ints, Floats, Floats, Floats]:
-        a, b, c = np.moveaxis(points[self._triangles[looked]], 1, 0)
+        sound, area, center, normal = self._geometry(points, looked)
+        off = OFF * float(np.ptp(points, axis=0).max()) * normal
+        around = np.abs(self._turns(points, np.concatenate([center + off, center - off])))
+        return sound & (around.reshape(2, -1).min(0) > WITHIN), area, center, normal
+
+    def _geometry(self, points: Floats, which: Ints) -> tuple[Ints, Floats, Floats, Floats]:
+        """Whether triangles (n,) have an area, and it; their middles and unit normals (n, 3)."""
+        a, b, c = np.moveaxis(points[self._triangles[which]], 1, 0)
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal, axis=1)
         normal /= np.where(length > 0.0, length, 1.0)[:, None]
-        center = (a + b + c) / 3.0
-        off = OFF * float(np.ptp(points, axis=0).max()) * normal
-        turns = np.abs(self._turns(points, np.concatenate([center + off, center - off])))
-        both = turns.reshape(2, -1).min(0) > WITHIN
-        return both & (length > 0.0), 0.5 * length, center, normal
+        return length > 0.0, 0.5 * length, (a + b + c) / 3.0, normal
 
     def _depth(self, points: Floats, center: Floats, normal: Floats) -> float:
         if len(center) == 0:
@@ -94,19 +131,34 @@ class InsideMeasure:
         for side, within, least in ((1.0, WITHIN, 0.0), (-1.0, 1.0 + WITHIN, STEEP)):
             for way in directions(side * normal[some], least):
                 X = center[some, None] + steps[:, None] * way[:, None]
-                turns = np.abs(self._turns(points, X.reshape(-1, 3))).reshape(len(some), -1)
-                out = turns <= within
+                around = np.abs(self._turns(points, X.reshape(-1, 3))).reshape(len(some), -1)
+                out = around <= within
                 depth = np.minimum(depth, np.where(out.any(1), steps[out.argmax(1)], steps[-1]))
         return float(depth.max())
 
     def _turns(self, points: Floats, X: Floats) -> Floats:
-        return np.asarray(
-            igl.fast_winding_number(
-                np.ascontiguousarray(points, dtype=float),
-                self._triangles,
-                np.ascontiguousarray(X, dtype=float),
-            )
-        ).reshape(-1)
+        return turns(points, self._triangles, X)
+
+    def _own_turns(self, points: Floats, which: Ints, X: Floats) -> Floats:
+        """How often the surface of each of triangles (n,) winds around X (n, 3)."""
+        out = np.zeros(len(X))
+        for k in np.unique(self._surface[which]):
+            mine = self._surface[which] == k
+            triangles = self._triangles[self._ends[k] : self._ends[k + 1]]
+            out[mine] = turns(points, triangles, X[mine])
+        return out
+
+
+def turns(points: Floats, triangles: Ints, X: Floats) -> Floats:
+    """(n,) winding numbers of triangles (T, 3) around X (n, 3)."""
+    if len(X) == 0:
+        return np.zeros(0)
+    found = igl.fast_winding_number(
+        np.ascontiguousarray(points, dtype=float),
+        np.ascontiguousarray(triangles),
+        np.ascontiguousarray(X, dtype=float),
+    )
+    return np.asarray(found).reshape(-1)
 
 
 def outward(surface: Surface) -> Ints:

@@ -83,7 +83,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "inside": (
         summary(Health(inside_share=0.01, inside_depth=0.02)),
         summary(Health(inside_share=0.02, inside_depth=0.03)),
-        "2 % of the surface lies inside a body at the end, up to 30 mm deep",
+        "lies half a spacing and more inside a body at the end, up to 30 mm deep",
     ),
     "resting-depth": (
         summary(Health(penetration=0.024)),

@@ -25,13 +25,41 @@ def test_a_ball_that_sinks_into_another(flip):
     apart = {"/Left": pose(left.points), "/Right": pose(right.points)}
     assert measure.measure(9, apart) == measure.measure(9, apart)
     assert (measure.measure(9, apart).share, measure.measure(9, apart).depth) == (0.0, 0.0)
-    # Unit balls whose centers are 1.6 apart: caps of height 0.2, a tenth of the area of each.
+    # Unit balls whose centers are d = 1.6 apart.  What of one is more than 0.05 inside the other is
+    # no farther than 0.95 from its center: a cap of the height 1 - (1 + d^2 - 0.95^2) / 2 d.
+    cap = 1.0 - (1.0 + 1.6**2 - 0.95**2) / 3.2
     sunk = {"/Left": pose(left.points + [2.2, 0, 0]), "/Right": pose(right.points - [2.2, 0, 0])}
     found = measure.measure(9, sunk)
     # 0.005: points are looked at 7e-3 off the surface, the triangles are 0.06 wide.
-    assert found.share == pytest.approx(0.1, abs=0.005)
+    assert found.share == pytest.approx(0.5 * cap, abs=0.005)
     # The cap's top is 0.4 deep; the next step is 0.5.
     assert 0.3 <= found.depth <= 0.5
+
+
+@pytest.mark.parametrize(("by", "share"), [(0.3, 0.0), (0.7, 1.0)])
+def test_what_is_pressed_into_a_neighbor_counts_from_half_a_spacing(by, share):
+    """Two boxes with as much of the upper one in the lower as contact leaves, and with more."""
+    lower, upper = cube((0.0, 0.0, 0.0), path="/Lower"), cube((0.2, 2.0, 0.2), path="/Upper")
+    lower = surface(lower.points * [1.4, 1.0, 1.4], lower.triangles, path="/Lower")
+    measure = InsideMeasure([lower, upper], 0.1, 10)
+    sunk = upper.points - [0.0, 1.0 + 0.1 * by, 0.0]
+    found = measure.measure(9, {"/Lower": pose(lower.points), "/Upper": pose(sunk)})
+    # Of the upper box its underside; of the lower one the middles of both triangles of its top.
+    area = 6.0 + 2.0 * 1.4**2 + 4.0 * 1.4
+    assert found.share == pytest.approx(share * (1.0 + 1.4**2) / area, rel=1e-12)
+    assert found.depth >= 0.1 * by - 1e-9, "the depth is told even if it does not count"
+
+
+def test_a_thin_plate_in_a_ball_is_inside():
+    """Behind its face it is out of the plate, but not out of the ball."""
+    ball = sphere(subdivisions=4, path="/Ball")
+    plate = cube((-0.3, -0.01, -0.3), path="/Plate")
+    flat = (plate.points - [-0.3, -0.01, -0.3]) * [0.6, 0.02, 0.6] - [0.3, 0.01, 0.3]
+    plate = surface(flat + [0.0, 5.0, 0.0], plate.triangles, path="/Plate")
+    measure = InsideMeasure([ball, plate], 0.1, 10)
+    found = measure.measure(9, {"/Ball": pose(ball.points), "/Plate": pose(flat)})
+    mine = 2.0 * 0.6 * 0.6 + 4.0 * 0.6 * 0.02
+    assert found.share == pytest.approx(mine / (mine + 4.0 * np.pi), rel=0.01)
 
 
 def test_what_overlaps_at_rest_is_the_asset():
