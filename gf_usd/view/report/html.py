@@ -90,6 +90,8 @@ MODES = {
     "color": "own color",
     "strain": "strain",
     "speed": "speed",
+    "elastic": "elastic strain",
+    "plastic": "plastic strain",
     "stress": "stress",
 }
 
