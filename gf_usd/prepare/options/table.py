@@ -259,6 +259,6 @@ OPTIONS = rows(BakeOptions)
 PLANNED = {name: row for name, row in OPTIONS.items() if hasattr(RequestOptions, name)}
 
 
-def words(asked: Mapping[str, Any]) -> list[str]:
-    """The words after ``gf-usd bake ASSET`` that ask for these values of options."""
+def arguments(asked: Mapping[str, Any]) -> list[str]:
+    """The arguments after ``gf-usd bake ASSET`` that ask for these values of options."""
     return spelled(OPTIONS, asked)
