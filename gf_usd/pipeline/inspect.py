@@ -225,7 +225,7 @@ def _plain(values: Floats) -> list[float]:
 def inspect(
     path: str | Path,
     *,
-    material: str | None = None,
+    material: str | tuple[str | Material, ...] | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
     meters_per_unit: float | None = None,
