@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core import __version__
 
 if TYPE_CHECKING:
+    from gf_usd.api.bake import bake
     from gf_usd.core.errors import (
         BakeError,
         GfUsdError,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from gf_usd.core.frames import Settings
     from gf_usd.core.materials import Material
     from gf_usd.pipeline.result import BakeResult
-    from gf_usd.api.bake import bake
 
 _HOMES = {
     "bake": "gf_usd.api.bake",

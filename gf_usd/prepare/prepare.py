@@ -85,9 +85,9 @@ def prepare(
     )
     lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
-        source, material=names_of(material), law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, **{k: v for k, v in options.items() if k not in lists}, prims=tuple(prims),
-        **lists,
+        source, material=names_of(material), law=law, meters_per_unit=meters_per_unit,
+        up_axis=up_axis, repair=repair, **{k: v for k, v in options.items() if k not in lists},
+        prims=tuple(prims), **lists,
     )  # fmt: skip
     odd = implausible_size(asset)
     plan = replace(
@@ -123,7 +123,9 @@ def _targets(
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
-    asked = sequences(source.stem, names, ply=request.export_ply, spz=request.export_spz)
+    asked = sequences(
+        source.stem, names, ply=request.folder("export_ply"), spz=request.folder("export_spz")
+    )
     require_free_sequences(asked, overwrite)
     return Targets(files=files, sequences=asked, seen=seen, overwrite=overwrite)
 
@@ -264,8 +266,13 @@ def names_of(material: str | tuple[str | Material, ...] | None) -> str | None:
 def _find(name: str | Material, request: Request) -> Any:
     """A preset, or a material of a file or of given values in the clothes of one."""
     if isinstance(name, Material):
-        return materials.Fixed(name, (f"the values of the material {name.name} were given by the"
-                                      " caller: the recorded command names it only",))
+        return materials.Fixed(
+            name,
+            (
+                f"the values of the material {name.name} were given by the"
+                " caller: the recorded command names it only",
+            ),
+        )
     from gf_usd.readers.usd_bake.material_file import is_material_file, read_material
 
     if is_material_file(name):

@@ -137,9 +137,7 @@ def _row(field: Field[Any]) -> Option | None:
     kinds = [kind for kind in (*get_args(hint), hint) if kind in PLAIN]
     # what may be a text is one on the command line
     kind = str if repeated or str in kinds or not kinds else kinds[0]
-    return replace(
-        option, name=field.name, kind=kind, default=field.default, repeated=repeated
-    )
+    return replace(option, name=field.name, kind=kind, default=field.default, repeated=repeated)
 
 
 def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:

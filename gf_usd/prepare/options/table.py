@@ -123,7 +123,9 @@ class RequestOptions:
     drag: Annotated[float | None, Option(
         SCENE, "Drag on velocity [1/s].", shown="0", low=0.0, high=1e6,
     )] = None
-    device: Annotated[Literal["cpu", "cuda"], Option(METHOD, "cpu or cuda.", choices=("cpu", "cuda"))] = "cpu"
+    device: Annotated[Literal["cpu", "cuda"], Option(
+        METHOD, "cpu or cuda.", choices=("cpu", "cuda"),
+    )] = "cpu"
     threads: Annotated[int | None, Option(
         METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
