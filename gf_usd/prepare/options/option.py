@@ -20,7 +20,7 @@ from gf_usd.prepare.options import values
 BAKE = ("bake",)
 BATCH = ("bake", "batch")  # a manifest may give it, too
 INSPECT = ("bake", "batch", "inspect")
-PLAIN: tuple[type, ...] = (int, float, bool, str)  # what a word of the command line becomes
+PLAIN: tuple[type, ...] = (int, float, bool, str)  # what an argument becomes
 
 T = TypeVar("T")
 
@@ -57,7 +57,7 @@ class Option:
 
     @property
     def flag(self) -> str:
-        """Its word on the command line; of a list it is given once for each item."""
+        """Its name on the command line; of a list it is given once for each item."""
         name = self.name
         if self.repeated:
             name = name.removesuffix("es") if name.endswith("xes") else name.removesuffix("s")
@@ -141,7 +141,7 @@ def _row(field: Field[Any]) -> Option | None:
 
 
 def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
-    """The words of a command line that ask for values; what is None or off is left out."""
+    """The arguments of a command line that ask for values; what is None or off is left out."""
     out: list[str] = []
     for name, value in asked.items():
         flag = options[name].flag
@@ -155,5 +155,5 @@ def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str
             out += [flag, str(value).removesuffix(".0")]
         else:
             items = value if isinstance(value, list | tuple) else (value,)
-            out += [word for item in items for word in (flag, str(item))]
+            out += [argument for item in items for argument in (flag, str(item))]
     return out

@@ -302,6 +302,6 @@ def _nearest(name: str) -> str:
     return f"{guess}its options are {', '.join(sorted(known))}"
 
 
-def words(asked: Mapping[str, Any]) -> list[str]:
-    """The words after ``gf-usd bake ASSET`` that ask for these values of options."""
+def arguments(asked: Mapping[str, Any]) -> list[str]:
+    """The arguments after ``gf-usd bake ASSET`` that ask for these values of options."""
     return spelled(OPTIONS, asked)
