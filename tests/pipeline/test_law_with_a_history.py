@@ -178,7 +178,10 @@ def test_what_a_law_remembers_is_written_on_request(
         most = np.exp(volume + bears / (3.0 * mu)) - 1.0
         rounding = 1e-5  # of single precision in F, over a bake
         assert (elastic >= 1.0 - np.exp(-volume) - rounding).all()
-        assert (elastic <= most + rounding).all()
+        # While it flows F_e is ahead of its return by a substep.
+        resting = (np.diff(values, axis=0) == 0.0) & (values[1:] > 0.0)
+        assert resting.mean() > 0.1
+        assert (elastic <= most + rounding)[:-1][resting].all()
         assert (np.abs(np.linalg.svd(F)[1] - 1.0).max(2) > 3.0 * elastic).mean() > 0.1
 
 
