@@ -186,10 +186,15 @@ def test_what_a_law_remembers_is_written_on_request(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["tl", "ul"])
-def test_flow_over_any_energy_leaves_the_same_dent(tmp_path: Path, solver: str) -> None:
+@pytest.mark.parametrize(
+    ("solver", "token"),
+    [("tl", "vonMisesNeoHookean"), ("tl", "vonMisesCorotated"), ("ul", "vonMisesNeoHookean")],
+)
+def test_flow_over_another_energy_leaves_the_same_dent(
+    tmp_path: Path, solver: str, token: str
+) -> None:
     heights, taken = {}, {}
-    for law in ("vonMises", *(token for token, row in LAWS.items() if row.over)):
+    for law in ("vonMises", token):
         made = gf_usd.bake(
             str(SPHERE), material="dented", law=law, output=f"{tmp_path}/{law}/", particles=300,
             solver=solver, frames=26,
@@ -200,9 +205,8 @@ def test_flow_over_any_energy_leaves_the_same_dent(tmp_path: Path, solver: str) 
         heights[law], taken[law] = np.ptp(points[:, 1]), made.health["plastic_dissipation_J"]
     assert heights["vonMises"] < 1.7  # of 2
     # They differ by the square of the elastic strain, which is 2 % and more where it is hit
-    for law in heights:
-        assert heights[law] == pytest.approx(heights["vonMises"], rel=0.01)
-        assert taken[law] == pytest.approx(taken["vonMises"], rel=0.05)
+    assert heights[token] == pytest.approx(heights["vonMises"], rel=0.01)
+    assert taken[token] == pytest.approx(taken["vonMises"], rel=0.05)
 
 
 def test_an_elastic_body_remembers_nothing_and_says_so(tmp_path: Path) -> None:
