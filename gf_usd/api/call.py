@@ -93,19 +93,22 @@ OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
-def keywords() -> Iterator[None]:
-    """Have errors name the keywords of Python: ``--max-hours`` is max_hours."""
+def keywords(*own: str) -> Iterator[None]:
+    """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
+
+    own : keywords of the function; none: the options of a bake.
+    """
+    known = {f"--{name.replace('_', '-')}": name for name in own} or _KEYWORDS
+    known = {**known, "-o": "output"}
     try:
         yield
     except GfUsdError as error:
-        error.message, error.hint = in_keywords(error.message), in_keywords(error.hint)
+        error.message, error.hint = (
+            OPTION.sub(lambda found: known.get(found[0], found[0]), text)
+            for text in (error.message, error.hint)
+        )
         error.args = (error.message,)
         raise
-
-
-def in_keywords(text: str) -> str:
-    """A text with the keywords of Python in place of the options of the command line."""
-    return OPTION.sub(lambda found: _KEYWORDS.get(found[0], found[0]), text)
 
 
 def _spellings() -> dict[str, str]:
