@@ -93,12 +93,14 @@ OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
-def keywords(*own: str) -> Iterator[None]:
+def keywords(*own: str, **renamed: str) -> Iterator[None]:
     """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
 
-    own : keywords of the function; none: the options of a bake.
+    own : keywords of the function that are called as on the command line; renamed : others, by
+    their names there; none: the options of a bake.
     """
-    known = {f"--{name.replace('_', '-')}": name for name in own} or _KEYWORDS
+    mine = {**{name: name for name in own}, **renamed}
+    known = {f"--{name.replace('_', '-')}": word for name, word in mine.items()} or _KEYWORDS
     known = {**known, "-o": "output"}
     try:
         yield

@@ -20,10 +20,8 @@ def inspect(path: Path, **options: Any) -> Inspection:
     """What `bake` would make of an asset with the same keywords, and what is wrong with it.
 
     >>> seen = gf_usd.inspect("duck.usda", particles=300)
-    >>> len(seen.plan.particles)
-    300
-    >>> seen.refusal is None
-    True
+    >>> seen.refusal is None, seen.warnings
+    (True, ())
 
     It takes the keywords of `bake`; those that concern only the writing, such as output, change
     nothing here.  A refusal is part of the result where the file could be read at all.

@@ -48,8 +48,9 @@ def preview(
     output: str | os.PathLike[str] | None = None,
     *,
     frame: float | None = None,
-    frames: tuple[float | None, float | None] | tuple[float | None, float | None, float] | None
-    = None,
+    frames: tuple[float | None, float | None]
+    | tuple[float | None, float | None, float]
+    | None = None,
     show: Show | None = None,
     size: tuple[int, int] | None = None,
     sheet: int | None = None,

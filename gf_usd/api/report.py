@@ -44,7 +44,7 @@ def report(
     InputError : the file cannot be read, or nothing in it moves.
     BakeError : the disk refuses.
     """
-    with keywords("max_vertices", "max_frames"):
+    with keywords("max_vertices", "max_frames", look="variant"):
         source = asset_path(path)
         target = Path(values.path("output", output)) if output else Path(f"{source.stem}.html")
         vertices = values.whole("max_vertices", max_vertices)
