@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from gf_usd.api.preview import Preview, preview
     from gf_usd.api.read import Bake, BakeFrame, read
     from gf_usd.api.report import report
+    from gf_usd.api.scene import Scene
+    from gf_usd.api.simulate import Simulation, SimulationFrame, simulate
     from gf_usd.core.errors import (
         BakeError,
         GfUsdError,
@@ -46,6 +48,7 @@ _HOMES = {
     "preview": "gf_usd.api.preview",
     "read": "gf_usd.api.read",
     "report": "gf_usd.api.report",
+    "simulate": "gf_usd.api.simulate",
     "Bake": "gf_usd.api.read",
     "BakeFrame": "gf_usd.api.read",
     "BakeResult": "gf_usd.pipeline.result",
@@ -54,7 +57,10 @@ _HOMES = {
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials",
     "Preview": "gf_usd.api.preview",
+    "Scene": "gf_usd.api.scene",
     "Settings": "gf_usd.core.frames",
+    "Simulation": "gf_usd.api.simulate",
+    "SimulationFrame": "gf_usd.api.simulate",
     "VariantResult": "gf_usd.pipeline.result",
     "GfUsdError": "gf_usd.core.errors",
     "UsageError": "gf_usd.core.errors",
@@ -77,7 +83,10 @@ __all__ = [
     "Inspection",
     "Material",
     "Preview",
+    "Scene",
     "Settings",
+    "Simulation",
+    "SimulationFrame",
     "SolverError",
     "Unfinished",
     "UnhealthyError",
@@ -91,6 +100,7 @@ __all__ = [
     "preview",
     "read",
     "report",
+    "simulate",
 ]
 
 
