@@ -260,7 +260,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     counts = np.array([len(ring) for ring in rings], np.int64)
     if not len(counts) or counts.min() < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest of {counts.min(initial=0)} corners",
+            f"{what} has {len(counts)} faces, the smallest of {min(map(len, rings), default=0)} corners",
             "give faces of three or more corners each",
         )
     indices = np.concatenate(rings)
