@@ -7,31 +7,70 @@ import gc
 import importlib
 import io
 import os
+import sys
+from collections.abc import Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.system.taichi_fast_start import quicken
+from gf_usd.system.taichi_fast_start import quicken, restore
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
 
+# while it is imported
+IMPORT = {
+    "ENABLE_TAICHI_HEADER_PRINT": "0",
+    "TI_SKIP_VERSION_CHECK": "ON",  # a weekly request to the network
+    "TI_ENABLE_PYBUF": "0",  # a word on stderr where stdout is wrapped
+}
+
 _started: dict[str, Any] = {}
 _starts = 0
+_runtime: Any = None  # that of the last start here
+_guests = 0  # nested `borrowed`
 
 
-@cache
 def import_taichi() -> ModuleType:
     """The taichi module, imported without its banner.
 
     Raises GfUsdError where a system library that Taichi links to is missing.
     """
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
-    os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
+    taichi = _imported()
+    quicken(taichi)
+    return taichi
+
+
+@contextlib.contextmanager
+def borrowed() -> Iterator[None]:
+    """Use Taichi within the block, and leave nothing of it replaced after it."""
+    global _guests  # noqa: PLW0603  (blocks of a process nest)
+    if "taichi" in sys.modules:
+        import_taichi()
+    _guests += 1
     try:
-        taichi = importlib.import_module("taichi")
+        yield
+    finally:
+        _guests -= 1
+        if not _guests:
+            restore()
+
+
+def is_taken() -> bool:
+    """Whether somebody else started Taichi in this process: of which there is one."""
+    if "taichi" not in sys.modules:
+        return False
+    now = importlib.import_module("taichi.lang.impl").get_runtime()
+    return now is not _runtime and now._prog is not None
+
+
+@cache
+def _imported() -> ModuleType:
+    set_here = {name: text for name, text in IMPORT.items() if name not in os.environ}
+    os.environ.update(set_here)
+    try:
+        return importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
             raise GfUsdError(
@@ -42,8 +81,9 @@ def import_taichi() -> ModuleType:
             f"Taichi cannot be loaded: {error}",
             "install it: python -m pip install 'taichi>=1.7.4,<1.8'",
         ) from error
-    quicken(taichi)
-    return taichi
+    finally:
+        for name in set_here:
+            os.environ.pop(name, None)
 
 
 def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
@@ -70,7 +110,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if threads is not None and threads < 1:
         raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
-    if _started == wanted:
+    if _started == wanted and not is_taken():
         return
     ti = import_taichi()
     if device == "cuda" and not _has_cuda(ti):
@@ -78,7 +118,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             "No CUDA device was found.",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
-    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
+    global _starts, _runtime  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
     if _starts:
         _abandon()
@@ -97,6 +137,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     _starts += 1
+    _runtime = ti.lang.impl.get_runtime()
 
 
 def _abandon() -> None:
