@@ -82,8 +82,7 @@ def _answer(request: Path, progress: Callable[[int, int], None] | None) -> Any:
         finished = True
     finally:
         if not finished:  # Ctrl-C, or an error of progress
-            child.stop()
-            child.wait(lambda line: None)
+            child.end()
     if ended.status != 0:
         how = f"with status {ended.status}" if ended.status > 0 else f"by signal {-ended.status}"
         last = (ended.err.strip().splitlines() or ["it said nothing"])[-1]

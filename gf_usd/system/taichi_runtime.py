@@ -19,8 +19,8 @@ from gf_usd.system.taichi_fast_start import quicken, restore
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
 
-# while it is imported
-IMPORT = {
+# Variables of the environment while it is imported and started.
+QUIET = {
     "ENABLE_TAICHI_HEADER_PRINT": "0",
     "TI_SKIP_VERSION_CHECK": "ON",  # a weekly request to the network
     "TI_ENABLE_PYBUF": "0",  # a word on stderr where stdout is wrapped
@@ -62,15 +62,25 @@ def is_taken() -> bool:
     if "taichi" not in sys.modules:
         return False
     now = importlib.import_module("taichi.lang.impl").get_runtime()
-    return now is not _runtime and now._prog is not None
+    return now is not _runtime and now.prog is not None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    set_here = {name: text for name, text in QUIET.items() if name not in os.environ}
+    os.environ.update(set_here)
+    try:
+        yield
+    finally:
+        for name in set_here:
+            os.environ.pop(name, None)
 
 
 @cache
 def _imported() -> ModuleType:
-    set_here = {name: text for name, text in IMPORT.items() if name not in os.environ}
-    os.environ.update(set_here)
     try:
-        return importlib.import_module("taichi")
+        with _quiet():
+            return importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
             raise GfUsdError(
@@ -81,9 +91,6 @@ def _imported() -> ModuleType:
             f"Taichi cannot be loaded: {error}",
             "install it: python -m pip install 'taichi>=1.7.4,<1.8'",
         ) from error
-    finally:
-        for name in set_here:
-            os.environ.pop(name, None)
 
 
 def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
@@ -123,7 +130,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if _starts:
         _abandon()
     # ti.init prints the architecture on stdout, which belongs to the data of --json
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _quiet(), contextlib.redirect_stdout(io.StringIO()):
         ti.init(
             arch=ti.cuda if device == "cuda" else ti.cpu,
             default_fp=ti.f64 if f64 else ti.f32,
