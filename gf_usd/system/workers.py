@@ -26,6 +26,7 @@ from gf_usd.system.processes import Children, Ended, Process, tail_of
 LENGTH = struct.Struct("!I")
 MOST = 16  # descriptors of a request
 AVAILABLE = os.name == "posix"
+WORKER = (sys.executable, "-m", "gf_usd", "worker")
 
 
 def send(end: socket.socket, message: dict[str, Any], descriptors: Sequence[int] = ()) -> None:
@@ -125,10 +126,11 @@ class Workers:
     Parameters
     ----------
     children : its `stop` ends the workers that run a command.
+    command : what starts a worker, which calls `cli.worker.serve`.
     """
 
-    def __init__(self, children: Children) -> None:
-        self._children = children
+    def __init__(self, children: Children, command: Sequence[str] = WORKER) -> None:
+        self._children, self._command = children, command
         self._idle: list[Worker] = []
         self._lock = threading.Lock()
 
@@ -152,7 +154,7 @@ class Workers:
             with self._lock:
                 if self._idle:
                     return self._idle.pop()
-            return Worker([sys.executable, "-m", "gf_usd", "worker"], err=stderr[1])
+            return Worker(self._command, err=stderr[1])
 
         with self._children.running(start) as worker:
             if worker is None:
