@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import BinaryIO, TypeVar
+from typing import IO, TypeVar
 
 from gf_usd.system.file_locks import INHERITED
 
@@ -133,7 +133,7 @@ class Process:
                     os.killpg(self._process.pid, number)
 
 
-def tail_of(stderr: BinaryIO, on_line: Callable[[str], None]) -> str:
+def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:
     """Read to its end; the last TAIL characters.  on_line : called with each line."""
     tail = ""
     for line in io.TextIOWrapper(stderr, encoding="utf-8", errors="replace"):
