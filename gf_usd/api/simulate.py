@@ -246,8 +246,8 @@ def simulate(
     1 0.042 s (8, 3)
     2 0.083 s (8, 3)
 
-    Nothing is written.  Leaving the loop early is fine; ``with gf_usd.simulate(scene) as simulation``
-    also frees the memory at once.
+    Nothing is written.  The loop may be left early; in ``with gf_usd.simulate(scene) as running:``
+    the memory is free at the end of the block.
 
     Parameters
     ----------
