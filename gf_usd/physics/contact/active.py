@@ -15,7 +15,7 @@ class ActiveSamples:
 
     def __init__(self, body: Body) -> None:
         self._body = body
-        self._active: Ints | None = None  # what the device holds
+        self._active: tuple[Ints, Ints] | None = None  # what the device holds
 
     def near_floor(self, state: State) -> Ints:
         """The samples within reach of the floor; clears what all of them noticed."""
@@ -53,20 +53,27 @@ class ActiveSamples:
 
         move_springs(state, velocity, body.settings.normal, time)
 
-    def select(self, state: State, samples: Ints) -> int:
+    def select(self, state: State, near: Ints, meeting: Ints) -> int:
         """Have the kernels look at these samples and no others; returns how many there are.
 
-        The nodes' side is W^T of these samples alone: the others would be summed as zeros, substep
-        by substep.
+        near, meeting : (k,) ascending, those that the floor may reach and those that face a body or
+        an obstacle or carry a plane.  The nodes' side is W^T of both alone: the others would be
+        summed as zeros, substep by substep.
         """
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
-        if self._active is None or not np.array_equal(samples, self._active):
-            self._active = samples
+        samples = np.union1d(near, meeting) if len(meeting) else near
+        if self._active is None or not _same(self._active, (samples, meeting)):
+            self._active = samples, meeting
             of_nodes = self._body.contact.rows.W[samples].T.tocsr()  # sorted by counting
-            state.put_first("sample_active", samples)
+            others = np.setdiff1d(samples, meeting, assume_unique=True)
+            state.put_first("sample_active", np.concatenate([[len(meeting)], meeting, others]))
             state.put_first("node_sample", samples[of_nodes.indices])
             state.put_first("node_sample_weight", of_nodes.data)
             state.put("node_sample_start", of_nodes.indptr)
         return len(samples)
+
+
+def _same(a: tuple[Ints, Ints], b: tuple[Ints, Ints]) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(a, b))
