@@ -135,7 +135,9 @@ def fill(
     radius = float(bodies.radius.max())
     settings = resolve(request, asset.facts, radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
+    pins = make_pins(
+        request.listed("pins"), asset, solid, sampled(settings), file, rest=request.start
+    )
     physics = spec.physics
     if physics.colliders:
         every = sampled(settings)
