@@ -237,7 +237,5 @@ class Patches:
         a, b = self._a[pairs], self._b[pairs]
         along = c[b] - c[a]
         length = np.sqrt(np.einsum("na,na->n", along, along))
-        both = np.minimum(
-            np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b])
-        )
+        both = np.minimum(np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b]))
         return both / np.maximum(length, 1e-30)
