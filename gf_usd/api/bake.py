@@ -25,7 +25,9 @@ def bake(
 ) -> BakeResult:
     """Fill an asset with particles, simulate it and write its layers.
 
-    >>> result = gf_usd.bake("duck.usda", material="rubber", drop=3.0)  # doctest: +SKIP
+    >>> result = gf_usd.bake("duck.usda", drop=3.0, range=(1, 4), particles=300, overwrite=True)
+    >>> result.bakes[0].material.name, result.health["inverted_particle_frames"]
+    ('rubber', 0)
 
     The keywords are the options of ``gf-usd bake``, with underscores.  They take values of Python:
     numbers, tuples and lists, paths of `pathlib`, `gf_usd.Material` objects, and for regions dicts.
