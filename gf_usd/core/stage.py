@@ -304,6 +304,7 @@ class Bone:
 
     name: str  # path of the skeleton and joint, e.g. "/Hero/Skel:hips/spine"
     segments: Floats  # (s, 2, 3) [m] from the joint to where each segment ends, at rest, world
+    free: tuple[bool, ...]  # (s,) whether a segment ends in flesh, and not at another joint
     anchors: Floats  # (4, 3) [m] at rest, world: corners of a tetrahedron that moves with the joint
     path: Floats  # (F, 4, 3) [m] where they are at each frame
 

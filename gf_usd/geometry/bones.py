@@ -1,8 +1,8 @@
 """Bone cores: the part of a body around the bones of its skeleton, which moves with their joints.
 
 Around each segment of a bone lies a core whose radius is a share of the distance to the skin, point
-by point.  It ends a little before the joint, by `CLEAR` radii, so that the flesh between two bones
-has room to bend.  A point within reach of several bones belongs to the one whose core it is in the
+by point.  Its axis ends before the joint, by `CLEAR` radii, so that the flesh between two bones has
+room to bend.  A point within reach of several bones belongs to the one whose core it is in the
 deepest.
 """
 
@@ -20,7 +20,8 @@ from gf_usd.geometry.regions import Shape
 from gf_usd.geometry.solid import Solid
 
 POINTS = 25  # along a segment
-CLEAR = 2.0  # [radii] between the joint and the core
+CLEAR = 1.0  # [radii] between the joint and the end of the axis
+HOLDS = 0.75  # [cells] a core of that radius holds nodes wherever it lies: a face's half diagonal
 MOST_CLEAR = 1.0 / 3.0  # of a segment: short bones keep a third of it
 
 
@@ -61,45 +62,51 @@ class Cores:
 
 
 def bone_cores(
-    bones: Sequence[Bone], solid: Solid, share: float, least: float
+    bones: Sequence[Bone], solid: Solid, share: float, cell: float
 ) -> tuple[Cores, tuple[str, ...]]:
-    """The cores of bones in a solid, and notes on what is not as asked for.
+    """The cores of bones in a solid, for a grid whose nodes are held in them, and notes.
 
     share : radius of a core over the distance from the bone to the skin.
-    least : [m] the smallest radius that holds anything.
+    cell : [m] edge of a cell.  Flesh is held as far as the last node in a core: half a cell less
+    than its radius on average, which is therefore half a cell larger.
     """
     skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
-    cores, outside, raised = [], [], set()
+
+    def radii(points: Floats) -> NDArray[np.float64]:
+        to_skin = np.min([skin.closest(points)[0] for skin in skins], axis=0)
+        return np.where(solid.inside(points), share * to_skin, 0.0)
+
+    cores, outside, thin = [], [], []
     for number, bone in enumerate(bones):
-        found = False
-        for start, end in bone.segments:
-            whole = _along(start, end)
-            to_skin = np.min([skin.closest(whole)[0] for skin in skins], axis=0)
-            within = solid.inside(whole)
-            if not within.any():
+        mine = []
+        for (start, end), free in zip(bone.segments, bone.free, strict=True):
+            whole = radii(_along(start, end))
+            if not whole.any():
                 continue
-            found = True
-            clear = CLEAR * max(share * float(np.median(to_skin[within])), least)
+            typical = max(float(np.median(whole[whole > 0.0])) + 0.5 * cell, HOLDS * cell)
             length = float(np.linalg.norm(end - start))
-            cut = min(clear / length, MOST_CLEAR) if length > 0.0 else 0.0
-            points = _along(start + cut * (end - start), end - cut * (end - start))
-            to_skin = np.min([skin.closest(points)[0] for skin in skins], axis=0)
-            within = solid.inside(points)
-            radius = np.where(within, share * to_skin, 0.0)
-            if within.any() and np.median(radius[within]) < least:
-                raised.add(number)
-                radius = np.where(within, np.maximum(radius, least), 0.0)
-            cores.append(Core(bone=number, points=points, radius=radius))
-        if not found:
+            cut = min(CLEAR * typical / length, MOST_CLEAR) if length > 0.0 else 0.0
+            last = end if free else end - cut * (end - start)
+            points = _along(start + cut * (end - start), last)
+            radius = radii(points)
+            if radius.any():
+                mine.append((points, radius))
+        if not mine:
             outside.append(bone.name)
+            continue
+        typical = float(np.median(np.concatenate([r[r > 0.0] for _, r in mine])))
+        if typical < (HOLDS - 0.5) * cell:
+            thin.append(bone.name)
+        for points, radius in mine:
+            wide = np.maximum(radius + 0.5 * cell, HOLDS * cell)
+            cores.append(Core(bone=number, points=points, radius=np.where(radius > 0.0, wide, 0.0)))
     notes = []
     if outside:
-        notes.append(f"{_some(outside)}: outside the flesh, and hold nothing")
-    if raised:
-        names = [bones[k].name for k in sorted(raised)]
+        notes.append(f"{_some(outside)}: outside of the flesh, and hold nothing")
+    if thin:
         notes.append(
-            f"{_some(names)}: thicker than --bone-radius {share:g} says where the limb is thin, with"
-            f" a radius of {least:.3g} m, which the grid needs; more --particles make it finer"
+            f"{_some(thin)}: the flesh around is {2.0 / share * (HOLDS - 0.5):.2g} cells of the"
+            " grid thick or less, and moves with the bone; more --particles make it finer"
         )
     return Cores(cores=tuple(cores)), tuple(notes)
 

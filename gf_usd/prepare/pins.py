@@ -76,8 +76,7 @@ def _require_hold(region: Region, asset: Asset) -> None:
         )
 
 
-BONE_RADIUS = 0.4  # of the distance to the skin: what a limb of a person has of bone and sinew
-HOLDS = 0.75  # [cells] a core of that radius holds nodes wherever it lies: half a face's diagonal
+BONE_RADIUS = 0.5  # of the distance to the skin
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
@@ -119,8 +118,7 @@ def flesh_pins(
     times = animation.first + (np.arange(settings.frames) - lead) * step
     paths = [s.path for s in asset.surfaces]
     bones = read_bones(file, paths, asset.facts, first=animation.first, times=times.tolist())
-    least = HOLDS * 2.0 * lattice
-    cores, notes = bone_cores(bones, solid, BONE_RADIUS if share is None else share, least)
+    cores, notes = bone_cores(bones, solid, BONE_RADIUS if share is None else share, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
         raise InputError(

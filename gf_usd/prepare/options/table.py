@@ -127,7 +127,7 @@ class RequestOptions:
     )] = False
     bone_radius: Annotated[float | None, Option(
         SCENE, "Radius of the cores of --flesh, over the distance from bone to skin.",
-        shown="0.4", low=0.05, high=1.0,
+        shown="0.5", low=0.05, high=1.0,
     )] = None
     preroll: Annotated[int | None, Option(
         SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"

@@ -37,7 +37,7 @@ from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import open_stage, reading
 
-INTO_FLESH = 1.6  # times the way from a joint to the middle of its flesh: most of the way through
+INTO_FLESH = 1.5  # times the way from a joint to the middle of its flesh: most of the way through
 AWAY = 0.5  # of a joint's longest segment: flesh that is farther from all of them needs its own
 MEMORY = 4.0  # [frames] that the pre-roll follows the animation back before its first frame
 SHORT = 1e-6  # of the skeleton's size: a segment below it is a point
@@ -204,10 +204,12 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bon
             continue
         ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
         ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size]
+        free = [False] * len(ends)
         middle = mine.mean(0)
         longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
         if not ends or _distance(middle, at[j], ends) > AWAY * longest:
             ends.append(at[j] + INTO_FLESH * (middle - at[j]))
+            free.append(True)
         anchors = at[j] + corners
         local = _through(anchors / unit, np.linalg.inv(rest))
         carried = np.linalg.inv(rig.bind[j]) @ motion[:, j] @ worlds
@@ -218,6 +220,7 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bon
             Bone(
                 name=f"{rig.path}:{joint}",
                 segments=np.array([(at[j], end) for end in ends]),
+                free=tuple(free),
                 anchors=anchors,
                 path=path,
             )

@@ -43,6 +43,8 @@ class SkinnedPlacement(Placement):
     def points(self, points: Floats) -> Floats:
         """(V, 3) authored points to posed world points."""
         if self.bind:
+            if self.skin.HasBlendShapes():
+                self._remark("its blend shapes are left out of the bind pose")
             return super().points(self._bound(points))
         posed = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
         if self.skin.HasBlendShapes():
@@ -214,7 +216,10 @@ class Skins:
                 some = index[weight > 0.0] if index.shape == weight.shape else index[:0]
                 used |= {order[k] for k in some if 0 <= k < len(order)}
         top = next((row for row, name in enumerate(names) if name in used), None)
-        bind, posed = query.GetJointWorldBindTransforms(), query.ComputeJointSkelTransforms(self._time)
+        bind, posed = (
+            query.GetJointWorldBindTransforms(),
+            query.ComputeJointSkelTransforms(self._time),
+        )
         if top is None or not bind or not posed or top >= min(len(bind), len(posed)):
             return np.eye(4)
         start, end = np.array(bind[top]), np.array(posed[top])
