@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core import __version__
 
 if TYPE_CHECKING:
+    from gf_usd.api.bake import bake
     from gf_usd.core.errors import (
         BakeError,
         GfUsdError,
@@ -26,10 +27,9 @@ if TYPE_CHECKING:
     from gf_usd.core.frames import Settings
     from gf_usd.core.materials import Material
     from gf_usd.pipeline.result import BakeResult
-    from gf_usd.pipeline.run import bake
 
 _HOMES = {
-    "bake": "gf_usd.pipeline.run",
+    "bake": "gf_usd.api.bake",
     "BakeResult": "gf_usd.pipeline.result",
     "Material": "gf_usd.core.materials",
     "Settings": "gf_usd.core.frames",

@@ -33,6 +33,7 @@ from typing import Any
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials import Material
 from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.repair import Repairs
@@ -225,7 +226,7 @@ def _plain(values: Floats) -> list[float]:
 def inspect(
     path: str | Path,
     *,
-    material: str | None = None,
+    material: str | tuple[str | Material, ...] | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
     meters_per_unit: float | None = None,

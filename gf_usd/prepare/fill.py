@@ -136,9 +136,9 @@ def fill(
     animation = read_animation(asset, file, request.start) if request.flesh else None
     settings = resolve(request, asset.facts, radius, lowest, animation)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins, boned = (
-        make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start),
-        (),
+    boned: tuple[str, ...] = ()
+    pins = make_pins(
+        request.listed("pins"), asset, solid, sampled(settings), file, rest=request.start
     )
     if animation:
         pins, boned = flesh_pins(
@@ -225,9 +225,9 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *boned,
-            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes, *embedded_points,
-            *left, *skin,
-            *_options(made, each), *split, *_nothing_remembered(made, settings),
+            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
+            *embedded_points, *left, *skin, *_options(made, each), *split,
+            *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip
     return plan, solid

@@ -48,11 +48,11 @@ def test_frames_before_the_animation_are_simulated_but_not_written(tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "--pin"),
-        ({"flesh": True, "drop": "1"}, "--drop"),
-        ({"flesh": True, "solver": "ul"}, "--flesh"),
-        ({"bone_radius": 0.4}, "--bone-radius 0.4 is for --flesh"),
-        ({"preroll": 4}, "--preroll 4 is for --flesh"),
+        ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "flesh=True does not go with pins"),
+        ({"flesh": True, "drop": "1"}, "flesh=True does not go with drop"),
+        ({"flesh": True, "solver": "ul"}, "does not know flesh=True"),
+        ({"bone_radius": 0.4}, "bone_radius 0.4 is for flesh=True"),
+        ({"preroll": 4}, "preroll 4 is for flesh=True"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

@@ -98,14 +98,14 @@ def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
 
 def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
     """`pinned_by` of those pins that are held at their boundary: nothing is left to solve there."""
-    held = pinned_by(pins, X)
-    sharp = np.array([*(pin.sharp for pin in pins), False])
-    return PinnedPoints(axes=np.where(sharp[held.axes], held.axes, -1))
+    axes = pinned_by(pins, X).axes
+    cores = [index for index, pin in enumerate(pins) if not pin.sharp]
+    return PinnedPoints(axes=np.where(np.isin(axes, cores), -1, axes))
 
 
 def mirror_points(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> Floats:
     """X' (n, 3) [m] of held nodes near the boundary of their pins; nan for free and deep ones."""
-    out = np.where(held.free.all(1)[:, None], np.nan, X)
+    out = np.where(held.free.all(1, keepdims=True), np.nan, X)
     for index, pin in enumerate(pins):
         mine = np.flatnonzero((held.axes == index).any(1) & np.isfinite(out).all(1))
         if not pin.sharp:
@@ -125,7 +125,7 @@ def axis_factors(held: PinnedPoints, mirror: Floats) -> Floats | None:
     if not held.slide.any():
         return None
     out = np.where(held.free, -1.0, 1.0)
-    out[np.isnan(mirror).any(1)[:, None] & ~held.free] = 0.0
+    out[np.isnan(mirror).any(1, keepdims=True) & ~held.free] = 0.0
     out[held.free.all(1)] = 1.0
     return out
 

@@ -145,8 +145,8 @@ def _rig(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, facts: StageFacts) ->
             "author bindTransforms, one matrix for each joint: they are the rest shape",
         )
     bind = np.array(given, dtype=np.float64).reshape(-1, 4, 4)
-    flat = ~np.isfinite(bind).all((1, 2))
-    flat[~flat] = np.abs(np.linalg.det(bind[~flat][:, :3, :3])) <= 1e-12
+    finite = np.where(np.isfinite(bind).all((1, 2), keepdims=True), bind, 0.0)
+    flat = np.abs(np.linalg.det(finite[:, :3, :3])) <= 1e-12
     if flat.any():
         raise InputError(
             f"{where}: the bind transforms of {int(flat.sum())} of {len(joints)} joints have no"
