@@ -81,8 +81,8 @@ def preview(
     color: Annotated[
         str,
         typer.Option(
-            help="strain (largest |stretch - 1|), stress (von Mises; bake with --stress), or none:"
-            " the asset's own colors."
+            help="strain (largest |stretch - 1|), elastic and plastic (bake with --internal),"
+            " stress (von Mises; bake with --stress), or none: the asset's own colors."
         ),
     ] = "none",
     old_color: Annotated[str | None, typer.Option("--colour", hidden=True)] = None,
@@ -91,7 +91,7 @@ def preview(
         typer.Option(
             "--range",
             metavar="LOW:HIGH",
-            help="Of the colors: a pure number for strain, [Pa] for stress.",
+            help="Of the colors: a pure number for strains, [Pa] for stress.",
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,

@@ -159,6 +159,7 @@ def test_particle_arrays_have_types_and_no_fallback() -> None:
         "vonMisesStress float[] Varying None",
         "plasticStrain float[] Varying None",
         "lostVolume float[] Varying None",
+        "elasticStrain float[] Varying None",
         *(f"{p.attribute} float[] Uniform None" for p in law_parameters()),
         "materials rel Uniform None",
         "sourceMeshes rel Uniform None",
