@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import takes
-from gf_usd.api.host import here_or_away
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 
 if TYPE_CHECKING:

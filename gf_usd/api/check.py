@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host import here_or_away
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import takes
-from gf_usd.api.host import guest, require_here
+from gf_usd.api.host.guest import guest, require_here
 from gf_usd.prepare.options.table import BakeOptions
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.host import here_or_away
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.api.call import keywords
-from gf_usd.api.host import TAKEN, guest, require_here
+from gf_usd.api.host.guest import TAKEN, guest, require_here
 from gf_usd.api.scene import Scene
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Health

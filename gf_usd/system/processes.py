@@ -121,17 +121,6 @@ class Process:
         finally:
             timer.cancel()
 
-    def end(self) -> None:
-        """End it and all that it started, at once, where `wait` was broken off."""
-        self._signal(signal.SIGKILL)
-        with self._lock:
-            if not self._reaped:
-                self._process.wait()
-                self._reaped = True
-        for pipe in (self._process.stdout, self._process.stderr):
-            if pipe is not None:
-                pipe.close()
-
     def _time_out(self) -> None:
         self._timed_out = True
         self.stop()
@@ -205,6 +194,15 @@ class Child(Process):
             stopped=self._stopped and not self._timed_out,
             reply=out[0] if self._binary else b"",
         )
+
+    def end(self) -> None:
+        """End it and all that it started, at once, where `wait` was broken off."""
+        self._signal(signal.SIGKILL)
+        if not self._reaped:
+            self.reap()
+        for pipe in (self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
 
 
 P = TypeVar("P", bound=Process)

@@ -196,8 +196,8 @@ def test_what_a_crash_of_the_other_process_says(tmp_path: Path) -> None:
     said = run(
         tmp_path,
         """
-from gf_usd.system.own_process import call
-for task in ('os:abort', 'gf_usd.api.host:nothing'):
+from gf_usd.api.host.own_process import call
+for task in ('os:abort', 'gf_usd.api.host.guest:nothing'):
     try:
         call(task, {})
     except gf_usd.BakeError as error:
@@ -205,4 +205,4 @@ for task in ('os:abort', 'gf_usd.api.host:nothing'):
 """,
     ).splitlines()
     assert said[0].startswith("the process that did the work ended by signal 6")
-    assert "with status 1: AttributeError: module 'gf_usd.api.host'" in said[1]
+    assert "with status 1: AttributeError: module 'gf_usd.api.host.guest'" in said[1]

@@ -25,7 +25,7 @@ from gf_usd.system.sandbox import Scratch
 DONE = "gf-usd progress "  # begins a line of stderr: frames done, frames in all
 START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
-    " from gf_usd.system.own_process import serve; serve(sys.argv[2])"
+    " from gf_usd.api.host.own_process import serve; serve(sys.argv[2])"
 )
 
 

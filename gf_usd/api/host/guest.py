@@ -61,7 +61,7 @@ def here_or_away(
             module, name = task.split(":")
             more = {} if progress is None else {"progress": progress}
             return getattr(import_module(module), name)(**options, **more), ""
-    from gf_usd.system.own_process import call
+    from gf_usd.api.host.own_process import call
 
     return call(task, options, progress), why
 
