@@ -196,7 +196,6 @@ def young_poisson(mu: Any, lam: Any) -> tuple[Any, Any]:
 
 
 G0 = 9.81  # [m/s^2] in the scales of a look; never the scene's gravity
-STRONGEST = 1e9  # [m/s^2] of gravity: a stronger one has no step
 FILTER_RATE = 10.0  # [1/T] of the APIC filter: grid noise dies within a frame or so
 SHOT_LENGTH = 13.6  # [T] the paper's 260 frames at 60 fps for r = 1 m
 

@@ -9,8 +9,7 @@ import math
 from dataclasses import dataclass
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import STRONGEST
-from gf_usd.core.units import number
+from gf_usd.core.units import STRONGEST, number
 
 LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
 NONE = "none"
