@@ -28,7 +28,7 @@ from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.forecast import Forecast
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
-from gf_usd.pipeline.health import HealthLog, health_warnings
+from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
@@ -339,7 +339,7 @@ def _run_variant(
         clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
-        warnings=health_warnings(health),
+        warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
     )
     baked = BakedVariant(
         name=variant.name,
