@@ -202,22 +202,6 @@ class Scene:
         )  # fmt: skip
         return name
 
-    def spec(self, times: Sequence[float], options: dict[str, Any]) -> SceneSpec:
-        """The scene with its motions at the times [s] of the frames."""
-        from gf_usd.pipeline.scene import SceneSpec
-
-        return SceneSpec(
-            surfaces=tuple(self._surfaces),
-            materials=dict(self._materials),
-            velocities=dict(self._velocities),
-            colliders=tuple(_collider(one, times) for one in self._obstacles),
-            pins=tuple((_region(one, times), one.axes) for one in self._pins),
-            gravity=self.gravity,
-            floor=self.floor,
-            up_axis=self.up,
-            options=options,
-        )
-
     def _name(self, name: str | None, kind: str) -> str:
         taken = {*self.bodies, *(one.name for one in (*self._obstacles, *self._pins))}
         if name is None:
@@ -227,6 +211,23 @@ class Scene:
         if name in taken:
             raise UsageError(f"the scene has a {name} already", "give it another name")
         return name
+
+
+def at_frames(scene: Scene, times: Sequence[float], options: dict[str, Any]) -> SceneSpec:
+    """A scene with its motions at the times [s] of the frames; options : fields of `Request`."""
+    from gf_usd.pipeline.scene import SceneSpec
+
+    return SceneSpec(
+        surfaces=tuple(scene._surfaces),
+        materials=dict(scene._materials),
+        velocities=dict(scene._velocities),
+        colliders=tuple(_collider(one, times) for one in scene._obstacles),
+        pins=tuple((_region(one, times), one.axes) for one in scene._pins),
+        gravity=scene.gravity,
+        floor=scene.floor,
+        up_axis=scene.up,
+        options=options,
+    )
 
 
 def _triple(name: str, value: Any) -> Triple:
@@ -249,7 +250,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         xyz = np.array(points, np.float64)
     except (TypeError, ValueError):
         xyz = np.zeros(0)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) < 4:
+    if xyz.shape[1:] != (3,) or len(xyz) < 4:
         raise UsageError(
             f"{what}: points are an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
         )
@@ -258,9 +259,10 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         raise UsageError(f"{what}: {lost} of {len(xyz)} points are not finite", "repair them")
     rings = [_ring(what, ring) for ring in values.items(what, faces, "a list of faces")]
     counts = np.array([len(ring) for ring in rings], np.int64)
-    if not len(counts) or counts.min() < 3:
+    fewest = min(map(len, rings), default=0)
+    if fewest < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest of {counts.min(initial=0)} corners",
+            f"{what} has {len(counts)} faces, the smallest of {fewest} corners",
             "give faces of three or more corners each",
         )
     indices = np.concatenate(rings)

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.api.preview_options import Options, read_options
+from gf_usd.api.drawing.options import Options, read_options
 from gf_usd.core.errors import GfUsdError
 
 
@@ -178,7 +178,7 @@ def thumbnails(
 
 def thumbnail(root: Path) -> Path:
     """The picture of one stage.  Raises InputError for what cannot be drawn."""
-    from gf_usd.api.drawing import Drawing
+    from gf_usd.api.drawing.pictures import Drawing
     from gf_usd.readers.pictures.scene import PictureStage
     from gf_usd.view.render.render import write_png
 

@@ -203,7 +203,8 @@ def test_registration_after_the_first_use_of_schemas_says_what_to_do() -> None:
         "Usd.SchemaRegistry().FindAppliedAPIPrimDefinition('MaterialBindingAPI')\n"
         "from gf_usd.core.errors import GfUsdError\n"
         "try:\n"
-        "    import gf_usd.system.usd_schema\n"
+        "    from gf_usd.system import usd_schema\n"
+        "    usd_schema.require()\n"
         "except GfUsdError as error:\n"
         "    print(error)\n"
     )
