@@ -141,9 +141,8 @@ def strip(pictures: Sequence[Image.Image], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="folder")
-    parser.add_argument(
-        "--only", choices=("duck", "film", "pile", "walk"), nargs="*", help="which of them"
-    )
+    names = ("duck", "film", "pile", "walk")
+    parser.add_argument("--only", choices=names, nargs="*", help="which of them")
     said = parser.parse_args()
     out: Path = said.out
     out.mkdir(parents=True, exist_ok=True)
