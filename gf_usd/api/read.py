@@ -114,8 +114,8 @@ class Bake(Sequence[BakeFrame]):
         """What does not change of the particles.
 
         positions (N, 3) [m], where the body is unstressed, before it was lifted to fall; volumes
-        (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and where the body is
-        heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
+        (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and where
+        the body is heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
         """
         return self._arrays.rest()
 
