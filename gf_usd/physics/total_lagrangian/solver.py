@@ -176,7 +176,8 @@ class TotalLagrangian(Solver):
         now, time = state.view(), state.time
         particles = now.pose(index)
         now.strains(index, particles.F)
-        self.strained = strained_substeps(body, *now.elastic_strains(index), now)
+        stretch, J = now.elastic_strains(index)
+        self.strained = strained_substeps(body, stretch, J, now)
         return Frame(
             index=index,
             time=time,
@@ -187,6 +188,6 @@ class TotalLagrangian(Solver):
                 for name, rows in body.embedded.items()
             },
             stress=von_mises(body, state) if body.settings.stress else None,
-            internal=now.internal if body.settings.internal else {},
+            internal=now.internal(stretch) if body.settings.internal else {},
             health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
         )  # fmt: skip
