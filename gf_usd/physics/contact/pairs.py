@@ -49,7 +49,7 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 CROWD = 4.0
 # [spacings] a: at this depth a spring is twice as strong as without its second term.  Bodies that
 # are pressed together by more than they are stiff overlap by less so.
-HARD = 0.25
+HARD = 0.2
 SPARE = 1.5  # of CROWD: few samples are deep
 # Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
 # are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
