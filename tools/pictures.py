@@ -9,6 +9,7 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     displays.png one frame as mesh, Gaussians, ellipsoids and points
     strain.png   the squash, colored by strain
     drop.gif     the drop as a film, five times slower than real
+    walk.gif     the walk of the creature without and with flesh, one period
     ten-ducks.png  the pile of ducks in the rocking bowl, near its end
     can.gif      a tin can under a press, at half of real speed
     plastic.png  the can before and after, and its plastic strain
@@ -30,9 +31,11 @@ from typing import Any
 from PIL import Image
 
 from tools.samples.crumple import DOWN, HOLD, UP, WAIT, write_can, write_star
+from tools.samples.side_by_side import repeat_cycle, side_by_side
 
 ROOT = Path(__file__).resolve().parent.parent
 DUCK = ROOT / "samples" / "duck.usda"
+CREATURE = ROOT / "samples" / "creature.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
 STAR, CLAY = (15, 17, 19, 23), (1, 5, 6, 23)  # time codes
@@ -41,7 +44,7 @@ DIMENSIONLESS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
 LARGEST_FILM = 2_000_000
-KINDS = ("duck", "film", "pile", "can", "clay", "star")
+KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star")
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
 # The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
 # twice.  Played at 24 frames a second, a fifth of real speed.
@@ -61,6 +64,19 @@ def film(path: Path, folder: Path) -> None:
     stage = folder / "drop.usda"
     gf_usd("bake", DUCK, "--material", "rubber", *DROP, "-o", stage)
     gf_usd("preview", stage, "-o", path, "--size", FILM)
+    require(path, LARGEST_FILM)
+
+
+def walk(path: Path, folder: Path) -> None:
+    """The second of two cycles of the creature's walk, without flesh and with it."""
+    twice, both = folder / "twice.usda", folder / "both.usda"
+    cycle = repeat_cycle(CREATURE, twice, 2)
+    gf_usd("bake", twice, "--flesh", "--material", "jelly", "--only", "mesh", "-o", f"{folder}/")
+    baked = folder / "twice.jelly.usda"
+    side_by_side(twice, baked, both, apart=62.0, height=70.0, away=190.0)
+    frames = f"{cycle + 1}:{2 * cycle}"
+    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--frames", frames,
+           "--size", "560x340")  # fmt: skip
     require(path, LARGEST_FILM)
 
 
@@ -172,6 +188,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         if "pile" in made:
             pile(out / "ten-ducks.png", Path(temporary))
+        if "walk" in made:
+            walk(out / "walk.gif", Path(temporary))
         if "film" in made:
             film(out / "drop.gif", Path(temporary))
         if "can" in made:
