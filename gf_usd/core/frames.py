@@ -175,6 +175,7 @@ class Health:
     flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
+    planes: float = 0.0  # [J] of `injected`, that new contact planes gave
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it

@@ -103,7 +103,7 @@ def bake(
     overwrite : replace results of an earlier bake.
     meters_per_unit, up_axis : in place of what the file says or omits.
     repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
-    strict : raise UnhealthyError where the finished bake has warnings.
+    strict : raise UnhealthyError where the finished bake has warnings, too.
     max_hours : refuse a bake whose estimate is longer.
     resume : go on from the checkpoints of this bake, if it ended early; see the guide.
     slice : full value clips after which it ends, to be resumed.
@@ -120,12 +120,12 @@ def bake(
     BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
         SolverError, with the frame and the particle, where the solver could not go on.
     Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : strict, and there are warnings; the files are written.
+    UnhealthyError : the finished bake has errors (contact made energy out of nothing), or strict,
+        and there are warnings; the files are written.
     """
     prepared = prepare(path, **options)
     result = run(prepared, progress, max_hours=max_hours, slice=slice)
-    if strict:
-        require_healthy(result)
+    require_healthy(result, strict=strict)
     return result
 
 

@@ -20,7 +20,6 @@ from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
 
-
 LIMBS = "limbs"
 
 

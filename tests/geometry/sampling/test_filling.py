@@ -128,7 +128,8 @@ def test_cells_of_a_thin_part_have_points_of_their_own():
     out = made.X[:, 0] > 1.3
     cells, count = np.unique(np.floor((made.X[out, 0] - made.corner[0]) / h), return_counts=True)
     assert len(cells) == cells[-1] - cells[0] + 1  # no cell is skipped
-    assert (count[1:-1] >= len(CUBE)).all() and (count[1:-1] % len(CUBE) == 0).all()
+    assert (count[1:-1] >= len(CUBE)).all()
+    assert (count[1:-1] % len(CUBE) == 0).all()
 
 
 def test_moments_move_and_flip_as_those_of_points_do():
