@@ -149,13 +149,13 @@ def _attempts(
 
 def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watch) -> Ended | None:
     """One attempt; None where no more is to be started."""
-    words = [*job.words(), "--overwrite"]
+    arguments = [*job.arguments(), "--overwrite"]
     if "threads" not in job.options and limits.threads:
-        words += ["--threads", str(limits.threads)]
+        arguments += ["--threads", str(limits.threads)]
     if limits.slice:
-        words += ["--slice", str(limits.slice)]
+        arguments += ["--slice", str(limits.slice)]
     if resumable(job):
-        words.append("--resume")
+        arguments.append("--resume")
     # Jobs of one mesh file share a layer, which is written before the first frame.
     source = outputs(job.asset, job.looks, str(job.root)).source
     shared = None
@@ -167,7 +167,7 @@ def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watc
     locks = [lock.descriptor for lock in (held, shared) if lock is not None]
     try:
         with _listening(watch) as writer:
-            command = [sys.executable, "-m", "gf_usd", *words, "--events", str(writer)]
+            command = [sys.executable, "-m", "gf_usd", *arguments, "--events", str(writer)]
             return children.run(
                 command, lambda line: None, timeout=limits.timeout, inherit=[*locks, writer]
             )

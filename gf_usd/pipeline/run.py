@@ -29,9 +29,8 @@ from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.forecast import Forecast
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings
-from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
-from gf_usd.prepare.options.option import takes
-from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
+from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
+from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
@@ -58,7 +57,7 @@ class Prepared:
     @cached_property
     def solvers(self) -> Solvers:
         """The solvers of its variants."""
-        return Solvers(partial(_solver, self.plan), len(self.plan.particles))
+        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
 
     @cached_property
     def cost(self) -> Cost:
@@ -79,60 +78,10 @@ class Prepared:
         )
 
 
-@takes(BakeOptions)
-def bake(
-    path: str | Path,
-    *,
-    strict: bool = False,
-    max_hours: float = MAX_HOURS,
-    slice: int | None = None,
-    progress: Progress | None = None,
-    **options: Any,
-) -> BakeResult:
-    """Fill an asset with particles, simulate it and write its layers.
-
-    Parameters
-    ----------
-    path : the asset; it is never written to.
-    material : a preset (see ``gf-usd materials``), a USD file with a material, or several with
-        commas between them, which become variants of one root layer; default what the stage says,
-        else rubber.
-    output : root layer, or a folder; default ``NAME.MATERIAL.usda`` in the current folder.
-    law : constitutive law in place of the material's own: corotated or neoHookean.
-    prims : prim paths to bake; default all under the default prim.
-    overwrite : replace results of an earlier bake.
-    meters_per_unit, up_axis : in place of what the file says or omits.
-    repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
-    strict : raise UnhealthyError where the finished bake has warnings, too.
-    max_hours : refuse a bake whose estimate is longer.
-    resume : go on from the checkpoints of this bake, if it ended early; see the guide.
-    slice : full value clips after which it ends, to be resumed.
-    limits : `sandbox.Limits` of a child process that reads the asset; None: this process reads it.
-    progress : called after each frame with (frames done, frames in all).
-    options : the fields of `Request`: particles, spacing [stage units], frames, fps,
-        start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
-        filter_rate [1/T], damping_time [s], friction, restitution, time_scale, skin and so on.
-
-    Raises
-    ------
-    UsageError : the options make no sense, or the output exists or cannot be written.
-    InputError : the asset was refused; nothing was written.
-    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
-        SolverError, with the frame and the particle, where the solver could not go on.
-    Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : the finished bake has errors (contact made energy out of nothing), or strict,
-        and there are warnings; the files are written.
-    """
-    prepared = prepare(path, **options)
-    result = run(prepared, progress, max_hours=max_hours, slice=slice)
-    require_healthy(result, strict=strict)
-    return result
-
-
 def prepare(
     path: str | Path, *, overwrite: bool = False, resume: bool = False, **options: Any
 ) -> Prepared:
-    """A bake with the checkpoints that it goes on from, ready to run; see `bake`."""
+    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`."""
     plan, converted = prepare_plan(path, overwrite=overwrite, resume=resume, draw=draw, **options)
     if not resume:
         return Prepared(plan=plan, converted=converted)
@@ -391,7 +340,7 @@ def _run_variant(
     return result, baked, (*summary.notes, *splats.notes), failure
 
 
-def _solver(plan: Plan, variant: Variant) -> Solver:
+def solver_of(plan: Plan, variant: Variant) -> Solver:
     """The solver of a variant, at its start."""
     from gf_usd.physics.solvers import make_solver
 

@@ -28,7 +28,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import LAWS, Material
-from gf_usd.core.stage import StageSpec
+from gf_usd.core.stage import Pin, StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -60,16 +60,19 @@ def fill(
     presets: Sequence[Any],
     law: str | None,
     files: Outputs,
-    file: Path,
+    file: Path | None,
     *,
     spec: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
+    more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
 
-    file : its USD form; spec : what its stage says.
+    file : its USD form; None: it has none, and spec has the motion of its obstacles.
+    spec : what its stage says.
     known : what `diagnose` said of its surfaces, if it was asked already.
+    more_pins : of the solid, besides those that are asked for.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
@@ -135,9 +138,12 @@ def fill(
     radius = float(bodies.radius.max())
     settings = resolve(request, asset.facts, radius, lowest)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
+    pins = tuple(more_pins(solid)) if more_pins else ()
+    if file is not None:
+        names = request.listed("pins")
+        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
     physics = spec.physics
-    if physics.colliders:
+    if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
@@ -203,7 +209,7 @@ def fill(
         settings=each[0],
         each=each,
         outputs=files,
-        source=files.source or file,
+        source=files.source or file or asset.facts.path,
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,

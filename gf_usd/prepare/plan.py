@@ -26,7 +26,7 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Advice, ContactSetup, Pin
 from gf_usd.prepare.bodies import BodyPlan
-from gf_usd.prepare.options.table import words
+from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 
 
@@ -116,7 +116,7 @@ def riding_points(asset: Asset) -> dict[str, Floats]:
 
 def command_line(source: Path, **asked: Any) -> str:
     """The ``gf-usd bake`` that asks for this; what was left to its default is left out."""
-    return shlex.join(["gf-usd", "bake", source.name, *words(asked)])
+    return shlex.join(["gf-usd", "bake", source.name, *arguments(asked)])
 
 
 def input_hash(path: Path) -> str:

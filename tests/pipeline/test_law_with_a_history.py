@@ -19,7 +19,7 @@ from gf_usd.core.materials import LAWS, Material
 from gf_usd.layers.check.values import value_range
 from gf_usd.readers.usd_bake.material_file import read_material
 from gf_usd.verify.bodies import block
-from gf_usd.view.report.words import health_rows, material_labels
+from gf_usd.view.report.labels import health_rows, material_labels
 
 CLAY = """#usda 1.0
 (

@@ -270,5 +270,5 @@ def test_the_reference_names_every_property() -> None:
         "import gf_usd.system.usd_schema as schema\n"
         "print(*[name for api in schema.APIS for name in schema.property_names(api)])\n"
     ).split()
-    assert len(names) == 78 + 2 * len(law_parameters()) + len(law_internals())
+    assert len(names) == 80 + 2 * len(law_parameters()) + len(law_internals())
     assert [name for name in names if f"| `{name}` |" not in text] == []

@@ -157,6 +157,18 @@ class TotalLagrangian(Solver):
             penetration=float(state.get("sample_depth").max()),
         )
 
+    def push(self, acceleration: Floats) -> None:
+        """Replace the body force of the frames to come: (free, 3) [m/s^2] besides gravity."""
+        self.state.accelerate(np.asarray(acceleration, float))
+        self.shortcuts.wake(self.state)
+
+    def throw(self, velocities: Floats) -> None:
+        """Replace the velocities (free, 3) [m/s] of the nodes that nothing holds."""
+        v = self.state.rows("v")
+        v[: len(velocities)] = velocities
+        self.state.put("v", v)
+        self.shortcuts.wake(self.state)
+
     def read(self, index: int) -> Frame:
         """See `Solver`."""
         body, state, pairs = self.body, self.state, self.pairs

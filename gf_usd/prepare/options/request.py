@@ -44,7 +44,15 @@ class Request(RequestOptions):
     @cached_property
     def regions(self) -> tuple[Region, ...]:
         """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
-        return parse_regions(self.material_boxes, self.material_labels)
+        return parse_regions(self.listed("material_boxes"), self.listed("material_labels"))
+
+    def listed(self, name: str) -> tuple[str, ...]:
+        """The texts of an option that may be given several times."""
+        return getattr(self, name)
+
+    def folder(self, name: str) -> str | None:
+        """The text of an option that names a folder."""
+        return getattr(self, name)
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""

@@ -112,7 +112,7 @@ class BakedMotion:
         skins = Skins(time, xforms, Notes())
         meshes = []
         for prim, shape in zip(self._meshes, self._shapes):
-            points = _points(prim, time, xforms, skins) * self._facts.units.length
+            points = world_points(prim, time, xforms, skins) * self._facts.units.length
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
                     f"{self._path}: {prim.GetPath()} has {len(points)} points at time code"
@@ -247,7 +247,9 @@ class BakedMotion:
         return float(floor) if isinstance(floor, int | float) else None
 
 
-def _points(prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins) -> Floats:
+def world_points(
+    prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins
+) -> Floats:
     """(V, 3) points of a mesh or shape, world, stage units."""
     posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
     place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))
