@@ -66,8 +66,8 @@ def bake(
     BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
         SolverError, with the frame and the particle, where the solver could not go on.
     Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : contact made energy out of nothing, or strict, and there are warnings; the files
-        are written.
+    UnhealthyError : contact made energy out of nothing, or strict, and there are warnings; the
+        files are written.
     """
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import prepare, run
