@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
@@ -38,9 +40,14 @@ def check(
     ------
     InputError : there is no such file, or USD cannot open it.
     """
-    from gf_usd.system.sandbox import attempt
-
     with keywords("limits"):
         file = asset_path(path)
         most = None if limits is None else values.limits("limits", limits)
-        return attempt(file, "gf_usd.layers.check.run:check_file", most, file)
+        return here_or_away("gf_usd.api.check:check_here", {"path": file, "limits": most})[0]
+
+
+def check_here(path: Path, limits: Limits | None) -> CheckResult:
+    """See `check`; in this process."""
+    from gf_usd.system.sandbox import attempt
+
+    return attempt(path, "gf_usd.layers.check.run:check_file", limits, path)

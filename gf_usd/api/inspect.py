@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import takes
+from gf_usd.api.host.guest import guest, require_here
 from gf_usd.prepare.options.table import BakeOptions
 
 if TYPE_CHECKING:
@@ -34,9 +35,11 @@ def inspect(path: Path, **options: Any) -> Inspection:
 
     Raises
     ------
-    UsageError : the options make no sense.
+    UsageError : the options make no sense, or another part of the program uses Taichi.
     InputError : the file cannot be read, or holds nothing that could be made soft.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
 
-    return inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})
+    require_here("inspect")
+    with guest():
+        return inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})

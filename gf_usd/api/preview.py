@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.call import asset_path, keywords
-from gf_usd.api.preview_options import Options, read_options, time_codes
+from gf_usd.api.drawing.options import Options, read_options, time_codes
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -118,10 +119,12 @@ def preview(
             color=color,
             limits=None if range is None else _joined("range", range, ":", (2,)),
         )
-        return draw(
-            asset_path(path), options, show=show, camera=camera, color=color,
-            write=target is not None, progress=progress,
-        )  # fmt: skip
+        asked = {
+            "path": asset_path(path), "options": options, "show": show, "camera": camera,
+            "color": color, "write": target is not None,
+        }  # fmt: skip
+        task = "gf_usd.api.preview:draw"
+        return here_or_away(task, asked, progress, schema=False)[0]
 
 
 def _joined(name: str, value: Any, sign: str, counts: tuple[int, ...]) -> str:
@@ -148,7 +151,7 @@ def draw(
 
     write : write the file of the options; False: a picture or a sheet is only returned.
     """
-    from gf_usd.api import drawing
+    from gf_usd.api.drawing import pictures as drawing
     from gf_usd.readers.pictures.scene import PictureStage
     from gf_usd.view.film import require_folder
     from gf_usd.view.render.render import write_png

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
@@ -52,7 +53,11 @@ def report(
         for name, count, least in (("vertices", vertices, 100), ("frames", frames, 2)):
             if count < least:
                 raise UsageError(f"max_{name} is {count}", f"give {least} or more")
-        write(source, target, variant, vertices, frames)
+        asked = {
+            "path": source, "target": target, "look": variant, "vertices": vertices,
+            "frames": frames,
+        }  # fmt: skip
+        here_or_away("gf_usd.api.report:write", asked, schema=False)
         return target
 
 

@@ -249,7 +249,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         xyz = np.array(points, np.float64)
     except (TypeError, ValueError):
         xyz = np.zeros(0)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or len(xyz) < 4:
+    if xyz.shape[1:] != (3,) or len(xyz) < 4:
         raise UsageError(
             f"{what}: points are an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
         )
@@ -258,9 +258,10 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         raise UsageError(f"{what}: {lost} of {len(xyz)} points are not finite", "repair them")
     rings = [_ring(what, ring) for ring in values.items(what, faces, "a list of faces")]
     counts = np.array([len(ring) for ring in rings], np.int64)
-    if not len(counts) or counts.min() < 3:
+    fewest = min(map(len, rings), default=0)
+    if fewest < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest of {counts.min(initial=0)} corners",
+            f"{what} has {len(counts)} faces, the smallest of {fewest} corners",
             "give faces of three or more corners each",
         )
     indices = np.concatenate(rings)

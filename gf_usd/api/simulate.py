@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.api.call import keywords
+from gf_usd.api.host.guest import TAKEN, guest, require_here
 from gf_usd.api.scene import Scene
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Health
@@ -107,7 +108,7 @@ class Simulation(Iterator[SimulationFrame]):
         if self._solver is None or self._index + 1 >= self._frames:
             raise StopIteration
         solver = self._running()
-        with keywords():
+        with keywords(), guest():
             if self._last is None:
                 frame = solver.read(0)
             else:
@@ -136,7 +137,8 @@ class Simulation(Iterator[SimulationFrame]):
         """Apply forces (N, 3) [N] to the particles during the frames to come; 0 ends them."""
         solver = self._running()
         wanted = self._rows("forces", forces)
-        solver.push(solver.body.mass.acceleration(solver.body.rows.W.T @ wanted))
+        with guest():
+            solver.push(solver.body.mass.acceleration(solver.body.rows.W.T @ wanted))
         self._disturbed = True
 
     def accelerate(self, acceleration: ArrayLike | Callable[[Array], ArrayLike]) -> None:
@@ -145,7 +147,9 @@ class Simulation(Iterator[SimulationFrame]):
         acceleration : (3,) [m/s^2], or a function of rest positions (n, 3) [m] to (n, 3).
         """
         solver = self._running()
-        solver.push(_field("acceleration", acceleration, solver.body.stencil.free_X))
+        field = _field("acceleration", acceleration, solver.body.stencil.free_X)
+        with guest():
+            solver.push(field)
         self._disturbed = True
 
     def set_velocities(self, velocities: ArrayLike | Callable[[Array], ArrayLike]) -> None:
@@ -154,21 +158,23 @@ class Simulation(Iterator[SimulationFrame]):
         velocities : (3,) [m/s], or a function of positions (n, 3) [m] to (n, 3).
         """
         solver = self._running()
-        solver.throw(_field("velocities", velocities, solver.state.view().x))
+        with guest():
+            solver.throw(_field("velocities", velocities, solver.state.view().x))
         self._disturbed = True
 
     def save(self) -> dict[str, Any]:
         """The state after the last frame, for `load` of a simulation of the same scene."""
         if self._last is None:
             raise UsageError("the simulation has not begun", "ask for its first frame: next(it)")
-        return {**self._running().save(), "index": self._index, "health": self._last}
+        with guest():
+            return {**self._running().save(), "index": self._index, "health": self._last}
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Go on from what `save` returned: the next frame is the one after it, to the bit."""
         if "index" not in state or "health" not in state:
             raise UsageError("the state was not made by save()", "give what save() returned")
-        solver = self._running()
-        solver.load(state)
+        with guest():
+            self._running().load(state)
         self._index, self._last, self._disturbed = state["index"], state["health"], False
 
     def close(self) -> None:
@@ -187,10 +193,16 @@ class Simulation(Iterator[SimulationFrame]):
         self.close()
 
     def _running(self) -> Any:
-        from gf_usd.system.taichi_runtime import epoch
+        from gf_usd.system.taichi_runtime import epoch, is_taken
 
         if self._solver is None:
             raise UsageError("the simulation is closed", "start another: gf_usd.simulate(scene)")
+        if is_taken():
+            self._solver = None
+            raise UsageError(
+                f"{TAKEN}, which ended the simulation",
+                "let one of the two run in a process of its own",
+            )
         if epoch() != self._epoch:
             self._solver = None
             raise UsageError(
@@ -246,8 +258,8 @@ def simulate(
     1 0.042 s (8, 3)
     2 0.083 s (8, 3)
 
-    Nothing is written.  Leaving the loop early is fine; ``with gf_usd.simulate(scene) as simulation``
-    also frees the memory at once.
+    Nothing is written.  The loop may be left early; in ``with gf_usd.simulate(scene) as running:``
+    the memory is free at the end of the block.
 
     Parameters
     ----------
@@ -284,5 +296,6 @@ def simulate(
     count = values.whole("frames", frames)
     if count < 1 or not options["fps"] > 0.0:
         raise UsageError(f"frames is {count} and fps is {options['fps']:g}", "give numbers above 0")
-    with keywords():
+    require_here("simulate")
+    with keywords(), guest():
         return Simulation(scene, count, options)

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.api.preview_options import Options, read_options
+from gf_usd.api.drawing.options import Options, read_options
 from gf_usd.core.errors import GfUsdError
 
 
@@ -81,8 +81,8 @@ def preview(
     color: Annotated[
         str,
         typer.Option(
-            help="strain (largest |stretch - 1|), stress (von Mises; bake with --stress), or none:"
-            " the asset's own colors."
+            help="strain (largest |stretch - 1|), elastic and plastic (bake with --internal),"
+            " stress (von Mises; bake with --stress), or none: the asset's own colors."
         ),
     ] = "none",
     old_color: Annotated[str | None, typer.Option("--colour", hidden=True)] = None,
@@ -91,7 +91,7 @@ def preview(
         typer.Option(
             "--range",
             metavar="LOW:HIGH",
-            help="Of the colors: a pure number for strain, [Pa] for stress.",
+            help="Of the colors: a pure number for strains, [Pa] for stress.",
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,
@@ -178,7 +178,7 @@ def thumbnails(
 
 def thumbnail(root: Path) -> Path:
     """The picture of one stage.  Raises InputError for what cannot be drawn."""
-    from gf_usd.api.drawing import Drawing
+    from gf_usd.api.drawing.pictures import Drawing
     from gf_usd.readers.pictures.scene import PictureStage
     from gf_usd.view.render.render import write_png
 

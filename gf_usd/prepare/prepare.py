@@ -66,6 +66,9 @@ def prepare(
     Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
     long as the object is there.
     """
+    from gf_usd.system import usd_schema
+
+    usd_schema.require()
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)
@@ -175,6 +178,11 @@ def read_stage(
     """
     asset, spec, converted = _hulled(read.asset), read.spec, read.converted
     usd = converted is None
+    if request.flesh and not usd:
+        raise InputError(
+            f"{source}: --flesh: no skeleton is read of {source.suffix} files",
+            "export the character as USD, with its skeleton (UsdSkel) and its animation",
+        )
     if spec is None:
         spec = StageSpec()
         if usd:
@@ -219,7 +227,7 @@ def reading(
     """The file, being read."""
     return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
-        time_code=request.start, elastic=_elastic(presets),
+        time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
     )  # fmt: skip
 
 

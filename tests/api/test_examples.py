@@ -42,6 +42,13 @@ def result(folder: Path) -> gf_usd.BakeResult:
     return replace(made, root=folder / made.root)
 
 
+def scene() -> gf_usd.Scene:
+    """What the example of `Scene` builds."""
+    known: dict[str, Any] = {"gf_usd": gf_usd}
+    run(gf_usd.Scene.__doc__ or "", known)
+    return known["scene"]
+
+
 def run(text: str, known: dict[str, Any]) -> None:
     test = doctest.DocTest(doctest.DocTestParser().get_examples(text), {}, "", None, None, None)
     test.globs = known
@@ -55,7 +62,7 @@ def test_the_examples_of_a_name_run(
     name: str, folder: Path, result: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    run(getattr(gf_usd, name).__doc__ or "", {"gf_usd": gf_usd, "result": result})
+    run(getattr(gf_usd, name).__doc__ or "", {"gf_usd": gf_usd, "result": result, "scene": scene()})
 
 
 def test_every_function_has_an_example() -> None:

@@ -60,6 +60,7 @@ class Request(RequestOptions):
             row.check(getattr(self, row.name))
         if self.solver == "ul":
             self._check_updated_lagrangian()
+        self._check_flesh()
         if self.regions and self.blend_width:
             raise UsageError(
                 f"--blend-width {self.blend_width:g} and {self.regions[0].option} were both given",
@@ -95,11 +96,31 @@ class Request(RequestOptions):
             )
         _ = self.parsed  # raises for a text that says nothing
 
+    def _check_flesh(self) -> None:
+        """Raise UsageError for options that do not go with --flesh, or only with it."""
+        if not self.flesh:
+            for option, value in (("--bone-radius", self.bone_radius), ("--preroll", self.preroll)):
+                if value is not None:
+                    raise UsageError(f"{option} {value:g} is for --flesh", "add --flesh")
+            return
+        for option, given in (
+            ("--pin", self.pins),
+            ("--procrustes", self.procrustes),
+            ("--preset paper", self.preset),
+            ("--drop", self.drop),
+        ):
+            if given:
+                raise UsageError(
+                    f"--flesh does not go with {option}: the bones say where the body is",
+                    f"leave {option} out",
+                )
+
     def _check_updated_lagrangian(self) -> None:
         """Raise UsageError for options that this solver does not know."""
         finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
         for option, given in (
             ("--pin", self.pins),
+            ("--flesh", self.flesh),
             ("--filter-rate", finite),
             ("--self-contact", self.self_contact),
             ("--wls", self.wls),

@@ -134,6 +134,20 @@ class RequestOptions:
         " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
         shown="nothing", write=values.pins,
     )] = ()
+    flesh: Annotated[bool, Option(
+        SCENE, "Make a character soft around its skeleton (UsdSkel): the bind pose is the rest"
+        " shape, a core around each bone moves with its joint, and the rest is free.",
+        commands=INSPECT,
+    )] = False
+    bone_radius: Annotated[float | None, Option(
+        SCENE, "Radius of the cores of --flesh, over the distance from bone to skin.",
+        shown="0.5", low=0.05, high=1.0,
+    )] = None
+    preroll: Annotated[int | None, Option(
+        SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
+        " simulated and not written.",
+        shown="as many as keep accelerations below that of gravity, at least a second", low=1,
+    )] = None
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
     )] = False
