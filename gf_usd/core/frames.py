@@ -49,7 +49,7 @@ class Particles:
     color: Floats  # (N, 3) linear
     opacity: Floats  # (N,)
     surface: Ints  # (N,) index of the nearest surface: where the particle came from
-    spacing: float  # [m] mean distance s = (V / N)^(1/3)
+    spacing: float  # [m] mean distance s = (V / N)^(1/3), or `lattice` where that is longer
     volume: float  # [m^3] of the solid: the sum of V0
     lattice: float  # [m] half the edge of the cells the particles were made for
     corner: Floats  # (3,) [m] a corner of these cells: those of the solver's grid are laid along it

@@ -26,7 +26,7 @@ LEAST_SHARE = 0.05  # of a content: a smaller part goes to the others
 SLIVER = 0.24  # [cells] of volume: what holds less goes to a neighbor
 # The same of thin cells.  With .24, square rods of 1.5 particles across and fewer had motions
 # without any strain at the particles, and folded like cloth (`gf-usd verify --case thin`).
-THIN_SLIVER = 0.002
+THIN_SLIVER = 0.005
 FULL_SHARE = 0.99  # [cells] of volume that count as full
 SAME_SURFACE = 0.05  # [cells] by which mirror images may differ where polygons are cut otherwise
 
