@@ -41,6 +41,9 @@ ROWS: tuple[Row, ...] = (
     Row(
         "first_contact_frame", "First contact", "", "the first frame, from 0, that touched anything"
     ),
+    Row("falls", "Falls", "", "gravity takes it to a floor or an obstacle"),
+    Row("shift_max_m", "Farthest from the start", "m", "of the center of mass"),
+    Row("kinetic_max_J", "Most kinetic energy", "J", "in a frame"),
     Row("deepest_penetration_m", "Deepest in the floor", "m", "of any point of the surface"),
     Row("deepest_penetration_spacings", "The same", "spacings", "distances between particles"),
     Row("deepest_overlap_m", "Deepest overlap", "m", "with another body or an obstacle"),
@@ -100,6 +103,8 @@ FIRST = {
 
 # which rows a warning is about, by the names of gf_usd.pipeline.health.RULES
 MARKS: dict[str, tuple[str, ...]] = {
+    "untouched": ("first_contact_frame", "shift_max_m"),
+    "still": ("kinetic_max_J",),
     "energy": ("energy_gain_max_J", "energy_gain_max_share"),
     "inside-out": ("inverted_particle_frames", "min_J"),
     "redone": ("rollbacks",),
