@@ -19,7 +19,6 @@ from gf_usd.verify.cases import (
     law,
     limbs,
     patch,
-    plastic,
     sampling,
     sides,
 )
@@ -33,6 +32,7 @@ from gf_usd.verify.cases.elastic import (
     slanted,
     vibration,
 )
+from gf_usd.verify.cases.plastic import taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -53,7 +53,8 @@ CASES: tuple[Case, ...] = (
     *hertz.CASES,
     *collisions.CASES,
     *drop.CASES,
-    *plastic.CASES,
+    *uniaxial.CASES,
+    *taylor.CASES,
     *sides.CASES,
 )
 
