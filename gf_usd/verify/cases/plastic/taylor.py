@@ -176,9 +176,10 @@ def moved(cells: int, still: Impact, device: str) -> Iterator[Measure]:
     """The same impact seen by an observer who moves with the bar: the wall does the work."""
     seen = taylor(cells, device, COPPER, moving=True)
     yield Measure(
-        name="moving-wall", value=seen.at(END)[0], target=still.at(END)[0], bound=1e-4,
+        name="moving-wall", value=seen.at(END)[0], target=still.at(END)[0], bound=1e-3,
         kind=RELATIVE, unit="m",
-        why="who moves makes no difference: rounding, 1e-7 a substep, grows in a flow so far",
+        why="who moves makes no difference but to rounding and to the number of substeps, which"
+        " follows the strain; both flow on by a part in ten thousand",
     )  # fmt: skip
     yield Measure(
         name="work", value=seen.work, target=float(seen.energy[-1]), bound=1e-3, kind=RELATIVE,
