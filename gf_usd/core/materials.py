@@ -63,6 +63,7 @@ class LawSpec:
     source: str
     parameters: tuple[Parameter, ...] = ()  # besides mu and lam
     flows: bool = False  # it has a flow rule, and so a history
+    isochoric: bool = False  # its flow keeps the volume, det F_p = 1
     internal: tuple[Internal, ...] = ()
 
 
@@ -113,6 +114,7 @@ LAWS: dict[str, LawSpec] = {
                 ),
             ),
             flows=True,
+            isochoric=True,
             internal=(
                 Internal(
                     name="plastic_strain", rest=0.0, attribute="plasticStrain",
