@@ -20,14 +20,14 @@ from gf_usd.prepare.options.table import OPTIONS
         "import gf_usd; gf_usd.bake; made = gf_usd.bake",
         "from gf_usd import bake as made",
         "import gf_usd.cli.bake; from gf_usd.pipeline.run import run; made = gf_usd.bake",
-        "import gf_usd.pipeline.run; made = gf_usd.bake",
+        "import gf_usd.api.bake; made = gf_usd.bake",
     ],
 )
 def test_bake_is_the_function_whatever_is_imported_first(code: str) -> None:
     # Importing a submodule binds it to its package: in a process of its own, for each order.
     code += "; print(made.__module__, made.__qualname__)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.stdout.strip(), done.stderr) == ("gf_usd.pipeline.run bake", "")
+    assert (done.stdout.strip(), done.stderr) == ("gf_usd.api.bake bake", "")
 
 
 def test_every_public_name_is_there_and_is_listed() -> None:
@@ -60,6 +60,9 @@ def test_a_type_checker_knows_the_options_of_bake(tmp_path: Path) -> None:
         "gf_usd.bake(path='a.usda', wls=False, material='rubber', max_hours=2.0)": "",
         "gf_usd.bake('a.usda', particle=300)": 'No parameter named "particle"',
         "gf_usd.bake('a.usda', particles='many')": 'type "int | None"',
+        "gf_usd.bake('a.usda', drop=3, floor=False, gravity=(0, -9.81, 0), prims='/A')": "",
+        "gf_usd.bake('a.usda', drop=(1, 2))": 'type "float | str | None"',
+        "gf_usd.bake('a.usda', device='tpu')": "Literal",
         "gf_usd.bake('a.usda') + 1": 'for types "BakeResult"',
     }
     file = tmp_path / "calls.py"

@@ -1,9 +1,9 @@
-"""Write the samples: a rubber duck, a unit sphere, a deformed sphere, and a stage with ten ducks.
+"""Write the samples: a duck, a sphere, a deformed sphere, a rigged creature, and ten ducks.
 
     python tools/make_samples.py [--out FOLDER]
 
 The shapes are this project's own work, computed from the formulas in samples/duck.py,
-sphere.py and bowl.py beside this file; running it again gives the same bytes.
+sphere.py, creature.py and bowl.py beside this file; running it again gives the same bytes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tools.samples.creature_usd import write_creature
 from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
 from tools.samples.implicit import unit_normals
 from tools.samples.quads import Quads
@@ -79,6 +80,9 @@ def main() -> None:
         path = folder / file_name(sample)
         write_sample(path, sample)
         print(f"{path}: {len(sample.mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "creature.usda"
+    mesh = write_creature(path)
+    print(f"{path}: {len(mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
     path = folder / "ten_ducks.usda"
     write_ten_ducks(path, "./duck.usda")
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")

@@ -127,7 +127,7 @@ def counts(outcomes: Sequence[Outcome]) -> dict[str, int]:
     return {state: n for state, n in found.items() if n}
 
 
-def words(outcomes: Sequence[Outcome]) -> str:
+def summary_line(outcomes: Sequence[Outcome]) -> str:
     """``2 failed, 1 crashed, 197 done`` for a line."""
     found = counts(outcomes)
     names = [state for state in reversed(STATES) if state in found and state not in GOOD]
@@ -138,14 +138,14 @@ def words(outcomes: Sequence[Outcome]) -> str:
 def again(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
     """The command that repeats just what is not good; "" where all is.
 
-    asked : the words of the command, without ``--only`` and ``--failed``.
+    asked : the arguments of the command, without ``--only`` and ``--failed``.
     """
     names = [o.job for o in ordered(outcomes) if not o.good]
     if not names:
         return ""
     if len(names) > NAMED:
         return shlex.join([*asked, "--failed"])
-    return shlex.join([*asked, *(word for name in names for word in ("--only", name))])
+    return shlex.join([*asked, *(argument for name in names for argument in ("--only", name))])
 
 
 def write_summary(

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gf_usd.prepare.options.table import words
+from gf_usd.prepare.options.table import arguments
 
 REPORT, RECORD = ".report.json", ".job.json"
 
@@ -64,14 +64,14 @@ class Job:
         """The names of its variants."""
         return tuple(Path(material).stem for material in self.materials)
 
-    def words(self) -> list[str]:
+    def arguments(self) -> list[str]:
         """The arguments of ``gf-usd`` that bake it."""
-        return ["bake", str(self.asset), "--output", str(self.root), *words(self.options)]
+        return ["bake", str(self.asset), "--output", str(self.root), *arguments(self.options)]
 
     @property
     def command(self) -> str:
         """The same as a person would type it."""
-        return shlex.join(["gf-usd", *self.words()])
+        return shlex.join(["gf-usd", *self.arguments()])
 
     def as_json(self) -> dict[str, Any]:
         """Plain values; `of` reads them back."""
@@ -114,7 +114,7 @@ class Outcome:
     findings: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()  # of the batch, not of the bake
     command: str = ""
-    log: str = ""  # the last words of a process that did not end well
+    log: str = ""  # the last lines of a process that did not end well
 
     @property
     def good(self) -> bool:

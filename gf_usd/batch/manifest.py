@@ -54,7 +54,7 @@ class Manifest:
     out: Path = Path(OUT)  # absolute
     timeout: float | None = None  # [s] of one attempt
     retries: int = RETRIES  # of jobs whose process died or took too long
-    words: tuple[str, ...] = field(default=())  # of the command line that asked for it
+    arguments: tuple[str, ...] = field(default=())  # of the command line that asked for it
 
 
 def read_manifest(path: Path) -> Manifest:

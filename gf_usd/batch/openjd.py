@@ -81,9 +81,9 @@ def template(plan: BatchPlan, chunk: int, slice: int | None = None) -> dict[str,
     names = [f"Bake {part.number} of {many}" if many > 1 else "Bake" for part in parts]
     steps: list[dict[str, Any]] = []
     for part, name, before in zip(parts, names, [None, *names]):
-        words = ["--slice", str(slice), "--part", str(part)] if slice else []
+        arguments = ["--slice", str(slice), "--part", str(part)] if slice else []
         adapting = slice is None and plan.timeout is None  # a limit is for so many jobs
-        steps.append({"name": name, **_after(before), **_bake(plan, chunk, words, adapting)})
+        steps.append({"name": name, **_after(before), **_bake(plan, chunk, arguments, adapting)})
     report = _action(["--report-only"], timeout=REPORT_TIMEOUT)
     steps.append({"name": "Report", **_after(names[-1]), "script": {"actions": {"onRun": report}}})
     return {
@@ -99,15 +99,15 @@ def _after(step: str | None) -> dict[str, Any]:
     return {"dependencies": [{"dependsOn": step}]} if step else {}
 
 
-def _bake(plan: BatchPlan, chunk: int, words: list[str], adapting: bool) -> dict[str, Any]:
-    """A step but for its name: the jobs in chunks, each a call of ``batch`` with these words.
+def _bake(plan: BatchPlan, chunk: int, arguments: list[str], adapting: bool) -> dict[str, Any]:
+    """A step but for its name: the jobs in chunks, each a call of ``batch`` with these arguments.
 
     adapting : the scheduler may choose another size of the chunks.
     """
     memory = max(memory_of(job.options) for job in plan.jobs)
     limit = None if plan.timeout is None else math.ceil(plan.timeout * (1 + plan.retries))
     bake = _action(
-        ["--tasks", "{{Task.Param.Job}}", "--no-report", *words],
+        ["--tasks", "{{Task.Param.Job}}", "--no-report", *arguments],
         # jobs of a chunk may run one after another; their own limit comes first
         timeout=None if limit is None else chunk * limit + 60,
     )
@@ -132,10 +132,10 @@ def _bake(plan: BatchPlan, chunk: int, words: list[str], adapting: bool) -> dict
     }
 
 
-def _action(words: list[str], *, timeout: int | None) -> dict[str, Any]:
+def _action(arguments: list[str], *, timeout: int | None) -> dict[str, Any]:
     args = [
         "-m", "gf_usd", "batch", "{{Param.JobsFile}}", "--out", "{{Param.OutDir}}",
-        "--path-mapping", "{{Session.PathMappingRulesFile}}", "--openjd-lines", *words,
+        "--path-mapping", "{{Session.PathMappingRulesFile}}", "--openjd-lines", *arguments,
     ]  # fmt: skip
     action: dict[str, Any] = {
         "command": "{{Param.Python}}",

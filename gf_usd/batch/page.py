@@ -121,9 +121,9 @@ def _header(
     if bad or begun:
         said = [_many(len(bad), "needs", "need", "a look")] if bad else []
         said += [_many(begun, "has", "have", "frames left")] if begun else []
-        words = [tag("div", f"{'; '.join(said)}. To repeat just these:")]
-        words.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
-        parts.append(tag("div", *words, class_="banner"))
+        lines = [tag("div", f"{'; '.join(said)}. To repeat just these:")]
+        lines.append(tag("code", str(entry.get("repeat") or "the same command"), class_="command"))
+        parts.append(tag("div", *lines, class_="banner"))
     if unknown:
         names = ", ".join(unknown[:5]) + (", ..." if len(unknown) > 5 else "")
         parts.append(tag("div", f"{len(unknown)} were not run yet: {names}", class_="banner"))
@@ -152,15 +152,15 @@ def _controls(rows: Sequence[Outcome]) -> Html:
     if found["begun"]:
         kinds.insert(2, ("begun", f"with frames left {found['begun']}"))
     buttons = (
-        tag("button", words, type="button", data_filter=kind, aria_pressed="false")
-        for kind, words in kinds
+        tag("button", text, type="button", data_filter=kind, aria_pressed="false")
+        for kind, text in kinds
     )
-    search = tag("input", type="search", placeholder="name or words", aria_label="search")
+    search = tag("input", type="search", placeholder="name or message", aria_label="search")
     return tag("div", *buttons, search, tag("span", id="shown", class_="soft"), class_="bar")
 
 
-def _head(words: str, number: bool, meaning: str) -> Html:
-    inside = tag("button", words, type="button") if words else ""
+def _head(text: str, number: bool, meaning: str) -> Html:
+    inside = tag("button", text, type="button") if text else ""
     return tag("th", inside, scope="col", title=meaning, class_="number" if number else "text")
 
 

@@ -181,7 +181,7 @@ def read_jobs(path: Path) -> BatchPlan:
         tree = json.loads(path.read_text(encoding="utf-8"))
         jobs = tuple(Job.of(row) for row in tree["jobs"])
         for job in jobs:
-            job.words()  # KeyError for an option that is not there
+            job.arguments()  # KeyError for an option that is not there
         return BatchPlan(
             jobs=jobs, out=Path(tree["out"]), title=tree["title"], timeout=tree["timeout"],
             retries=tree["retries"],

@@ -167,8 +167,8 @@ def _ask(children: Children, names: Sequence[str]) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     while left := [name for name in names if name not in rows]:
         # it is a child itself, which may crash and has its time
-        words = ("inputs", "--limits", "none", "--json")
-        command = [sys.executable, "-m", "gf_usd", *words, *left]
+        arguments = ("inputs", "--limits", "none", "--json")
+        command = [sys.executable, "-m", "gf_usd", *arguments, *left]
         ended = children.run(command, lambda line: None, timeout=PATIENCE + len(left))
         if ended is None or ended.stopped:
             return {**{name: {"error": "interrupted"} for name in left}, **rows}

@@ -1,4 +1,4 @@
-"""From the words of ``batch`` to its plan.
+"""From the arguments of ``batch`` to its plan.
 
 What ``batch`` does with its jobs: list them, run them, hand them on, show what came of them.
 """
@@ -26,7 +26,7 @@ from gf_usd.batch.board import (
     counts,
     failed_in,
     ordered,
-    words,
+    summary_line,
     write_summary,
 )
 from gf_usd.batch.job import Job, Outcome
@@ -124,14 +124,14 @@ def plan_of(sources: Sequence[str], asked: Asked) -> BatchPlan:
     return make_plan(manifest)
 
 
-def parse_settings(words: Sequence[str], named: Mapping[str, Any]) -> dict[str, Any]:
+def parse_settings(pairs: Sequence[str], named: Mapping[str, Any]) -> dict[str, Any]:
     """NAME=VALUE pairs and options of their own.  Raises UsageError for what is no pair."""
     settings = {key: value for key, value in named.items() if value is not None}
-    for word in words:
-        name, sign, text = word.partition("=")
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
         if not sign or not name:
-            raise UsageError(f"--set {word}: there is no value", "give --set NAME=VALUE")
-        settings[name] = parse(name, text, f"--set {word}")
+            raise UsageError(f"--set {pair}: there is no value", "give --set NAME=VALUE")
+        settings[name] = parse(name, text, f"--set {pair}")
     return settings
 
 
@@ -187,7 +187,7 @@ def _bundle(path: Path, asked: Asked) -> BatchPlan:
 
 
 CHUNK = 4  # jobs in a task of a bundle
-SELF = ("--only", "--failed", "--tasks")  # words that choose jobs, with their values
+SELF = ("--only", "--failed", "--tasks")  # arguments that choose jobs, with their values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,6 +197,7 @@ class How:
     at_once: int | None = None
     memory: float | None = None  # [GB] of a job
     overwrite: bool = False
+    warm: bool = True
     scheduler: str | None = None
     resources: tuple[str, ...] = ()
     report: bool = True
@@ -268,7 +269,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
             events = run_there(jobs, limits, address=how.scheduler, resources=how.resources,
                                children=children)  # fmt: skip
         else:
-            events = run_here(jobs, limits, at_once=at_once, children=children)
+            events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
         outcomes = collect(events, tell)
     repeat = again(_without_choice(), outcomes)
     _finish(plan, outcomes, how, repeat=repeat, seconds=time.monotonic() - began,
@@ -299,7 +300,7 @@ def _finish(
         if outcome.hint:
             typer.echo(f"  hint: {outcome.hint}", err=True)
     if outcomes:
-        typer.echo(f"{words(outcomes)}, {seconds:.0f} s; results in {plan.out}", err=True)
+        typer.echo(f"{summary_line(outcomes)}, {seconds:.0f} s; results in {plan.out}", err=True)
     if repeat:
         typer.echo(f"to repeat just these: {repeat}", err=True)
     if how.as_json:
@@ -345,15 +346,15 @@ def _stoppable(children: Children) -> Iterator[list[int]]:
 
 
 def _without_choice() -> list[str]:
-    """This command's words, but for those that choose among its jobs."""
+    """This command's arguments, but for those that choose among its jobs."""
     kept, skip = ["gf-usd"], False
-    for word in sys.argv[1:]:
+    for argument in sys.argv[1:]:
         if skip:
             skip = False
             continue
-        name, sign, _ = word.partition("=")
+        name, sign, _ = argument.partition("=")
         if name in SELF:
             skip = not sign and name != "--failed"
             continue
-        kept.append(word)
+        kept.append(argument)
     return kept

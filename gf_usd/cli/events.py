@@ -63,7 +63,7 @@ def _emit_end(emit: Emit, end: GfUsdError | SystemExit) -> None:
         emit("error", status=end.exit_status, message=end.message, hint=end.hint)
     elif isinstance(end.code, int) and end.code > 128:  # a signal: see `main._stop`
         name = signal.Signals(end.code - 128).name
-        emit("error", status=end.code, message=f"ended by {name}", hint=exit.words())
+        emit("error", status=end.code, message=f"ended by {name}", hint=exit.message())
 
 
 def _opened(target: str) -> contextlib.AbstractContextManager[IO[str]]:

@@ -52,7 +52,7 @@ def watch(checkpoints: Sequence[Path]) -> None:
     _checkpoints[:] = checkpoints
 
 
-def words() -> str:
+def message() -> str:
     """What is left, and how to go on with it where that can be done."""
     kept = [str(path) for path in _checkpoints if path.exists()]
     if not kept:

@@ -299,6 +299,17 @@ class Region:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bone:
+    """A joint's part of a skeleton: where it lies in the rest body, and its motion."""
+
+    name: str  # path of the skeleton and joint, e.g. "/Hero/Skel:hips/spine"
+    segments: Floats  # (s, 2, 3) [m] from the joint to where each segment ends, at rest, world
+    free: tuple[bool, ...]  # (s,) whether a segment ends in flesh, and not at another joint
+    anchors: Floats  # (4, 3) [m] at rest, world: corners of a tetrahedron that moves with the joint
+    path: Floats  # (F, 4, 3) [m] where they are at each frame
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pin:
     """A region whose motion is given: held where it is, or following the source's animation.
 
@@ -313,6 +324,9 @@ class Pin:
     anchors: Floats  # (k, 3) [m] at rest, world
     path: Floats  # (T, k, 3) [m] where the anchors are at each frame; T = 1: they stay
     axes: tuple[bool, bool, bool] = (True, True, True)  # world axes that are held
+    # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
+    # the particles there are as elastic as any: a core in a solid.
+    sharp: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

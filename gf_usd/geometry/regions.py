@@ -85,12 +85,12 @@ def make_pin(region: Region, solid: Solid) -> Pin:
     if region.name.startswith(BOX):
         used = np.arange(8, len(anchors)) if len(anchors) > 8 else used
         anchors, path = anchors[used], path[:, used]
-    shape = _Shape(region.points, region.triangles)
+    shape = Shape(region.points, region.triangles)
     inside = shape.encloses if region.kind == "volume" else _Patch(shape, region, solid).holds
     return Pin(name=region.name, inside=inside, nearest=shape.nearest, anchors=anchors, path=path)
 
 
-class _Shape:
+class Shape:
     """Triangles to ask for distances; centered, so that far from the origin no digits are lost."""
 
     def __init__(self, points: Floats, triangles: Ints) -> None:
@@ -122,10 +122,10 @@ class _Shape:
 class _Patch:
     """What a part of a filled surface holds."""
 
-    def __init__(self, shape: _Shape, region: Region, solid: Solid) -> None:
+    def __init__(self, shape: Shape, region: Region, solid: Solid) -> None:
         at = [s.path for s in solid.surfaces].index(region.body)
         self._patch = shape
-        self._whole = _Shape(solid.surfaces[at].points, solid.triangles[at])
+        self._whole = Shape(solid.surfaces[at].points, solid.triangles[at])
         self._solid = solid
         self._tolerance = ON_SURFACE * float(np.linalg.norm(solid.high - solid.low))
 

@@ -64,7 +64,7 @@ class Repairs:
             + self.turned + self.turned_parts + self.inner + self.holes_closed + self.thickened
         )  # fmt: skip
 
-    def words(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         """A sentence each; empty where nothing was wrong."""
         dropped = [
             f"{n} {what}"
@@ -135,9 +135,10 @@ def repair_asset(asset: Asset) -> tuple[Asset, tuple[Repairs, ...]]:
 
 
 def notes(repairs: Sequence[Repairs]) -> tuple[str, ...]:
-    """The repairs in words, a line for each surface that needed any."""
+    """The repairs as text, a line for each surface that needed any."""
+    done = ((r.path, r.messages()) for r in repairs)
     return tuple(
-        f"<{r.path}> repaired for the fill: {'; '.join(r.words())}" for r in repairs if r.words()
+        f"<{path}> repaired for the fill: {'; '.join(said)}" for path, said in done if said
     )
 
 

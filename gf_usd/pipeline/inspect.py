@@ -19,7 +19,8 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             center, size, thickness, particles, suggested_particles; none where faults of a mesh
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
-materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
+materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
+            seconds, disk_bytes, memory_bytes
 advice      of --material auto, for each mesh: path, material, confidence, reason, by
 """
 
@@ -33,6 +34,7 @@ from typing import Any
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials import Material
 from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.repair import Repairs
@@ -76,7 +78,7 @@ class Inspection:
         return ("filled", "") if reason is None else ("rides along", reason)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; see the top of this file."""
+        """Plain values; their keys stand at the top of gf_usd/pipeline/inspect.py."""
         facts = self.asset.facts
         return {
             "file": str(facts.path),
@@ -225,7 +227,7 @@ def _plain(values: Floats) -> list[float]:
 def inspect(
     path: str | Path,
     *,
-    material: str | None = None,
+    material: str | tuple[str | Material, ...] | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
     meters_per_unit: float | None = None,

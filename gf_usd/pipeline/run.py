@@ -28,16 +28,16 @@ from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.forecast import Forecast
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
-from gf_usd.pipeline.health import HealthLog, health_warnings
-from gf_usd.pipeline.result import BakeResult, VariantResult, report_json, require_healthy
-from gf_usd.prepare.options.option import takes
-from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
+from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
+from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
+from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
 
 if TYPE_CHECKING:
+    from gf_usd.layers.usd_warnings import Warned
     from gf_usd.layers.variants import BakedVariant
     from gf_usd.physics.frame_loop import Solver
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -54,11 +54,12 @@ class Prepared:
     plan: Plan
     converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
     resume: Resume = field(default_factory=Resume)
+    warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
 
     @cached_property
     def solvers(self) -> Solvers:
         """The solvers of its variants."""
-        return Solvers(partial(_solver, self.plan), len(self.plan.particles))
+        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
 
     @cached_property
     def cost(self) -> Cost:
@@ -79,68 +80,25 @@ class Prepared:
         )
 
 
-@takes(BakeOptions)
-def bake(
-    path: str | Path,
-    *,
-    strict: bool = False,
-    max_hours: float = MAX_HOURS,
-    slice: int | None = None,
-    progress: Progress | None = None,
-    **options: Any,
-) -> BakeResult:
-    """Fill an asset with particles, simulate it and write its layers.
-
-    Parameters
-    ----------
-    path : the asset; it is never written to.
-    material : a preset (see ``gf-usd materials``), a USD file with a material, or several with
-        commas between them, which become variants of one root layer; default what the stage says,
-        else rubber.
-    output : root layer, or a folder; default ``NAME.MATERIAL.usda`` in the current folder.
-    law : constitutive law in place of the material's own: corotated or neoHookean.
-    prims : prim paths to bake; default all under the default prim.
-    overwrite : replace results of an earlier bake.
-    meters_per_unit, up_axis : in place of what the file says or omits.
-    repair : mend the triangles that are filled (`geometry.repair`); the asset keeps its own.
-    strict : raise UnhealthyError where the finished bake has warnings.
-    max_hours : refuse a bake whose estimate is longer.
-    resume : go on from the checkpoints of this bake, if it ended early; see the guide.
-    slice : full value clips after which it ends, to be resumed.
-    limits : `sandbox.Limits` of a child process that reads the asset; None: this process reads it.
-    progress : called after each frame with (frames done, frames in all).
-    options : the fields of `Request`: particles, spacing [stage units], frames, fps,
-        start [time code], drop ("3r" or stage units), gravity [m/s^2], seed, device, threads,
-        filter_rate [1/T], damping_time [s], friction, restitution, time_scale, skin and so on.
-
-    Raises
-    ------
-    UsageError : the options make no sense, or the output exists or cannot be written.
-    InputError : the asset was refused; nothing was written.
-    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
-        SolverError, with the frame and the particle, where the solver could not go on.
-    Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : strict, and there are warnings; the files are written.
-    """
-    prepared = prepare(path, **options)
-    result = run(prepared, progress, max_hours=max_hours, slice=slice)
-    if strict:
-        require_healthy(result)
-    return result
-
-
 def prepare(
     path: str | Path, *, overwrite: bool = False, resume: bool = False, **options: Any
 ) -> Prepared:
-    """A bake with the checkpoints that it goes on from, ready to run; see `bake`."""
-    plan, converted = prepare_plan(path, overwrite=overwrite, resume=resume, draw=draw, **options)
+    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`."""
+    from gf_usd.layers.usd_warnings import gathered
+
+    with gathered() as warned:
+        plan, converted = prepare_plan(
+            path, overwrite=overwrite, resume=resume, draw=draw, **options
+        )
+    plan = replace(plan, notes=(*plan.notes, *warned.lines()))
+    told = frozenset(warned.said)
     if not resume:
-        return Prepared(plan=plan, converted=converted)
+        return Prepared(plan=plan, converted=converted, warned=told)
     clips = bool(plan.choices.clip_frames)
     identify = partial(_identity, plan)
     found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
     plan = replace(plan, notes=(*plan.notes, *found.notes))
-    return Prepared(plan=plan, converted=converted, resume=found)
+    return Prepared(plan=plan, converted=converted, resume=found, warned=told)
 
 
 def _identity(plan: Plan, variant: Variant) -> dict[str, str]:
@@ -201,11 +159,13 @@ def run(
         copies=2 if plan.outputs.flat else 1,
     )
     sequences = [files.lock for each in plan.sequences for files in each]
-    with output_lock(plan.outputs.root, sequences, plan.seen):
+    from gf_usd.layers.usd_warnings import gathered
+
+    with output_lock(plan.outputs.root, sequences, plan.seen), gathered() as warned:
         forecast = Forecast(
             prepared.cost, sampled(settings).frames, max_hours, again=_again(plan), remark=remark
         )
-        return _run_locked(prepared, progress, checkpoints, forecast)
+        return _run_locked(prepared, progress, checkpoints, forecast, warned)
 
 
 def _again(plan: Plan) -> str:
@@ -224,6 +184,7 @@ def _run_locked(
     progress: Progress | None,
     checkpoints: CheckpointWriter,
     forecast: Forecast,
+    warned: Warned,
 ) -> BakeResult:
     from gf_usd.layers.check.run import review
 
@@ -266,6 +227,7 @@ def _run_locked(
     input_hash(plan.asset.facts.path)
     notes += delivery.publish(baked, earlier)
     findings = review(files.root, plan.source)
+    notes += warned.lines(prepared.warned)
     seconds = time.perf_counter() - began
     report = report_json(describe(plan), plan.settings, results, seconds, notes, findings)
     publish_text(files.report, json.dumps(report, indent=1) + "\n")
@@ -377,7 +339,7 @@ def _run_variant(
         clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
-        warnings=health_warnings(health),
+        warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
     )
     baked = BakedVariant(
         name=variant.name,
@@ -391,7 +353,7 @@ def _run_variant(
     return result, baked, (*summary.notes, *splats.notes), failure
 
 
-def _solver(plan: Plan, variant: Variant) -> Solver:
+def solver_of(plan: Plan, variant: Variant) -> Solver:
     """The solver of a variant, at its start."""
     from gf_usd.physics.solvers import make_solver
 

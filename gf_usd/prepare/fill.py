@@ -28,7 +28,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import LAWS, Material
-from gf_usd.core.stage import StageSpec
+from gf_usd.core.stage import Pin, StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -42,7 +42,7 @@ from gf_usd.prepare.bodies import (
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.pins import make_pins
+from gf_usd.prepare.pins import flesh_pins, make_pins, read_animation
 from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
@@ -60,16 +60,19 @@ def fill(
     presets: Sequence[Any],
     law: str | None,
     files: Outputs,
-    file: Path,
+    file: Path | None,
     *,
     spec: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
+    more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
 
-    file : its USD form; spec : what its stage says.
+    file : its USD form; None: it has none, and spec has the motion of its obstacles.
+    spec : what its stage says.
     known : what `diagnose` said of its surfaces, if it was asked already.
+    more_pins : of the solid, besides those that are asked for.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
@@ -115,7 +118,7 @@ def fill(
 
     owners = {path: body.owner for path, body in spec.bodies.items()}
     spacing = asked.spacing or float(np.cbrt(solid.volume / (asked.particles or 1)))
-    combine = request.combine or paper or request.solver == "ul"
+    combine = request.combine or paper or request.flesh or request.solver == "ul"
     bodies, particles = plan_bodies(asset, solid, spacing, sample, owners, combine=combine)
     _require_one_body(request, bodies.count)
     if paper:
@@ -133,11 +136,22 @@ def fill(
     every_surface = (*asset.surfaces, *solid.surfaces)
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
-    settings = resolve(request, asset.facts, radius, lowest)
+    animation = read_animation(asset, file, request.start) if request.flesh and file else None
+    settings = resolve(request, asset.facts, radius, lowest, animation)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(request.pins, asset, solid, sampled(settings), file, rest=request.start)
+    pins = tuple(more_pins(solid)) if more_pins else ()
+    boned: tuple[str, ...] = ()
+    if file is not None:
+        names = request.listed("pins")
+        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
+    if animation and file is not None:
+        cores, boned = flesh_pins(
+            asset, solid, sampled(settings), animation, file, share=request.bone_radius,
+            lattice=particles.lattice,
+        )  # fmt: skip
+        pins += cores
     physics = spec.physics
-    if physics.colliders:
+    if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
@@ -203,7 +217,7 @@ def fill(
         settings=each[0],
         each=each,
         outputs=files,
-        source=files.source or file,
+        source=files.source or file or asset.facts.path,
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
@@ -215,10 +229,10 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *limbs.notes,
-            *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes, *embedded_points,
-            *left, *skin,
-            *_options(made, each), *split, *_nothing_remembered(made, settings),
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *boned,
+            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
+            *embedded_points, *left, *skin, *_options(made, each), *split,
+            *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip
     return plan, solid
@@ -234,8 +248,11 @@ def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Reques
         notes.append(
             f"gravity is that of <{physics.scene}>: {material_regions.shown(physics.gravity)} m/s^2"
         )
+    if request.flesh and request.floor is None:
+        more["floor"] = "none"
+        notes.append("there is no floor under the animation; --floor 0 adds one")
     if physics.colliders:
-        if request.floor is None:
+        if request.floor is None and not request.flesh:
             more["floor"] = "none"
             notes.append(
                 f"the stage has {len(physics.colliders)} obstacles, so there is no floor; --floor 0"

@@ -1,4 +1,4 @@
-"""Pins from `--pin`: a box, or the volume that a prim of the asset bounds."""
+"""Pins from `--pin`: a box, or the volume that a prim of the asset bounds; bones of `--flesh`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings
 from gf_usd.core.stage import Pin, Region
+from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
@@ -73,3 +74,56 @@ def _require_hold(region: Region, asset: Asset) -> None:
             " (stage units)",
             "give a region that overlaps it",
         )
+
+
+BONE_RADIUS = 0.5  # of the distance to the skin
+
+
+def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
+    """The animation of the skeletons that pose an asset; start : its first time code, as asked for.
+
+    Raises InputError where no skeleton poses any of it, and for a broken one.
+    """
+    from gf_usd.readers.usd.bones import animation_range, read_bones
+
+    paths = [s.path for s in asset.surfaces]
+    first, last = animation_range(file, paths, asset.facts)
+    if start is not None:
+        first, last = first_time_code(asset.facts, start), max(start, last)
+    bones = read_bones(file, paths, asset.facts, first=first, times=[first])
+    reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
+    return Animation(first=first, last=last, reach=reach)
+
+
+def flesh_pins(
+    asset: Asset,
+    solid: Solid,
+    settings: Settings,
+    animation: Animation,
+    file: Path,
+    *,
+    share: float | None,
+    lattice: float,
+) -> tuple[tuple[Pin, ...], tuple[str, ...]]:
+    """The bones' cores as pins, and notes.
+
+    settings : as `sampled`; share : of --bone-radius, None: the default; lattice : [m] half the
+    edge of a cell.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
+    """
+    from gf_usd.geometry.bones import bone_cores, bone_pins
+    from gf_usd.readers.usd.bones import read_bones
+
+    step = settings.time_codes_per_second / settings.fps
+    lead = round((animation.first - settings.start) / step)
+    times = animation.first + (np.arange(settings.frames) - lead) * step
+    paths = [s.path for s in asset.surfaces]
+    bones = read_bones(file, paths, asset.facts, first=animation.first, times=times.tolist())
+    cores, notes = bone_cores(bones, solid, BONE_RADIUS if share is None else share, 2.0 * lattice)
+    pins = bone_pins(bones, cores)
+    if not pins:
+        raise InputError(
+            f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
+            f" as {bones[0].name}",
+            "bind the mesh again: in the bind pose its skeleton lies inside of it",
+        )
+    return pins, notes

@@ -23,10 +23,10 @@ from gf_usd.core.frames import (
     summary,
     written,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import Material, law_internals
 from gf_usd.core.stage import Advice, ContactSetup, Pin
 from gf_usd.prepare.bodies import BodyPlan
-from gf_usd.prepare.options.table import words
+from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 
 
@@ -60,6 +60,7 @@ class Plan:
     embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
+    odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     pins: tuple[Pin, ...] = ()
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
@@ -116,7 +117,7 @@ def riding_points(asset: Asset) -> dict[str, Floats]:
 
 def command_line(source: Path, **asked: Any) -> str:
     """The ``gf-usd bake`` that asks for this; what was left to its default is left out."""
-    return shlex.join(["gf-usd", "bake", source.name, *words(asked)])
+    return shlex.join(["gf-usd", "bake", source.name, *arguments(asked)])
 
 
 def input_hash(path: Path) -> str:
@@ -182,6 +183,7 @@ SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
+INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writes more
 
 
 def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choices) -> int:
@@ -196,6 +198,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
     if "gaussians" in choices.shapes:
         each = SPLAT_BYTES - HALF_BYTES * choices.half
         each += GRADIENT_BYTES * settings.deformation_gradients + STRESS_BYTES * settings.stress
+        each += INTERNAL_BYTES * settings.internal
         size += each * particles
     if "points" in choices.shapes:
         size += POINT_BYTES * particles

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core import materials
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials import Material
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 def prepare(
     path: str | Path,
     *,
-    material: str | None = None,
+    material: str | tuple[str | Material, ...] | None = None,
     output: str | Path | None = None,
     law: str | None = None,
     prims: Sequence[str] = (),
@@ -65,6 +66,9 @@ def prepare(
     Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
     long as the object is there.
     """
+    from gf_usd.system import usd_schema
+
+    usd_schema.require()
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)
@@ -84,13 +88,14 @@ def prepare(
     )
     lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
-        source, material=material, law=law, meters_per_unit=meters_per_unit, up_axis=up_axis,
-        repair=repair, **{k: v for k, v in options.items() if k not in lists}, prims=tuple(prims),
-        **lists,
+        source, material=names_of(material), law=law, meters_per_unit=meters_per_unit,
+        up_axis=up_axis, repair=repair, **{k: v for k, v in options.items() if k not in lists},
+        prims=tuple(prims), **lists,
     )  # fmt: skip
     odd = implausible_size(asset)
     plan = replace(
         plan, command=command, notes=(*plan.notes, odd) if odd else plan.notes,
+        odd=odd if asset.facts.unit_from == ASSUMED else "",
         sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip
     return plan, found.converted
@@ -122,7 +127,9 @@ def _targets(
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
     require_free(files, overwrite)
-    asked = sequences(source.stem, names, ply=request.export_ply, spz=request.export_spz)
+    asked = sequences(
+        source.stem, names, ply=request.folder("export_ply"), spz=request.folder("export_spz")
+    )
     require_free_sequences(asked, overwrite)
     return Targets(files=files, sequences=asked, seen=seen, overwrite=overwrite)
 
@@ -172,6 +179,11 @@ def read_stage(
     """
     asset, spec, converted = _hulled(read.asset), read.spec, read.converted
     usd = converted is None
+    if request.flesh and not usd:
+        raise InputError(
+            f"{source}: --flesh: no skeleton is read of {source.suffix} files",
+            "export the character as USD, with its skeleton (UsdSkel) and its animation",
+        )
     if spec is None:
         spec = StageSpec()
         if usd:
@@ -216,7 +228,7 @@ def reading(
     """The file, being read."""
     return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
-        time_code=request.start, elastic=_elastic(presets),
+        time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
     )  # fmt: skip
 
 
@@ -231,10 +243,11 @@ def would_fill(asset: Asset) -> bool:
 
 
 def parse_request(
-    material: str | None, law: str | None, options: dict[str, Any]
+    material: str | tuple[str | Material, ...] | None, law: str | None, options: dict[str, Any]
 ) -> tuple[Request, list[Any]]:
     """The request and the presets of a bake, checked before anything is read.
 
+    material : names with commas between, or names and materials given by their values.
     No preset: the stage says what it is made of, or it is rubber.
     """
     request = Request.of(options)
@@ -245,14 +258,30 @@ def parse_request(
 
     if material is None and request.preset == "paper":
         material = "rubber"
-    auto = parse_auto(material, request.preset)
+    auto = parse_auto(names_of(material), request.preset)
     if auto is not None:
         return request, [auto]
-    return request, [_find(name, request) for name in material.split(",")] if material else []
+    named = material.split(",") if isinstance(material, str) and material else material
+    return request, [_find(one, request) for one in named or ()]
 
 
-def _find(name: str, request: Request) -> Any:
-    """A preset, or the material of a file in the clothes of one."""
+def names_of(material: str | tuple[str | Material, ...] | None) -> str | None:
+    """The names of materials with commas between, also of those given by their values."""
+    if material is None or isinstance(material, str):
+        return material
+    return ",".join(one if isinstance(one, str) else one.name for one in material)
+
+
+def _find(name: str | Material, request: Request) -> Any:
+    """A preset, or a material of a file or of given values in the clothes of one."""
+    if isinstance(name, Material):
+        return materials.Fixed(
+            name,
+            (
+                f"the values of the material {name.name} were given by the"
+                " caller: the recorded command names it only",
+            ),
+        )
     from gf_usd.readers.usd_bake.material_file import is_material_file, read_material
 
     if is_material_file(name):

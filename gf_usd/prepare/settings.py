@@ -35,6 +35,7 @@ ACROSS = 3.0
 FINEST = 4  # times as many at most, for thin parts
 SENSIBLE = 2_000_000  # particles: more is no advice
 DEFAULT_FPS = 24.0
+LEAD = 1.0  # [s] that a pre-roll takes at least: what its start shakes up dies away
 DEFAULT_DROP = Height(value=3.0, in_radii=True)
 
 # GaussianFlesh section 4, with what it leaves out as fitted in docs/physics.md: a unit sphere,
@@ -132,10 +133,35 @@ def gravity_vector(asked: float | Triple | None, up: Floats) -> Triple:
     return triple(-(G0 if asked is None else asked) * up + 0.0)
 
 
-def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -> Settings:
+@dataclass(frozen=True, kw_only=True)
+class Animation:
+    """What a character's flesh follows."""
+
+    first: float  # time code
+    last: float
+    reach: float  # [m] from the bind pose to the first pose, of the part that goes the farthest
+
+    def preroll(self, fps: float, time_scale: float) -> int:
+        """Frames from the bind pose to the first pose.
+
+        Along s = 3 r^2 - 2 r^3 a way D takes the largest acceleration 6 D / T^2: T is at least that
+        of gravity.  time_scale : simulated seconds per second of playback.
+        """
+        seconds = max(LEAD, (6.0 * self.reach / G0) ** 0.5)
+        return int(np.ceil(seconds * fps / time_scale - ROUNDING))
+
+
+def resolve(
+    request: Request,
+    facts: StageFacts,
+    radius: float,
+    lowest: float,
+    animation: Animation | None = None,
+) -> Settings:
     """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
+    animation : that the bones of --flesh follow.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -148,18 +174,24 @@ def resolve(request: Request, facts: StageFacts, radius: float, lowest: float) -
     height = (asked["drop"] or still).meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
     lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
-    if request.drop is None and (request.pins or floor is None):
+    if animation or (request.drop is None and (request.pins or floor is None)):
         lift = 0.0
     elif floor is None:
         lift = height
     slow = slowed(asked["time_scale"], T)
     shot = int(np.ceil(SHOT_LENGTH * T * fps / slow)) + 1
-    start = first_time_code(facts, request.start)
+    start, step = first_time_code(facts, request.start), (authored or fps) / fps
+    if animation:
+        start = animation.first
+        shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
     frames = request.frames or (PAPER_FRAMES if paper else shot)
     first, frames = span(
-        asked["range"], request.handles or 0, start=start, step=(authored or fps) / fps,
+        asked["range"], request.handles or 0, start=start, step=step,
         frames=frames, fixed=bool(request.frames), said=f"--range {request.range}",
     )  # fmt: skip
+    if animation:
+        lead = request.preroll or animation.preroll(fps, slow)
+        first, frames, start = first + lead, frames + lead, start - lead * step
     rate = request.filter_rate
     if rate is None:
         rate = np.inf if paper or request.solver == "ul" else FILTER_RATE

@@ -22,6 +22,7 @@ def read_asset(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     time_code: float | None = None,
+    bind_pose: bool = False,
 ) -> Asset:
     """The surfaces and facts of an asset file, in meters, posed at one time.
 
@@ -32,6 +33,7 @@ def read_asset(
     meters_per_unit : [m] size of the file's unit, in place of what the file says or omits.
     up_axis : "Y" or "Z", in place of what the file says or omits.
     time_code : where the pose is read; None: the file's startTimeCode, or 1.
+    bind_pose : meshes that a skeleton poses are read in its bind pose.
 
     Raises
     ------
@@ -49,6 +51,7 @@ def read_asset(
         meters_per_unit=meters_per_unit,
         up_axis=up_axis,
         time_code=time_code,
+        bind_pose=bind_pose,
     )
 
 

@@ -88,6 +88,7 @@ def read_untrusted(
     up_axis: str | None = None,
     time_code: float | None = None,
     elastic: bool = True,
+    bind_pose: bool = False,
 ) -> Source:
     """All that a bake reads of a file before it fills it.
 
@@ -104,9 +105,16 @@ def read_untrusted(
     from gf_usd.system import usd_schema  # noqa: F401
 
     asset = read_asset(
-        path, prims=prims, meters_per_unit=meters_per_unit, up_axis=up_axis, time_code=time_code
+        path,
+        prims=prims,
+        meters_per_unit=meters_per_unit,
+        up_axis=up_axis,
+        time_code=time_code,
+        bind_pose=bind_pose,
     )
     if asset.splats:  # they get surfaces first, of which the stage is then asked
         return Source(asset=asset, spec=None)
-    asset, spec = read_stage_spec(asset, path, prims, rest=time_code, elastic=elastic)
+    # no animation leads up to the bind pose: it starts at rest
+    rest = None if bind_pose else time_code
+    asset, spec = read_stage_spec(asset, path, prims, rest=rest, elastic=elastic)
     return Source(asset=asset, spec=spec)

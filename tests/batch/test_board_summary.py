@@ -7,7 +7,7 @@ from pathlib import Path
 
 from batch_jobs import job, outcome
 
-from gf_usd.batch.board import again, counts, failed_in, ordered, words, write_summary
+from gf_usd.batch.board import again, counts, failed_in, ordered, summary_line, write_summary
 from gf_usd.batch.record import write_record
 
 ENDS = [
@@ -19,8 +19,8 @@ ENDS = [
 def test_what_needs_a_look_comes_first() -> None:
     assert [o.job for o in ordered(ENDS)] == ["d", "c", "f b", "b", "a", "e"]
     assert counts(ENDS) == {"done": 2, "kept": 1, "stopped": 1, "refused": 1, "crashed": 1}
-    assert words(ENDS) == "1 crashed, 1 refused, 1 stopped, 2 done, 1 kept"
-    assert words([]) == "no jobs"
+    assert summary_line(ENDS) == "1 crashed, 1 refused, 1 stopped, 2 done, 1 kept"
+    assert summary_line([]) == "no jobs"
 
 
 def test_the_command_names_just_those() -> None:

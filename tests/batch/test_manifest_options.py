@@ -21,7 +21,7 @@ def test_every_option_is_one_of_the_command() -> None:
     for name, option in KNOWN.items():
         value = ["/A", "/B"] if option.repeated else VALUES[option.kind]
         job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options={name: value})
-        words = [word for word in job.words()[4:] if word.startswith("--")]
+        words = [word for word in job.arguments()[4:] if word.startswith("--")]
         assert words, name
         assert set(words) <= there, name
     assert {name for name, option in KNOWN.items() if option.two_way} == {"wls", "self_contact"}
@@ -59,7 +59,7 @@ def test_a_word_that_is_no_number_is_refused() -> None:
 def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
     options = clean({"limits": "time=60,memory=4G"}, "here", Path())
     job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)
-    assert job.words()[-2:] == ["--limits", "time=60,memory=4G"]
+    assert job.arguments()[-2:] == ["--limits", "time=60,memory=4G"]
     assert decisive(options) == {"material": "rubber"}
     with pytest.raises(UsageError, match="here: --limits 'time=0': 'time=0' is no limit"):
         clean({"limits": "time=0"}, "here", Path())

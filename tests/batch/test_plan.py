@@ -43,7 +43,7 @@ def test_every_combination_is_a_job_named_by_what_differs(tmp_path: Path) -> Non
     assert job.root == tmp_path / "out" / "a.jelly.seed1.usda"
     assert job.options == {"material": "jelly", "seed": 1, "frames": 4}
     assert job.record.name == "a.jelly.seed1.job.json"
-    assert job.words() == [
+    assert job.arguments() == [
         "bake", str(tmp_path / "a.usda"), "--output", str(job.root),
         "--material", "jelly", "--seed", "1", "--frames", "4",
     ]  # fmt: skip
@@ -63,7 +63,7 @@ def test_a_template_makes_folders_and_mends_odd_values(tmp_path: Path) -> None:
 def test_flags_and_lists_become_words(tmp_path: Path) -> None:
     settings = {"repair": True, "stress": False, "wls": False, "pins": ["/A", "/B"], "drop": "1r"}
     (job,) = plan(tmp_path, {"files": ["a.usda"], "settings": settings}).jobs
-    assert job.words()[4:] == [
+    assert job.arguments()[4:] == [
         "--repair", "--no-wls", "--pin", "/A", "--pin", "/B", "--drop", "1r",
     ]  # fmt: skip
 

@@ -10,7 +10,7 @@ from small_bakes import BAKE, ESTIMATE, HEALTH, REPORT, RESULT, SMALL, names, st
 
 import gf_usd as package
 from gf_usd.core.frames import Settings
-from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.table import OPTIONS
 
 
 def test_json_is_all_there_is_on_stdout(gf_usd, here: Path, block: Path) -> None:
@@ -134,6 +134,6 @@ def test_options_that_python_misspells(here: Path, block: Path) -> None:
     with pytest.raises(package.UsageError) as caught:
         package.bake(block, particle=300)
     assert caught.value.message == "bake() has no option 'particle'"
-    known = ", ".join(sorted(Request.__dataclass_fields__))
-    assert caught.value.hint == f"its options are {known}"
+    known = ", ".join(sorted([*OPTIONS, "progress"]))
+    assert caught.value.hint == f"did you mean particles? its options are {known}"
     assert names(here) == []

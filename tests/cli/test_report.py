@@ -14,7 +14,7 @@ from small_bakes import BLOCK, names
 @pytest.fixture(scope="module")
 def baked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small bake of two looks; tests copy it."""
-    from gf_usd.pipeline.run import bake
+    from gf_usd.api.bake import bake
 
     folder = tmp_path_factory.mktemp("baked")
     (folder / "block.usda").write_text(BLOCK, encoding="utf-8")

@@ -30,7 +30,7 @@ def test_a_sound_surface_is_handed_back_as_it_is():
     mended, done = repair_surface(body)
     assert mended is body
     assert not done.changed
-    assert done.words() == ()
+    assert done.messages() == ()
     assert notes([done]) == ()
 
 
@@ -48,7 +48,7 @@ def test_a_small_hole_is_closed_without_a_new_point():
     assert done.largest_closed == pytest.approx(before.holes[0].share)
     # The cap cuts off a pyramid over the ring: a thousandth of the ball.
     assert volume(mended) == pytest.approx(volume(whole), rel=2e-3)
-    assert f"closed 1 hole with {ring - 2} triangles" in done.words()[0]
+    assert f"closed 1 hole with {ring - 2} triangles" in done.messages()[0]
 
 
 def test_the_authored_mesh_stays_as_it_is():
@@ -97,7 +97,7 @@ def test_a_large_hole_is_left_and_said():
     assert (done.holes_closed, done.holes_left) == (0, 1)
     assert done.largest_left == pytest.approx(1 / 6)
     assert HOLE_LIMIT < 1 / 6
-    assert "left 1 hole open, the largest 17 %" in done.words()[0]
+    assert "left 1 hole open, the largest 17 %" in done.messages()[0]
 
 
 def test_holes_that_touch_in_a_vertex_are_both_closed():

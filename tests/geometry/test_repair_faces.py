@@ -24,7 +24,7 @@ def test_triangles_against_the_rest_are_turned():
     assert volume(mended) == pytest.approx(volume(whole), rel=1e-12)
     # The same directions, though a triangle may start at another of its corners.
     assert mended.triangles.shape == whole.triangles.shape
-    assert "turned 400 triangles" in done.words()[0]
+    assert "turned 400 triangles" in done.messages()[0]
 
 
 def test_a_part_that_is_inside_out_is_turned():
@@ -65,7 +65,7 @@ def test_a_triangle_that_is_there_twice_is_dropped():
     mended, done = repair_surface(body)
     assert done.duplicates == 3
     np.testing.assert_array_equal(mended.triangles, whole.triangles)
-    assert "dropped triangles: 3 duplicate" in done.words()[0]
+    assert "dropped triangles: 3 duplicate" in done.messages()[0]
 
 
 def test_a_body_modeled_with_both_sides_keeps_one():

@@ -77,9 +77,7 @@ def _kernel(spec: LawSpec, fresh: bool):
     count = MODULI + len(spec.parameters)
 
     @ti.kernel
-    def run(
-        F: array, values: array, a: array, E: array, loss: array, batches: ti.i32, done: kind
-    ):
+    def run(F: array, values: array, a: array, E: array, loss: array, batches: ti.i32, done: kind):
         for b in range(batches):
             o = b * 72
             q = [load_lanes(values, LANES * (count * b + k)) for k in ti.static(range(count))]

@@ -137,7 +137,7 @@ def test_a_bake_that_is_too_long_leaves_its_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(forecasts, "OVERRUN", 0.0)
-    with pytest.raises(SolverError, match="--max-hours 1 lets it take"):
+    with pytest.raises(SolverError, match="max_hours 1 lets it take"):
         gf_usd.bake(str(SPHERE), material="clay", output=f"{tmp_path}/", particles=100, frames=6)
     assert list(tmp_path.glob("*.cache.partial.usdc"))
     assert list(tmp_path.glob("*.report.json"))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
 
-from gf_usd.pipeline.run import bake, prepare
+from gf_usd.api.bake import bake
+from gf_usd.pipeline.run import prepare
 
 SPHERE = Path(__file__).resolve().parents[2] / "samples" / "sphere.usda"
 

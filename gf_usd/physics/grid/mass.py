@@ -209,9 +209,9 @@ def reduced(stencil: Stencil, springs: Floats) -> sparse.csr_matrix:
     low, high = links()
     i, j = stencil.cell_nodes[:, low].ravel(), stencil.cell_nodes[:, high].ravel()
     count, k = stencil.node_count, springs.ravel()
-    beside = sparse.csr_matrix((k, (i, j)), shape=(count, count))
-    beside = beside + beside.T
-    K = sparse.diags_array(np.asarray(beside.sum(1)).ravel()) - beside
+    adjacency = sparse.csr_matrix((k, (i, j)), shape=(count, count))
+    adjacency = adjacency + adjacency.T
+    K = sparse.diags_array(np.asarray(adjacency.sum(1)).ravel()) - adjacency
     E = sparse.vstack([sparse.identity(stencil.free_count), stencil.follow], format="csr")
     K = E.T @ K @ E
     return sparse.csr_matrix(0.5 * (K + K.T))

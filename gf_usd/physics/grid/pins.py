@@ -8,6 +8,8 @@ what is across the region's boundary, as a ghost node does in finite differences
 
 so that u = g on the boundary to second order in h, and uniform strain up to there is exact.
 (Setting u_l = g alone would clamp the body up to half a cell away from where it was asked to be.)
+A pin that is not `sharp`, such as a bone's core, has no mirrored nodes: all nodes inside it follow
+the motion, and the particles there keep their mass and stress.
 Both are rows of the same kind as those of light nodes, u_l = sum_j e_lj u_j + c_l(t), and forces go
 back through the same numbers.  Particles inside a pin move as given and carry no stress.
 
@@ -94,12 +96,21 @@ def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
     return PinnedPoints(axes=out)
 
 
+def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
+    """`pinned_by` of those pins that are held at their boundary: nothing is left to solve there."""
+    axes = pinned_by(pins, X).axes
+    cores = [index for index, pin in enumerate(pins) if not pin.sharp]
+    return PinnedPoints(axes=np.where(np.isin(axes, cores), -1, axes))
+
+
 def mirror_points(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -> Floats:
     """X' (n, 3) [m] of held nodes near the boundary of their pins; nan for free and deep ones."""
-    out = np.where(held.free.all(1)[:, None], np.nan, X)
+    out = np.where(held.free.all(1, keepdims=True), np.nan, X)
     for index, pin in enumerate(pins):
         mine = np.flatnonzero((held.axes == index).any(1) & np.isfinite(out).all(1))
-        if len(mine):
+        if not pin.sharp:
+            out[mine] = np.nan
+        elif len(mine):
             b = pin.nearest(out[mine])
             near = np.linalg.norm(b - out[mine], axis=1) < REACH * h
             out[mine] = np.where(near[:, None], 2.0 * b - out[mine], np.nan)
@@ -114,7 +125,7 @@ def axis_factors(held: PinnedPoints, mirror: Floats) -> Floats | None:
     if not held.slide.any():
         return None
     out = np.where(held.free, -1.0, 1.0)
-    out[np.isnan(mirror).any(1)[:, None] & ~held.free] = 0.0
+    out[np.isnan(mirror).any(1, keepdims=True) & ~held.free] = 0.0
     out[held.free.all(1)] = 1.0
     return out
 
@@ -149,7 +160,7 @@ class PinConstraint:
 
     def __init__(self, pins: Sequence[Pin], X: Floats) -> None:
         self.pins = tuple(pins)
-        self.particles = pinned_by(self.pins, X)
+        self.particles = boundary_held(self.pins, X)
         self.motions = [Motion(pin.anchors, pin.path) for pin in self.pins]
         if (self.particles.pin >= 0).all():
             raise InputError(
@@ -166,9 +177,15 @@ class PinConstraint:
         return any(motion.moving for motion in self.motions)
 
     def check(self, nodes: PinnedPoints) -> None:
-        """Raise InputError for a pin that holds no node of the grid."""
+        """Raise InputError for a pin that holds no node of the grid; of cores, if none does."""
+        cores = [index for index, pin in enumerate(self.pins) if not pin.sharp]
+        if cores and not np.isin(nodes.axes, cores).any():
+            raise InputError(
+                f"none of the {len(cores)} bones of --flesh holds a node of the grid",
+                "use more particles (--particles), or a larger --bone-radius",
+            )
         for index, pin in enumerate(self.pins):
-            if not (nodes.axes == index).any():
+            if pin.sharp and not (nodes.axes == index).any():
                 raise InputError(
                     f"--pin {pin.name} holds no node of the grid: it is smaller than a cell, or"
                     " away from the body",

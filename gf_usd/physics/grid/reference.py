@@ -343,7 +343,8 @@ def build_stencil(
     if copies is not None and held.any:
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)
-        inside[cell_nodes[cell[m[order] == 0.0]]] = True
+        pinned = pinned_by(pin_constraint.pins if pin_constraint else (), X - shift[body])
+        inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
         held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
     mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(

@@ -32,7 +32,7 @@ def largest_eigenvalue(inverse_mass: Operator, stiffness: Operator, start: Float
         return 0.0
     q, Kq = q / size, Kq / size
     diagonal: list[float] = []
-    beside: list[float] = []
+    off_diagonal: list[float] = []
     value = bound = 0.0
     for _ in range(MOST):
         r = inverse_mass(Kq)
@@ -41,11 +41,11 @@ def largest_eigenvalue(inverse_mass: Operator, stiffness: Operator, start: Float
         Kr = stiffness(r)
         beta = float(np.sqrt(max((r * Kr).sum(), 0.0)))
         values, vectors = np.linalg.eigh(
-            np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+            np.diag(diagonal) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
         )
         value, bound = float(values[-1]), beta * abs(float(vectors[-1, -1]))
         if bound <= ACCURACY * value or beta <= 1e-12 * value:
             break
-        beside.append(beta)
+        off_diagonal.append(beta)
         q_old, q, Kq = q, r / beta, Kr / beta
     return value + bound

@@ -26,7 +26,7 @@ from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
-from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, pinned_by
+from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
@@ -137,7 +137,7 @@ def build_body(
     held = {}
     if pin_constraint:
         pin_constraint.check(stencil.held)
-        held = {name: pinned_by(pins, X) for name, X in (embedded or {}).items()}
+        held = {name: boundary_held(pins, X) for name, X in (embedded or {}).items()}
         held[""] = pin_constraint.particles
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
@@ -239,7 +239,7 @@ def surface_contact(
     """
     if samples is None or (settings.floor is None and not meets):
         return None
-    free = pinned_by(pins, samples.X).pin < 0
+    free = boundary_held(pins, samples.X).pin < 0
     if not free.any():
         return None
     samples = SurfaceSamples(

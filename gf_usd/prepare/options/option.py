@@ -8,33 +8,20 @@ name, the type and the default, the `Option` gives the rest.
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, Field, dataclass, fields, replace
-from pathlib import Path
-from typing import (
-    Annotated,
-    Any,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-    cast,
-    dataclass_transform,
-    get_args,
-    get_origin,
-)
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_origin
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.units import positive
+from gf_usd.prepare.options import values
 
 BAKE = ("bake",)
 BATCH = ("bake", "batch")  # a manifest may give it, too
 INSPECT = ("bake", "batch", "inspect")
-PLAIN: tuple[type, ...] = (int, float, bool, str)  # what a word of the command line becomes
+PLAIN: tuple[type, ...] = (int, float, bool, str)  # what an argument becomes
 
-P = ParamSpec("P")
-R = TypeVar("R", covariant=True)
 T = TypeVar("T")
 
 
@@ -53,6 +40,8 @@ class Option:
     noun: str = "number"  # what the value is, for the hint
     choices: tuple[str, ...] = ()
     parse: Callable[[str], Any] | None = None  # a text to its value; raises UsageError
+    # (name, value of Python) to the text, or to the texts of a list; raises UsageError
+    write: Callable[[str, Any], Any] | None = None
     commands: tuple[str, ...] = BATCH
     decides: bool = True  # what is written hangs on it
     # read from the field
@@ -68,7 +57,7 @@ class Option:
 
     @property
     def flag(self) -> str:
-        """Its word on the command line; of a list it is given once for each item."""
+        """Its name on the command line; of a list it is given once for each item."""
         name = self.name
         if self.repeated:
             name = name.removesuffix("es") if name.endswith("xes") else name.removesuffix("s")
@@ -77,6 +66,26 @@ class Option:
     def value(self, text: str | None) -> Any:
         """What a text says; None where nothing was said.  Raises UsageError."""
         return None if text is None or self.parse is None else self.parse(text)
+
+    def take(self, value: Any) -> Any:
+        """What a value of Python says, as the command line would have it; None: the default.
+
+        Raises UsageError for what the option cannot be.
+        """
+        if value is None:
+            return self.default
+        if self.write is not None:
+            return self.write(self.name, value)
+        if self.choices and isinstance(value, str):
+            return value
+        wanted = f"one of {', '.join(map(repr, self.choices))}" if self.choices else "a text"
+        take: dict[type, Callable[[], Any]] = {
+            bool: lambda: values.switch(self.name, value),
+            int: lambda: values.whole(self.name, value),
+            float: lambda: values.real(self.name, value),
+            str: lambda: values.text(self.name, value, wanted),
+        }
+        return take[self.kind]()
 
     def check(self, value: Any) -> None:
         """Raise UsageError for a number out of range, or a text that is none of the choices."""
@@ -124,50 +133,15 @@ def _row(field: Field[Any]) -> Option | None:
     if get_origin(field.type) is not Annotated:
         return None
     hint, option = get_args(field.type)
-    repeated = get_origin(hint) is Sequence
-    first = (*get_args(hint), hint)[0]
-    return replace(
-        option,
-        name=field.name,
-        kind=first if first in PLAIN else str,
-        default=field.default,
-        repeated=repeated,
-    )
-
-
-class OfAsset(Protocol[P, R]):
-    """A function of an asset, with the parameters P."""
-
-    def __call__(self, path: str | Path, *args: P.args, **options: P.kwargs) -> R: ...
-
-
-def takes(table: Callable[P, Any]) -> Callable[[Callable[..., R]], OfAsset[P, R]]:
-    """Give a function ``(path, **options)`` the fields of a dataclass for its signature.
-
-    Type checkers and editors read it from the types, ``help()`` and notebooks when it runs.
-    """
-
-    def decorate(function: Callable[..., R]) -> OfAsset[P, R]:
-        own, made = inspect.signature(function), cast(Any, table)
-        path = own.parameters["path"]
-        asked = [
-            path.replace(
-                name=field.name,
-                kind=path.KEYWORD_ONLY,
-                default=field.default,
-                annotation=(*get_args(field.type), field.type)[0],
-            )
-            for field in fields(made)
-        ]
-        signature = own.replace(parameters=[path, *asked])
-        function.__signature__ = signature  # type: ignore[attr-defined]
-        return function
-
-    return decorate
+    repeated = isinstance(field.default, tuple)
+    kinds = [kind for kind in (*get_args(hint), hint) if kind in PLAIN]
+    # what may be a text is one on the command line
+    kind = str if repeated or str in kinds or not kinds else kinds[0]
+    return replace(option, name=field.name, kind=kind, default=field.default, repeated=repeated)
 
 
 def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str]:
-    """The words of a command line that ask for values; what is None or off is left out."""
+    """The arguments of a command line that ask for values; what is None or off is left out."""
     out: list[str] = []
     for name, value in asked.items():
         flag = options[name].flag
@@ -181,5 +155,5 @@ def spelled(options: Mapping[str, Option], asked: Mapping[str, Any]) -> list[str
             out += [flag, str(value).removesuffix(".0")]
         else:
             items = value if isinstance(value, list | tuple) else (value,)
-            out += [word for item in items for word in (flag, str(item))]
+            out += [argument for item in items for argument in (flag, str(item))]
     return out

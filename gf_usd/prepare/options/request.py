@@ -44,7 +44,15 @@ class Request(RequestOptions):
     @cached_property
     def regions(self) -> tuple[Region, ...]:
         """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
-        return parse_regions(self.material_boxes, self.material_labels)
+        return parse_regions(self.listed("material_boxes"), self.listed("material_labels"))
+
+    def listed(self, name: str) -> tuple[str, ...]:
+        """The texts of an option that may be given several times."""
+        return getattr(self, name)
+
+    def folder(self, name: str) -> str | None:
+        """The text of an option that names a folder."""
+        return getattr(self, name)
 
     def check(self) -> None:
         """Raise UsageError for values that make no sense, before anything is read."""
@@ -52,6 +60,7 @@ class Request(RequestOptions):
             row.check(getattr(self, row.name))
         if self.solver == "ul":
             self._check_updated_lagrangian()
+        self._check_flesh()
         if self.regions and self.blend_width:
             raise UsageError(
                 f"--blend-width {self.blend_width:g} and {self.regions[0].option} were both given",
@@ -87,11 +96,31 @@ class Request(RequestOptions):
             )
         _ = self.parsed  # raises for a text that says nothing
 
+    def _check_flesh(self) -> None:
+        """Raise UsageError for options that do not go with --flesh, or only with it."""
+        if not self.flesh:
+            for option, value in (("--bone-radius", self.bone_radius), ("--preroll", self.preroll)):
+                if value is not None:
+                    raise UsageError(f"{option} {value:g} is for --flesh", "add --flesh")
+            return
+        for option, given in (
+            ("--pin", self.pins),
+            ("--procrustes", self.procrustes),
+            ("--preset paper", self.preset),
+            ("--drop", self.drop),
+        ):
+            if given:
+                raise UsageError(
+                    f"--flesh does not go with {option}: the bones say where the body is",
+                    f"leave {option} out",
+                )
+
     def _check_updated_lagrangian(self) -> None:
         """Raise UsageError for options that this solver does not know."""
         finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
         for option, given in (
             ("--pin", self.pins),
+            ("--flesh", self.flesh),
             ("--filter-rate", finite),
             ("--self-contact", self.self_contact),
             ("--wls", self.wls),

@@ -5,15 +5,25 @@ docs/guide.md by itself.  Annotations are read when the classes are made, so the
 Nothing here loads NumPy: ``gf-usd --help`` reads it.
 """
 
+import difflib
+import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from gf_usd.prepare.options import texts
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options import texts, values
 from gf_usd.prepare.options.option import BAKE, INSPECT, Option, rows, spelled, table
+from gf_usd.prepare.options.values import Corners, Vector
 
 if TYPE_CHECKING:
+    from gf_usd.core.materials import Material
     from gf_usd.system.sandbox import Limits
+
+# What Python may give where the command line has a text.
+Path = str | os.PathLike[str]
+Boxes = Mapping[str, Corners | Sequence[Corners]] | str | Sequence[str]
+Labels = Mapping[str, Mapping[int, str]] | str | Sequence[str]
+Floor = float | Vector | tuple[float, Vector] | Literal[False] | str
 
 # headings of docs/guide.md
 ASSET = "Asset and files"
@@ -34,18 +44,20 @@ MAX_HOURS = 1.0
 class AssetOptions:
     """What is baked, of what, and into which file."""
 
-    material: Annotated[str | None, Option(
+    material: Annotated["Path | Material | Sequence[Path | Material] | None", Option(
         ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several by"
         " commas to get variants. auto: chosen by names and labels; auto:NAME: chosen by an"
         " advisor.",
         shown="what the stage says, else rubber", short="-m", commands=INSPECT,
+        write=values.material,
     )] = None
-    output: Annotated[str | Path | None, Option(
+    output: Annotated[Path | None, Option(
         ASSET, "Root layer, a package (.usdz), or a folder if it ends in / or exists as one.",
-        shown="NAME.MATERIAL.usda in this folder", short="-o", commands=BAKE,
+        shown="NAME.MATERIAL.usda in this folder", short="-o", commands=BAKE, write=values.path,
     )] = None
-    prims: Annotated[Sequence[str], Option(
+    prims: Annotated[str | Sequence[str], Option(
         ASSET, "Prim path to bake; repeatable.", shown="the default prim", commands=INSPECT,
+        write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
         ASSET, "Size of the file's unit [m], e.g. 0.01.",
@@ -90,36 +102,52 @@ class RequestOptions:
         TIME, "Time code of the first frame.",
         shown="the asset's start, else 1", noun="time code", commands=INSPECT,
     )] = None
-    time_scale: Annotated[str | None, Option(
+    time_scale: Annotated[float | str | None, Option(
         TIME, "Simulated seconds per second of playback; auto plays a body of any size like one of"
         " 1 m.",
-        shown="1", parse=texts.parse_time_scale,
+        shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
-    drop: Annotated[str | None, Option(
+    drop: Annotated[float | str | None, Option(
         SCENE, "Height of the fall [stage units], or in radii of the body: 3r.",
         shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
-        parse=texts.parse_drop, commands=INSPECT,
+        parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
-    gravity: Annotated[str | None, Option(
+    gravity: Annotated[float | Vector | str | None, Option(
         SCENE, "Gravity [m/s^2], downward, or a vector x,y,z.",
-        shown="9.81", parse=texts.parse_gravity,
+        shown="9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
-    floor: Annotated[str | None, Option(
+    floor: Annotated[Floor | None, Option(
         SCENE, "none, a height [stage units], a normal x,y,z, or both: 0.5:0.2,1,0.",
-        shown="0", parse=texts.parse_floor,
+        shown="0", parse=texts.parse_floor, write=values.floor,
     )] = None
     drag: Annotated[float | None, Option(
         SCENE, "Drag on velocity [1/s].", shown="0", low=0.0, high=1e6,
     )] = None
-    device: Annotated[str, Option(METHOD, "cpu or cuda.", choices=("cpu", "cuda"))] = "cpu"
+    device: Annotated[Literal["cpu", "cuda"], Option(
+        METHOD, "cpu or cuda.", choices=("cpu", "cuda"),
+    )] = "cpu"
     threads: Annotated[int | None, Option(
         METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
-    pins: Annotated[Sequence[str], Option(
+    pins: Annotated[str | Corners | Sequence[str | Corners], Option(
         SCENE, "Region with prescribed motion, that of the asset's animation; repeatable. A"
         " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
-        shown="nothing",
+        shown="nothing", write=values.pins,
     )] = ()
+    flesh: Annotated[bool, Option(
+        SCENE, "Make a character soft around its skeleton (UsdSkel): the bind pose is the rest"
+        " shape, a core around each bone moves with its joint, and the rest is free.",
+        commands=INSPECT,
+    )] = False
+    bone_radius: Annotated[float | None, Option(
+        SCENE, "Radius of the cores of --flesh, over the distance from bone to skin.",
+        shown="0.5", low=0.05, high=1.0,
+    )] = None
+    preroll: Annotated[int | None, Option(
+        SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
+        " simulated and not written.",
+        shown="as many as keep accelerations below that of gravity, at least a second", low=1,
+    )] = None
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
     )] = False
@@ -137,15 +165,15 @@ class RequestOptions:
         MATERIAL, "Restitution of the contact springs, 0 to 1.",
         shown="the material's", low=0.0, high=1.0,
     )] = None
-    material_boxes: Annotated[Sequence[str], Option(
+    material_boxes: Annotated[Boxes, Option(
         MATERIAL, "Preset for the particles that rest in a box, PRESET:x0,y0,z0,x1,y1,z1"
         " [stage units];"
         " repeatable, the later one applies.",
-        shown="nothing", commands=INSPECT,
+        shown="nothing", commands=INSPECT, write=values.boxes,
     )] = ()
-    material_labels: Annotated[Sequence[str], Option(
+    material_labels: Annotated[Labels, Option(
         MATERIAL, "Preset for captured Gaussians with a label, NAME=VALUE:PRESET; repeatable.",
-        shown="nothing", commands=INSPECT,
+        shown="nothing", commands=INSPECT, write=values.labels,
     )] = ()
     blend_width: Annotated[float | None, Option(
         MATERIAL, "Width of the transition between materials of one body [stage units].",
@@ -158,18 +186,18 @@ class RequestOptions:
     filter_rate: Annotated[float | None, Option(
         METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
     )] = None
-    skin: Annotated[str | None, Option(
+    skin: Annotated[Literal["embed", "idw", "paper"] | None, Option(
         METHOD, "How meshes follow the particles: embed (the solver's grid), idw"
         " (nearest particles),"
         " paper (all particles, GaussianFlesh eq. 6).",
         shown="embed; paper with --preset paper", choices=("embed", "idw", "paper"),
     )] = None
-    solver: Annotated[str | None, Option(
+    solver: Annotated[Literal["tl", "ul"] | None, Option(
         METHOD, "tl (Total Lagrangian) or ul (Updated Lagrangian MLS-MPM, for comparison).",
         shown="tl", choices=("tl", "ul"), commands=INSPECT,
     )] = None
     no_shortcuts: Annotated[bool, Option(METHOD, "Simulate free flight and sleep as well.")] = False
-    preset: Annotated[str | None, Option(
+    preset: Annotated[Literal["paper"] | None, Option(
         METHOD, "paper: the set-up of the GaussianFlesh paper.", choices=("paper",),
     )] = None
     wls: Annotated[bool | None, Option(
@@ -180,22 +208,22 @@ class RequestOptions:
         METHOD, "Shape correction per frame, 0 to 1 (paper).",
         shown="0; 0.02 for rubber with --preset paper", low=0.0, high=1.0,
     )] = None
-    clamp: Annotated[str | None, Option(
+    clamp: Annotated[tuple[float, float] | Literal[False] | str | None, Option(
         METHOD, "LOW:HIGH, limits of the stretches at which stress is evaluated, or none (paper).",
-        shown="none; 0.2:5 with --preset paper", parse=texts.parse_clamp,
+        shown="none; 0.2:5 with --preset paper", parse=texts.parse_clamp, write=values.stretches,
     )] = None
-    stress_cap: Annotated[str | None, Option(
+    stress_cap: Annotated[float | Literal[False] | str | None, Option(
         METHOD, "Largest stress |P| [Pa], or none (paper).",
-        shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap,
+        shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap, write=values.cap,
     )] = None
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
     internal: Annotated[bool, Option(
         WRITE, "Write what laws remember of every particle, such as the plastic strain.",
     )] = False
-    only: Annotated[str | None, Option(
+    only: Annotated[str | Sequence[str] | None, Option(
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
-        shown="all three", parse=texts.parse_only,
+        shown="all three", parse=texts.parse_only, write=values.words,
     )] = None
     flatten: Annotated[bool, Option(
         WRITE, "Write one file that contains the asset, instead of layers.",
@@ -206,9 +234,9 @@ class RequestOptions:
     samples_per_frame: Annotated[int | None, Option(
         WRITE, "Simulated states written per frame, for motion blur.", shown="1", low=1,
     )] = None
-    range: Annotated[str | None, Option(
+    range: Annotated[tuple[float | None, float | None] | str | None, Option(
         WRITE, "FIRST:LAST, time codes to write; either may be omitted.",
-        shown="all", parse=texts.parse_range,
+        shown="all", parse=texts.parse_range, write=values.span,
     )] = None
     handles: Annotated[int | None, Option(
         WRITE, "Additional frames written before and after; before the start they hold the rest"
@@ -219,11 +247,13 @@ class RequestOptions:
         WRITE, "Split the cache into value clips of this many frames; 0: never.",
         shown="one file up to 2 GB", low=0,
     )] = None
-    export_ply: Annotated[str | None, Option(
+    export_ply: Annotated[Path | None, Option(
         ASSET, "Folder for a sequence of 3DGS PLY files, one per frame.", shown="none",
+        write=values.path,
     )] = None
-    export_spz: Annotated[str | None, Option(
+    export_spz: Annotated[Path | None, Option(
         ASSET, "Folder for a sequence of SPZ files, one per frame.", shown="none",
+        write=values.path,
     )] = None
 
 
@@ -246,19 +276,46 @@ class BakeOptions(RequestOptions, AssetOptions):
         WRITE, "Refuse a bake that is estimated to take longer [h], and end one that takes twice as"
         " long.", low=0.0, decides=False,
     )] = MAX_HOURS
-    limits: Annotated["Limits | None", Option(
+    limits: Annotated["Limits | Mapping[str, float] | Literal[False] | str | None", Option(
         WRITE, "Limits of the process that reads an untrusted file: time [s], memory [B], output"
         " [B], as time=600,memory=32G; none: no such process.",
-        shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False,
+        shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False, write=values.limits,
     )] = None
     progress: Callable[[int, int], None] | None = None  # told (frames done, frames in all)
 
 
 # fmt: on
 OPTIONS = rows(BakeOptions)
+PROGRESS = "progress"  # of Python alone
 PLANNED = {name: row for name, row in OPTIONS.items() if hasattr(RequestOptions, name)}
 
 
-def words(asked: Mapping[str, Any]) -> list[str]:
-    """The words after ``gf-usd bake ASSET`` that ask for these values of options."""
+def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
+    """Values of Python by the names of options, as the command line would have them.
+
+    Raises UsageError for a name that is no option of a function, and for a value that is none.
+    """
+    out: dict[str, Any] = {}
+    for name, value in asked.items():
+        if name == PROGRESS:
+            if value is not None and not callable(value):
+                raise values.refuse(name, value, "a function of (frames done, frames in all)")
+            out[name] = value
+        elif name in OPTIONS:
+            out[name] = OPTIONS[name].take(value)
+        else:
+            raise UsageError(f"{function}() has no option {name!r}", _nearest(name))
+    return out
+
+
+def _nearest(name: str) -> str:
+    known = [*OPTIONS, PROGRESS]
+    bare = name.lstrip("-").replace("-", "_").lower()
+    close = difflib.get_close_matches(bare, known, n=1)
+    guess = f"did you mean {close[0]}? " if close else ""
+    return f"{guess}its options are {', '.join(sorted(known))}"
+
+
+def arguments(asked: Mapping[str, Any]) -> list[str]:
+    """The arguments after ``gf-usd bake ASSET`` that ask for these values of options."""
     return spelled(OPTIONS, asked)

@@ -14,7 +14,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, FileMaterial, Picture, Slot, refuse_pointer
 from gf_usd.readers.notes import Notes
 
-# how many words follow each option of a map_ statement; -o, -s and -t have one to three numbers
+# how many tokens follow each option of a map_ statement; -o, -s and -t have one to three numbers
 OPTIONS = dict.fromkeys(
     ("-blendu", "-blendv", "-boost", "-texres", "-clamp", "-bm", "-imfchan", "-type", "-cc"), 1
 ) | {"-mm": 2}
@@ -49,11 +49,11 @@ def read_libraries(
 
 
 def _library_paths(obj: Path, text: str) -> list[Path]:
-    """One name, spaces and all, where such a file is there; else one name a word."""
+    """One name, spaces and all, where such a file is there; else one name a token."""
     whole = obj.parent / text.replace("\\", "/")
     if whole.is_file() or " " not in text:
         return [whole]
-    return [obj.parent / word.replace("\\", "/") for word in text.split()]
+    return [obj.parent / token.replace("\\", "/") for token in text.split()]
 
 
 class _Library:
@@ -73,9 +73,9 @@ class _Library:
         refuse_pointer(self._path, data)
         text = data.decode("utf-8-sig", errors="replace")
         for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), start=1):
-            words = line.split()
-            if words:
-                self._take(number, words)
+            tokens = line.split()
+            if tokens:
+                self._take(number, tokens)
         self._finish()
         return self._done
 
@@ -86,55 +86,55 @@ class _Library:
             )
         self._values, self._slots = {}, []
 
-    def _take(self, number: int, words: list[str]) -> None:
-        key = words[0]
+    def _take(self, number: int, tokens: list[str]) -> None:
+        key = tokens[0]
         if key == "newmtl":
             self._finish()
-            self._name = " ".join(words[1:])
+            self._name = " ".join(tokens[1:])
         elif self._name is None:
             return
         elif key in CONSTANTS:
-            self._constant(number, words)
+            self._constant(number, tokens)
         elif key.lower() == "map_kd":
-            self._texture(number, words[1:])
-        elif key in CLEAR and _is_number(words[-1]) and float(words[-1]) != CLEAR[key]:
+            self._texture(number, tokens[1:])
+        elif key in CLEAR and _is_number(tokens[-1]) and float(tokens[-1]) != CLEAR[key]:
             self._notes.add("transparency is not read: opaque", f"material {self._name}")
 
-    def _constant(self, number: int, words: list[str]) -> None:
-        if words[1:2] in (["xyz"], ["spectral"]):
+    def _constant(self, number: int, tokens: list[str]) -> None:
+        if tokens[1:2] in (["xyz"], ["spectral"]):
             self._notes.add(
-                f"{words[0]} is given as {words[1]}, which is not read", f"material {self._name}"
+                f"{tokens[0]} is given as {tokens[1]}, which is not read", f"material {self._name}"
             )
             return
-        numbers = self._numbers(number, words[1:4])
+        numbers = self._numbers(number, tokens[1:4])
         if not numbers:
-            raise self._error(number, f"{words[0]} has no number")
-        if words[0] in ("Pr", "Pm"):
-            self._values[CONSTANTS[words[0]]] = numbers[0]
+            raise self._error(number, f"{tokens[0]} has no number")
+        if tokens[0] in ("Pr", "Pm"):
+            self._values[CONSTANTS[tokens[0]]] = numbers[0]
         else:
             r, g, b = (numbers * 3)[:3] if len(numbers) == 1 else (numbers + numbers[-1:])[:3]
-            self._values[CONSTANTS[words[0]]] = (r, g, b)
+            self._values[CONSTANTS[tokens[0]]] = (r, g, b)
 
-    def _texture(self, number: int, words: list[str]) -> None:
+    def _texture(self, number: int, tokens: list[str]) -> None:
         wrap, scale, offset = "repeat", [1.0, 1.0], [0.0, 0.0]
         i = 0
-        while i < len(words) and words[i].startswith("-"):
-            option = words[i]
+        while i < len(tokens) and tokens[i].startswith("-"):
+            option = tokens[i]
             if option in NUMBERS:
                 end = i + 1
-                while end < min(i + 4, len(words)) and _is_number(words[end]):
+                while end < min(i + 4, len(tokens)) and _is_number(tokens[end]):
                     end += 1
-                numbers = self._numbers(number, words[i + 1 : end])
+                numbers = self._numbers(number, tokens[i + 1 : end])
                 target = {"-s": scale, "-o": offset}.get(option, [])
                 target[: len(numbers)] = numbers[: len(target)]
             elif option in OPTIONS:
                 end = i + 1 + OPTIONS[option]
                 if option == "-clamp":
-                    wrap = "clamp" if words[i + 1 : end] == ["on"] else "repeat"
+                    wrap = "clamp" if tokens[i + 1 : end] == ["on"] else "repeat"
             else:
                 raise self._error(number, f"map_Kd has the unknown option {option}")
             i = end
-        name = " ".join(words[i:])
+        name = " ".join(tokens[i:])
         if not name:
             raise self._error(number, "map_Kd names no file")
         picture = self._picture(name)
@@ -157,25 +157,25 @@ class _Library:
     def _picture(self, name: str) -> Picture | None:
         """The file as named, or one of that name next to the MTL file."""
         plain = name.replace("\\", "/")
-        beside = self._path.parent / plain.rsplit("/", 1)[-1]
-        for path in (self._path.parent / plain, beside):
+        sibling = self._path.parent / plain.rsplit("/", 1)[-1]
+        for path in (self._path.parent / plain, sibling):
             if path.is_file():
-                if path == beside and "/" in plain:
+                if path == sibling and "/" in plain:
                     self._notes.add(f"its texture {name} was found next to the material file")
                 return Picture(name=path.name, path=path)
         return None
 
-    def _numbers(self, number: int, words: list[str]) -> list[float]:
-        if not all(_is_number(word) for word in words):
-            raise self._error(number, f"'{' '.join(words)}' holds what is no finite number")
-        return [float(word) for word in words]
+    def _numbers(self, number: int, tokens: list[str]) -> list[float]:
+        if not all(_is_number(token) for token in tokens):
+            raise self._error(number, f"'{' '.join(tokens)}' holds what is no finite number")
+        return [float(token) for token in tokens]
 
     def _error(self, line: int, what: str) -> InputError:
         return InputError(f"{self._path}, line {line}: {what}", REPAIR)
 
 
-def _is_number(word: str) -> bool:
+def _is_number(token: str) -> bool:
     try:
-        return abs(float(word)) < float("inf")
+        return abs(float(token)) < float("inf")
     except ValueError:
         return False

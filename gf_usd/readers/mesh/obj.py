@@ -52,8 +52,8 @@ def read_obj(path: Path) -> MeshFile:
         raise InputError(f"{path} is not an OBJ file: it holds binary data", "check what it is")
     notes = Notes()
     reader = _Reader(path)
-    for number, words in _statements(path):
-        reader.take(number, words)
+    for number, tokens in _statements(path):
+        reader.take(number, tokens)
     tables = reader.tables(notes)
     materials, read = read_libraries(path, reader.libraries, tables.material_names, notes)
     return require_sound(
@@ -69,7 +69,7 @@ def read_obj(path: Path) -> MeshFile:
 
 
 def _statements(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """(line number, words) of each line that holds some; a backslash at its end joins the next."""
+    """(line number, tokens) of each line that holds some; a backslash at its end joins the next."""
     begun, first = "", 0
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
@@ -78,9 +78,9 @@ def _statements(path: Path) -> Iterator[tuple[int, list[str]]]:
             if text.endswith("\\"):
                 begun += text[:-1] + " "
                 continue
-            words = (begun + text).split()
-            if words:
-                yield first, words
+            tokens = (begun + text).split()
+            if tokens:
+                yield first, tokens
             begun, first = "", 0
     if begun.split():
         yield first, begun.split()
@@ -104,32 +104,33 @@ class _Reader:
         self._face_materials: list[int] = []
         self._left_out: Counter[str] = Counter()
 
-    def take(self, number: int, words: list[str]) -> None:
+    def take(self, number: int, tokens: list[str]) -> None:
         """Add one statement."""
-        key = words[0]
+        key = tokens[0]
         if key in self._rows:
-            self._row(key, number, words)
+            self._row(key, number, tokens)
         elif key in ("f", "fo"):
-            self._face(number, words)
+            self._face(number, tokens)
         elif key == "o":
-            self._object, self._group = " ".join(words[1:]), ""
+            self._object, self._group = " ".join(tokens[1:]), ""
         elif key == "g":
-            self._group = " ".join(words[1:])
+            self._group = " ".join(tokens[1:])
         elif key == "usemtl":
-            name = " ".join(words[1:])
+            name = " ".join(tokens[1:])
             self._material = self._names.setdefault(name, len(self._names))
         elif key == "mtllib":
-            self.libraries.append(" ".join(words[1:]))
+            self.libraries.append(" ".join(tokens[1:]))
         elif key in OTHER:
             self._left_out[OTHER[key]] += 1
         elif key not in SILENT and not key.startswith("#"):
             self._left_out[f"'{key[:16]}' statements"] += 1
 
-    def _row(self, key: str, number: int, words: list[str]) -> None:
+    def _row(self, key: str, number: int, tokens: list[str]) -> None:
         try:
-            values = [float(word) for word in words[1:8]]
+            values = [float(token) for token in tokens[1:8]]
         except ValueError:
-            raise self._error(number, f"'{' '.join(words)[:60]}' holds what is no number") from None
+            shown = " ".join(tokens)[:60]
+            raise self._error(number, f"'{shown}' holds what is no number") from None
         least = 1 if key == "vt" else 3
         if len(values) < least:
             raise self._error(number, f"{key} has {len(values)} numbers, it needs {least}")
@@ -140,38 +141,38 @@ class _Reader:
         self._rows[key].append(values)
         self._lines[key].append(number)
 
-    def _face(self, number: int, words: list[str]) -> None:
-        if len(words) < 4:
+    def _face(self, number: int, tokens: list[str]) -> None:
+        if len(tokens) < 4:
             self._left_out["faces with fewer than three corners"] += 1
             return
         lengths = [len(self._rows[key]) for key in ("v", "vt", "vn")]
-        for word in words[1:]:
-            parts = word.split("/")
+        for token in tokens[1:]:
+            parts = token.split("/")
             if len(parts) > 3:
-                raise self._error(number, f"the corner '{word}' has {len(parts)} indices, not 1-3")
+                raise self._error(number, f"the corner '{token}' has {len(parts)} indices, not 1-3")
             for slot in range(3):
                 text = parts[slot] if slot < len(parts) else ""
                 index = NO_INDEX
                 if text or slot == 0:
-                    index = self._index(number, word, text, lengths[slot])
+                    index = self._index(number, token, text, lengths[slot])
                 self._corners[slot].append(index)
-        self._counts.append(len(words) - 1)
+        self._counts.append(len(tokens) - 1)
         self._face_lines.append(number)
         key = (self._object, self._group)
         self._face_parts.append(self._parts.setdefault(key, len(self._parts)))
         self._face_materials.append(self._material)
 
-    def _index(self, number: int, word: str, text: str, length: int) -> int:
+    def _index(self, number: int, token: str, text: str, length: int) -> int:
         """From 0; counted from the end of what is there so far where it is negative."""
         try:
             value = int(text)
         except ValueError:
-            raise self._error(number, f"the corner '{word}' is no index") from None
+            raise self._error(number, f"the corner '{token}' is no index") from None
         if value > 0:
             return value - 1
         if value == 0 or -value > length:
             what = "indices begin at 1" if value == 0 else f"there are {length} before it"
-            raise self._error(number, f"the corner '{word}' has the index {value}: {what}")
+            raise self._error(number, f"the corner '{token}' has the index {value}: {what}")
         return length + value
 
     def tables(self, notes: Notes) -> Tables:
@@ -373,7 +374,7 @@ def _normals(
 
 
 def _name(thing: str, group: str) -> str:
-    return "_".join(word for word in (thing, group) if word) or NO_NAME
+    return "_".join(token for token in (thing, group) if token) or NO_NAME
 
 
 def _some(names: list[str]) -> str:

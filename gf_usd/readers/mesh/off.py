@@ -21,7 +21,7 @@ from gf_usd.readers.mesh.data import (
 from gf_usd.readers.notes import Notes
 
 HEADS = ("OFF", "COFF")
-Rows = list[tuple[int, list[str]]]  # (line number, words)
+Rows = list[tuple[int, list[str]]]  # (line number, tokens)
 
 
 def read_off(path: Path) -> MeshFile:
@@ -33,21 +33,21 @@ def read_off(path: Path) -> MeshFile:
     refuse_pointer(path, data)
     notes = Notes()
     vertices, faces = _rows(path, data)
-    points = [_numbers(path, line, words[:3]) for line, words in vertices]
+    points = [_numbers(path, line, tokens[:3]) for line, tokens in vertices]
     corners: list[int] = []
     counts: list[int] = []
-    for line, words in faces:
-        count = int(words[0]) if words[0].isdigit() else -1
-        if not 0 <= count < len(words) or not all(_is_whole(w) for w in words[1 : 1 + count]):
+    for line, tokens in faces:
+        count = int(tokens[0]) if tokens[0].isdigit() else -1
+        if not 0 <= count < len(tokens) or not all(_is_whole(w) for w in tokens[1 : 1 + count]):
             raise InputError(
-                f"{path}, line {line}: '{' '.join(words)[:60]}' is no face: a count and as many "
+                f"{path}, line {line}: '{' '.join(tokens)[:60]}' is no face: a count and as many "
                 "indices",
                 REPAIR,
             )
         counts.append(count)
-        corners.extend(int(word) for word in words[1 : 1 + count])
-    if any(len(words) > 3 for _, words in vertices) or any(
-        len(words) > 1 + count for (_, words), count in zip(faces, counts)
+        corners.extend(int(token) for token in tokens[1 : 1 + count])
+    if any(len(tokens) > 3 for _, tokens in vertices) or any(
+        len(tokens) > 1 + count for (_, tokens), count in zip(faces, counts)
     ):
         notes.add("its colors are not read")
     mesh = FileMesh(
@@ -70,7 +70,8 @@ def read_off(path: Path) -> MeshFile:
 def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
     """The lines of the vertices and those of the faces."""
     lines = data.decode("utf-8", errors="replace").splitlines()
-    rows = [(n, words) for n, line in enumerate(lines, 1) if (words := line.split("#")[0].split())]
+    split = ((n, line.split("#")[0].split()) for n, line in enumerate(lines, 1))
+    rows = [(n, tokens) for n, tokens in split if tokens]
     if not rows or rows[0][1][0] not in HEADS:
         raise InputError(
             f"{path} does not begin with {' or '.join(HEADS)}",
@@ -79,9 +80,9 @@ def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
     # The counts may stand on the first line, too.
     rows[0] = (rows[0][0], rows[0][1][1:])
     rows = rows if rows[0][1] else rows[1:]
-    if not rows or len(rows[0][1]) < 2 or not all(word.isdigit() for word in rows[0][1][:2]):
+    if not rows or len(rows[0][1]) < 2 or not all(token.isdigit() for token in rows[0][1][:2]):
         raise InputError(f"{path}: no line with its numbers of vertices and faces", REPAIR)
-    n_vertices, n_faces = (int(word) for word in rows[0][1][:2])
+    n_vertices, n_faces = (int(token) for token in rows[0][1][:2])
     if len(rows) < 1 + n_vertices + n_faces:
         raise InputError(
             f"{path} announces {n_vertices} vertices and {n_faces} faces, and {len(rows) - 1} "
@@ -91,15 +92,15 @@ def _rows(path: Path, data: bytes) -> tuple[Rows, Rows]:
     return rows[1 : 1 + n_vertices], rows[1 + n_vertices : 1 + n_vertices + n_faces]
 
 
-def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
+def _numbers(path: Path, line: int, tokens: list[str]) -> list[float]:
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(token) for token in tokens]
     except ValueError:
         numbers = []
     if len(numbers) != 3:
-        raise InputError(f"{path}, line {line}: '{' '.join(words)[:60]}' is no vertex", REPAIR)
+        raise InputError(f"{path}, line {line}: '{' '.join(tokens)[:60]}' is no vertex", REPAIR)
     return numbers
 
 
-def _is_whole(word: str) -> bool:
-    return word.removeprefix("-").isdigit()
+def _is_whole(token: str) -> bool:
+    return token.removeprefix("-").isdigit()

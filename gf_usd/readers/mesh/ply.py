@@ -94,35 +94,35 @@ def header(path: Path, data: bytes) -> tuple[list[Element], str, str, int]:
     elements: list[Element] = []
     order, texture = None, ""
     for number, line in enumerate(data[:end].decode("utf-8", errors="replace").splitlines(), 1):
-        words = line.split()
+        tokens = line.split()
         where = f"{path}, line {number}: '{line.strip()[:60]}'"
-        if words[:1] == ["format"]:
-            order = ENCODINGS.get(words[1] if len(words) > 1 else "")
-        elif words[:1] == ["element"]:
-            if len(words) != 3 or not words[2].isdigit():
+        if tokens[:1] == ["format"]:
+            order = ENCODINGS.get(tokens[1] if len(tokens) > 1 else "")
+        elif tokens[:1] == ["element"]:
+            if len(tokens) != 3 or not tokens[2].isdigit():
                 raise InputError(f"{where} is no element with a count", REPAIR)
-            elements.append(Element(words[1], int(words[2]), []))
-        elif words[:1] == ["property"]:
-            column = _column(where, words)
+            elements.append(Element(tokens[1], int(tokens[2]), []))
+        elif tokens[:1] == ["property"]:
+            column = _column(where, tokens)
             if not elements or column.name in [c.name for c in elements[-1].columns]:
                 raise InputError(f"{where} stands before any element, or twice in one", REPAIR)
             elements[-1].columns.append(column)
-        elif words[:2] == ["comment", "TextureFile"]:
+        elif tokens[:2] == ["comment", "TextureFile"]:
             texture = line.split("TextureFile", 1)[1].strip()
     if order is None:
         raise InputError(f"{path}: its header names no format that exists", REPAIR)
     return elements, order, texture, start
 
 
-def _column(where: str, words: list[str]) -> Column:
-    kinds = words[2:4] if words[1:2] == ["list"] else words[1:2]
-    if len(words) != len(kinds) + 2 + (words[1:2] == ["list"]):
+def _column(where: str, tokens: list[str]) -> Column:
+    kinds = tokens[2:4] if tokens[1:2] == ["list"] else tokens[1:2]
+    if len(tokens) != len(kinds) + 2 + (tokens[1:2] == ["list"]):
         raise InputError(f"{where} is no property", REPAIR)
     unknown = [kind for kind in kinds if kind not in TYPES]
     if unknown:
         raise InputError(f"{where} has the unknown type {unknown[0]}", REPAIR)
     types = [TYPES[kind] for kind in kinds]
-    return Column(words[-1], types[-1], types[0] if len(types) == 2 else "")
+    return Column(tokens[-1], types[-1], types[0] if len(types) == 2 else "")
 
 
 def _require_mesh(path: Path, tables: dict[str, dict[str, Floats | Ragged]]) -> None:
@@ -285,7 +285,8 @@ class _Text:
         self._path = path
         first = data[:start].count(b"\n") + 1
         lines = data[start:].decode("ascii", errors="replace").splitlines()
-        self._rows = [(n, words) for n, line in enumerate(lines, first) if (words := line.split())]
+        split = ((n, line.split()) for n, line in enumerate(lines, first))
+        self._rows = [(n, tokens) for n, tokens in split if tokens]
         self._at = 0
 
     def read(self, element: Element) -> Table:
@@ -297,9 +298,9 @@ class _Text:
             return self._scalars(element, rows)
         values: dict[str, list[float]] = {c.name: [] for c in element.columns}
         counts: dict[str, list[int]] = {c.name: [] for c in element.columns}
-        for number, words in rows:
+        for number, tokens in rows:
             at = 0
-            numbers = self._numbers(number, words)
+            numbers = self._numbers(number, tokens)
             for column in element.columns:
                 count = 1
                 if column.count_type:
@@ -322,18 +323,20 @@ class _Text:
     def _scalars(self, element: Element, rows: list[tuple[int, list[str]]]) -> Table:
         width = len(element.columns)
         flat: list[float] = []
-        for number, words in rows:
-            if len(words) < width:
-                raise self._error(number, f"{element.name} needs {width} numbers, has {len(words)}")
-            flat.extend(self._numbers(number, words[:width]))
+        for number, tokens in rows:
+            if len(tokens) < width:
+                what = f"{element.name} needs {width} numbers, has {len(tokens)}"
+                raise self._error(number, what)
+            flat.extend(self._numbers(number, tokens[:width]))
         table = np.array(flat).reshape(-1, width)
         return {c.name: _cast(table[:, i], c) for i, c in enumerate(element.columns)}
 
-    def _numbers(self, number: int, words: list[str]) -> list[float]:
+    def _numbers(self, number: int, tokens: list[str]) -> list[float]:
         try:
-            return [float(word) for word in words]
+            return [float(token) for token in tokens]
         except ValueError:
-            raise self._error(number, f"'{' '.join(words)[:60]}' holds what is no number") from None
+            shown = " ".join(tokens)[:60]
+            raise self._error(number, f"'{shown}' holds what is no number") from None
 
     def _count(self, number: int, found: list[float]) -> int:
         if not found or not (0 <= found[0] < 1e6 and found[0] == int(found[0])):

@@ -28,6 +28,7 @@ def read_usd(
     meters_per_unit: float | None = None,
     up_axis: str | None = None,
     time_code: float | None = None,
+    bind_pose: bool = False,
     named: Path | None = None,
 ) -> Asset:
     """The visible meshes, implicit shapes and Gaussian splats of a stage, posed at one time.
@@ -43,7 +44,7 @@ def read_usd(
         facts = stage_facts(stage, path, notes, meters_per_unit=meters_per_unit, up_axis=up_axis)
         time = Usd.TimeCode(first_time_code(facts, time_code))
         found = select(stage, path, prims, time)
-        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes)
+        surfaces, splats, skipped = _surfaces(path, found, facts, time, notes, bind_pose)
         if not surfaces and not splats:
             raise _nothing(stage, path, found, skipped, notes, by_name=bool(prims))
         return Asset(
@@ -55,7 +56,12 @@ def read_usd(
 
 
 def _surfaces(
-    path: Path, found: Selection, facts: StageFacts, time: Usd.TimeCode, notes: Notes
+    path: Path,
+    found: Selection,
+    facts: StageFacts,
+    time: Usd.TimeCode,
+    notes: Notes,
+    bind_pose: bool,
 ) -> tuple[list[Surface], list[Splats], dict[str, str]]:
     """The surfaces and Gaussians of the selection, and (path, reason) of what is left alone."""
     xforms = UsdGeom.XformCache(time)
@@ -64,7 +70,7 @@ def _surfaces(
         time=time,
         meters_per_unit=facts.units.length,
         xforms=xforms,
-        skins=Skins(time, xforms, notes),
+        skins=Skins(time, xforms, notes, bind=bind_pose),
         shadings=ShadingReader(time, notes),
         notes=notes,
     )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from gf_usd.core.arrays import Floats
+from gf_usd.core.matrices import signed_polar
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.stage import ANIMATED, Placement
 
@@ -23,6 +24,7 @@ class SkinnedPlacement(Placement):
     skin: UsdSkel.SkinningQuery
     time: Usd.TimeCode
     notes: Notes
+    bind: bool = False  # in the bind pose: joints and blend shapes do not move the points
 
     @property
     def skinned(self) -> bool:
@@ -40,6 +42,10 @@ class SkinnedPlacement(Placement):
 
     def points(self, points: Floats) -> Floats:
         """(V, 3) authored points to posed world points."""
+        if self.bind:
+            if self.skin.HasBlendShapes():
+                self._remark("its blend shapes are left out of the bind pose")
+            return super().points(self._bound(points))
         posed = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
         if self.skin.HasBlendShapes():
             self._blend(posed)
@@ -50,6 +56,10 @@ class SkinnedPlacement(Placement):
 
     def normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats:
         """(K, 3) authored normals to world, each by the joints of the point that carries it."""
+        if self.bind:
+            if self.skin.HasJointInfluences() and np.linalg.det(self._bind) != 0.0:
+                normals = normals @ np.linalg.inv(self._bind).T
+            return super().normals(normals, carriers)
         if self.skin.HasBlendShapes():
             self._remark("its normals follow its joints, but not its blend shapes")
         if self.skin.HasJointInfluences():
@@ -59,6 +69,13 @@ class SkinnedPlacement(Placement):
             else:
                 normals = posed
         return super().normals(normals, carriers)
+
+    def _bound(self, points: Floats) -> Floats:
+        """(V, 3) authored points in the skeleton's space, before any joint moves them."""
+        if not self.skin.HasJointInfluences():
+            return points
+        matrix = np.array(self.skin.GetGeomBindTransform(self.time))
+        return points @ matrix[:3, :3] + matrix[3, :3]
 
     def _skin_normals(self, normals: Floats, carriers: NDArray[np.int64]) -> Floats | None:
         """(K, 3) into the skeleton's space; None where that cannot be done."""
@@ -120,14 +137,26 @@ class SkinnedPlacement(Placement):
 
 
 class Skins:
-    """The skinned meshes of a stage at one time, looked up by path."""
+    """The skinned meshes of a stage at one time, looked up by path.
 
-    def __init__(self, time: Usd.TimeCode, xforms: UsdGeom.XformCache, notes: Notes) -> None:
+    bind : their points are those of the bind pose, placed where the skeleton is at that time.
+    """
+
+    def __init__(
+        self,
+        time: Usd.TimeCode,
+        xforms: UsdGeom.XformCache,
+        notes: Notes,
+        *,
+        bind: bool = False,
+    ) -> None:
         self._time = time
+        self._bind = bind
         self._xforms = xforms
         self._notes = notes
         self._cache = UsdSkel.Cache()
         self._roots: set[Sdf.Path] = set()
+        self._aligned: dict[Sdf.Path, NDArray[np.float64]] = {}
         self._bound: dict[Sdf.Path, tuple[Usd.Prim, UsdSkel.SkinningQuery]] = {}
 
     def placement(self, prim: Usd.Prim) -> SkinnedPlacement | None:
@@ -147,9 +176,12 @@ class Skins:
             return None
         skeleton, skin = bound
         world = Placement.of(self._xforms.GetLocalToWorldTransform(skeleton))
+        if self._bind:
+            world = Placement(self.alignment(skeleton) @ world.matrix)
         query = self._cache.GetSkelQuery(UsdSkel.Skeleton(skeleton))
         animation = query.GetAnimQuery()
-        if animation and animation.JointTransformsMightBeTimeVarying():
+        moves = animation and animation.JointTransformsMightBeTimeVarying()
+        if moves and not self._bind:
             self._notes.add(ANIMATED, str(prim.GetPath()))
         if not query.HasBindPose():
             self._notes.add("its skeleton has no bind pose: read as identity", str(prim.GetPath()))
@@ -159,7 +191,59 @@ class Skins:
                 str(prim.GetPath()),
             )
             return None
-        return SkinnedPlacement(world.matrix, query, skin, self._time, self._notes)
+        return SkinnedPlacement(world.matrix, query, skin, self._time, self._notes, self._bind)
+
+    def alignment(self, skeleton: Usd.Prim) -> NDArray[np.float64]:
+        """(4, 4) rigid motion, row vectors, of the bind pose within the skeleton's space.
+
+        The topmost joint that poses any flesh comes to where it is at this time, so that nothing
+        but the pose differs: a bind pose may lie far away, or on its side.
+        """
+        where = skeleton.GetPath()
+        if where not in self._aligned:
+            self._aligned[where] = self._align(skeleton)
+        return self._aligned[where]
+
+    def _align(self, skeleton: Usd.Prim) -> NDArray[np.float64]:
+        query = self.query(skeleton)
+        names = [str(name) for name in query.GetJointOrder()]
+        used: set[str] = set()
+        for above, skin in self._bound.values():
+            if above.GetPath() == skeleton.GetPath() and skin.HasJointInfluences():
+                index = np.array(skin.GetJointIndicesPrimvar().ComputeFlattened(self._time) or [0])
+                weight = np.array(skin.GetJointWeightsPrimvar().ComputeFlattened(self._time) or [0])
+                order = [str(name) for name in skin.GetJointOrder() or names]
+                some = index[weight > 0.0] if index.shape == weight.shape else index[:0]
+                used |= {order[k] for k in some if 0 <= k < len(order)}
+        top = next((row for row, name in enumerate(names) if name in used), None)
+        bind, posed = (
+            query.GetJointWorldBindTransforms(),
+            query.ComputeJointSkelTransforms(self._time),
+        )
+        if top is None or not bind or not posed or top >= min(len(bind), len(posed)):
+            return np.eye(4)
+        start, end = np.array(bind[top]), np.array(posed[top])
+        if not (np.isfinite(start).all() and np.isfinite(end).all()):
+            return np.eye(4)
+        out = np.eye(4)
+        turn = signed_polar(start[None, :3, :3])[0].T @ signed_polar(end[None, :3, :3])[0]
+        out[:3, :3] = turn
+        out[3, :3] = end[3, :3] - start[3, :3] @ turn
+        return out
+
+    @property
+    def time(self) -> Usd.TimeCode:
+        """When."""
+        return self._time
+
+    def skeleton(self, prim: Usd.Prim) -> tuple[Usd.Prim, UsdSkel.SkinningQuery] | None:
+        """The skeleton that poses a mesh, and how; None where none does."""
+        self._populate(prim)
+        return self._bound.get(prim.GetPath())
+
+    def query(self, skeleton: Usd.Prim) -> UsdSkel.SkeletonQuery:
+        """The joints of a skeleton and their animation."""
+        return self._cache.GetSkelQuery(UsdSkel.Skeleton(skeleton))
 
     def _fits(
         self, prim: Usd.Prim, query: UsdSkel.SkeletonQuery, skin: UsdSkel.SkinningQuery

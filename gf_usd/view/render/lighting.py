@@ -12,9 +12,10 @@ from gf_usd.view.render.raster import F32_1, F32_2, F32_3, part, row, to_map, ve
 
 ti = import_taichi()
 
-# slots of the look array, three numbers each, then single ones (filled in gf_usd.view.mesh)
+# slots of the uniforms array, three numbers each, then single ones (filled in surfaces.py)
 UP, KEY_DIR, KEY, FILL_DIR, FILL, SKY, BOUNCE, CENTER, EDGE = (3 * i for i in range(9))
-MAP_X, MAP_Y, MAP_O, RADIUS, FLOOR, MAP_HALF, KEY_SPREAD, LOOK_SIZE = 27, 30, 33, 36, 37, 38, 39, 40
+MAP_X, MAP_Y, MAP_O, RADIUS, FLOOR, MAP_HALF, KEY_SPREAD = 27, 30, 33, 36, 37, 38, 39
+UNIFORM_COUNT = 40
 
 
 @ti.func
@@ -80,15 +81,16 @@ def dome_seen(p, n, frames: ti.template(), keys, depth: ti.template(), radius):
 
 
 @ti.func
-def on_floor(look: ti.template(), x, y, size):
+def on_floor(uniforms: ti.template(), x, y, size):
     """The point of the floor at texel (x, y) of its map (MAP_O + a MAP_X + b MAP_Y)."""
     a, b = (2.0 * x + 1.0) / size - 1.0, (2.0 * y + 1.0) / size - 1.0
-    return part(look, MAP_O) + look[MAP_HALF] * (a * part(look, MAP_X) + b * part(look, MAP_Y))
+    away = a * part(uniforms, MAP_X) + b * part(uniforms, MAP_Y)
+    return part(uniforms, MAP_O) + uniforms[MAP_HALF] * away
 
 
 @ti.kernel
 def shade_floor(
-    look: F32_1,
+    uniforms: F32_1,
     frames: F32_2,
     keys: ti.i32,
     key_depth: F32_3,
@@ -98,16 +100,16 @@ def shade_floor(
 ):
     """key (G, G) and dome (D, D): the parts of them that the floor sees, over its map."""
     for y, x in ti.ndrange(key.shape[0], key.shape[0]):
-        p = on_floor(look, x, y, key.shape[0])
-        key[y, x] = key_seen(p, part(look, UP), frames, keys, key_depth, look[RADIUS])
+        p = on_floor(uniforms, x, y, key.shape[0])
+        key[y, x] = key_seen(p, part(uniforms, UP), frames, keys, key_depth, uniforms[RADIUS])
     for y, x in ti.ndrange(dome.shape[0], dome.shape[0]):
-        p = on_floor(look, x, y, dome.shape[0])
-        dome[y, x] = dome_seen(p, part(look, UP), frames, keys, dome_depth, look[RADIUS])
+        p = on_floor(uniforms, x, y, dome.shape[0])
+        dome[y, x] = dome_seen(p, part(uniforms, UP), frames, keys, dome_depth, uniforms[RADIUS])
 
 
 @ti.kernel
 def shade_points(
-    look: F32_1,
+    uniforms: F32_1,
     frames: F32_2,
     keys: ti.i32,
     key_depth: F32_3,
@@ -120,20 +122,20 @@ def shade_points(
     """out (N, 3): diffuse light / pi at points with normals, to multiply an albedo."""
     for i in range(points.shape[0]):
         p, n = row(points, i), row(normals, i)
-        key = key_seen(p, n, frames, keys, key_depth, look[RADIUS])
-        dome = dome_seen(p, n, frames, keys, dome_depth, look[RADIUS])
-        light = diffuse(look, floor, p, n, key, dome)
+        key = key_seen(p, n, frames, keys, key_depth, uniforms[RADIUS])
+        dome = dome_seen(p, n, frames, keys, dome_depth, uniforms[RADIUS])
+        light = diffuse(uniforms, floor, p, n, key, dome)
         for k in ti.static(range(3)):
             out[i, k] = light[k]
 
 
 @ti.func
-def floor_light(look: ti.template(), floor: ti.template(), p):
+def floor_light(uniforms: ti.template(), floor: ti.template(), p):
     """Key and dome at the floor below p, bilinear; 1 beyond the map."""
     size = floor.shape[0]
-    q = p - part(look, MAP_O)
-    a = (q.dot(part(look, MAP_X)) / look[MAP_HALF] + 1.0) * 0.5 * size - 0.5
-    b = (q.dot(part(look, MAP_Y)) / look[MAP_HALF] + 1.0) * 0.5 * size - 0.5
+    q = p - part(uniforms, MAP_O)
+    a = (q.dot(part(uniforms, MAP_X)) / uniforms[MAP_HALF] + 1.0) * 0.5 * size - 0.5
+    b = (q.dot(part(uniforms, MAP_Y)) / uniforms[MAP_HALF] + 1.0) * 0.5 * size - 0.5
     key, dome = 1.0, 1.0
     if 0.0 <= a < size - 1.0 and 0.0 <= b < size - 1.0:
         x, y = ti.cast(a, ti.i32), ti.cast(b, ti.i32)
@@ -151,24 +153,24 @@ def floor_light(look: ti.template(), floor: ti.template(), p):
 
 
 @ti.func
-def floor_factor(look: ti.template(), floor: ti.template(), p):
+def floor_factor(uniforms: ti.template(), floor: ti.template(), p):
     """Light on the floor below p relative to the bare floor."""
-    key, dome = floor_light(look, floor, p)
-    up = part(look, UP)
-    sun = part(look, KEY) * ti.max(0.0, up.dot(part(look, KEY_DIR)))
-    sky = part(look, SKY)
+    key, dome = floor_light(uniforms, floor, p)
+    up = part(uniforms, UP)
+    sun = part(uniforms, KEY) * ti.max(0.0, up.dot(part(uniforms, KEY_DIR)))
+    sky = part(uniforms, SKY)
     return (sun * key + sky * dome) / ti.max(sun + sky, 1e-6)
 
 
 @ti.func
-def diffuse(look: ti.template(), floor: ti.template(), p, n, key, dome):
+def diffuse(uniforms: ti.template(), floor: ti.template(), p, n, key, dome):
     """Irradiance / pi at p with normal n that sees those parts of key and dome."""
-    up = part(look, UP)
+    up = part(uniforms, UP)
     t = 0.5 + 0.5 * n.dot(up)
-    bounce = part(look, BOUNCE) * floor_factor(look, floor, p)
-    sun = part(look, KEY) * (ti.max(0.0, n.dot(part(look, KEY_DIR))) * key)
-    fill = part(look, FILL) * (ti.max(0.0, n.dot(part(look, FILL_DIR))) * dome)
-    return (part(look, SKY) * t + bounce * (1.0 - t)) * dome + sun + fill
+    bounce = part(uniforms, BOUNCE) * floor_factor(uniforms, floor, p)
+    sun = part(uniforms, KEY) * (ti.max(0.0, n.dot(part(uniforms, KEY_DIR))) * key)
+    fill = part(uniforms, FILL) * (ti.max(0.0, n.dot(part(uniforms, FILL_DIR))) * dome)
+    return (part(uniforms, SKY) * t + bounce * (1.0 - t)) * dome + sun + fill
 
 
 @ti.func
@@ -185,21 +187,21 @@ def highlight(n, v, light, rough, spread):
 
 
 @ti.func
-def lit(look: ti.template(), floor: ti.template(), p, n, v, albedo, rough, metal, key, dome):
+def lit(uniforms: ti.template(), floor: ti.template(), p, n, v, albedo, rough, metal, key, dome):
     """Radiance towards v (unit)."""
     base = 0.04 + (albedo - 0.04) * metal
     nv = ti.max(0.0, n.dot(v))
     grazing = (1.0 - nv) ** 5
     fresnel = base + (ti.max(vec3(1.0 - rough), base) - base) * grazing
     r = 2.0 * n.dot(v) * n - v
-    t = smooth(-0.6 * (0.3 + rough), 0.6 * (0.3 + rough), r.dot(part(look, UP)))
-    bounce = part(look, BOUNCE) * floor_factor(look, floor, p)
-    mirror = bounce + (1.6 * part(look, SKY) - bounce) * t
-    key_dir, fill_dir = part(look, KEY_DIR), part(look, FILL_DIR)
-    shine = part(look, KEY) * (key * highlight(n, v, key_dir, rough, look[KEY_SPREAD]))
-    shine += part(look, FILL) * (dome * highlight(n, v, fill_dir, rough, look[KEY_SPREAD]))
+    t = smooth(-0.6 * (0.3 + rough), 0.6 * (0.3 + rough), r.dot(part(uniforms, UP)))
+    bounce = part(uniforms, BOUNCE) * floor_factor(uniforms, floor, p)
+    mirror = bounce + (1.6 * part(uniforms, SKY) - bounce) * t
+    key_dir, fill_dir = part(uniforms, KEY_DIR), part(uniforms, FILL_DIR)
+    shine = part(uniforms, KEY) * (key * highlight(n, v, key_dir, rough, uniforms[KEY_SPREAD]))
+    shine += part(uniforms, FILL) * (dome * highlight(n, v, fill_dir, rough, uniforms[KEY_SPREAD]))
     return (
-        albedo * (1.0 - metal) * diffuse(look, floor, p, n, key, dome)
+        albedo * (1.0 - metal) * diffuse(uniforms, floor, p, n, key, dome)
         + fresnel * mirror * dome * (1.0 - 0.5 * rough)
         + base * shine
     )

@@ -46,7 +46,7 @@ from gf_usd.view.render.textures import LEVELS
 ti = import_taichi()
 
 
-SAME_PATCH = 0.99  # cosine between normals in one pixel that may share a look at the lights
+SAME_PATCH = 0.99  # cosine between normals in one pixel that may share one evaluation of the lights
 BRIGHTEST = 4.0  # of one sample: an edge against a highlight stays smooth
 
 
@@ -79,10 +79,10 @@ def pair(uvs: ti.template(), t, b):
 
 
 @ti.func
-def backdrop(look: ti.template(), x, y):
+def backdrop(uniforms: ti.template(), x, y):
     """The studio wall: light in the middle, darker at the corners; x, y in -1..1."""
     t = smooth(0.15, 1.55, ti.sqrt(x * x + (y - 0.12) * (y - 0.12)))
-    return part(look, CENTER) * (1.0 - t) + part(look, EDGE) * t
+    return part(uniforms, CENTER) * (1.0 - t) + part(uniforms, EDGE) * t
 
 
 @ti.func
@@ -116,7 +116,7 @@ def shade(
     center: F32_2,
     inverse: F32_2,
     tint: F32_2,
-    look: F32_1,
+    uniforms: F32_1,
     frames: F32_2,
     keys: ti.i32,
     key_depth: F32_3,
@@ -148,13 +148,13 @@ def shade(
                 farthest = 3e38
                 a = ti.cast(2.0 * sx / key.shape[1] - 1.0, ti.f32)
                 b = ti.cast(1.0 - 2.0 * sy / key.shape[0], ti.f32)
-                color = backdrop(look, a, b)
-                up = double(part(look, UP))
-                height = part(camera, 0).dot(up) - look[FLOOR]
+                color = backdrop(uniforms, a, b)
+                up = double(part(uniforms, UP))
+                height = part(camera, 0).dot(up) - uniforms[FLOOR]
                 fall = -d.dot(up)
                 if height > 0.0 and fall > 1e-6 * d.norm():
                     p = single(part(camera, 0) + height / fall * d)
-                    color *= floor_factor(look, floor, p)
+                    color *= floor_factor(uniforms, floor, p)
             else:
                 item = ti.cast(key[y, x], ti.i32)
                 farthest = ti.max(farthest, ti.bit_cast(nearness, ti.f32))
@@ -185,10 +185,10 @@ def shade(
                     albedo = row(tint, i)
                 # neighboring samples of one smooth patch see the same light
                 if lit_id != item or n.dot(lit_n) < SAME_PATCH:
-                    sun = key_seen(p, n, frames, keys, key_depth, look[RADIUS])
-                    sky = dome_seen(p, n, frames, keys, dome_depth, look[RADIUS])
+                    sun = key_seen(p, n, frames, keys, key_depth, uniforms[RADIUS])
+                    sky = dome_seen(p, n, frames, keys, dome_depth, uniforms[RADIUS])
                     lit_id, lit_n = item, n
-                color = lit(look, floor, p, n, v, albedo, rough, metal, sun, sky)
+                color = lit(uniforms, floor, p, n, v, albedo, rough, metal, sun, sky)
             total += ti.min(color, BRIGHTEST)
         for k in ti.static(range(3)):
             out[py, px, k] = total[k] / (oversampling * oversampling)

@@ -34,7 +34,7 @@ BACKDROP_EDGE = (0.50, 0.505, 0.52)  # in the corners
 class Lit:
     """What a point of the scene can see of its lights."""
 
-    look: NDArray[np.float32]  # (LOOK_SIZE,) see gf_usd.view.lighting
+    uniforms: NDArray[np.float32]  # (UNIFORM_COUNT,) see gf_usd.view.render.lighting
     rig: Rig
     key: NDArray[np.float32]  # (K, S, S) [m] depth map of each direction of the key
     dome: NDArray[np.float32]  # (D, s, s) [m] ... of the dome
@@ -45,15 +45,15 @@ def light_up(scene: Scene, packed: Packed, rig: Rig) -> Lit:
     """Draw the depth maps of all lights and the light map of the floor."""
     key = _depths(packed, rig.frames[: rig.key_samples], KEY_TEXELS)
     dome = _depths(packed, rig.frames[rig.key_samples :], DOME_TEXELS)
-    look = _look(scene, packed, rig)
+    uniforms = _uniforms(scene, packed, rig)
     floor = np.ones((FLOOR_TEXELS, FLOOR_TEXELS, 2), dtype=np.float32)
     if scene.ground is not None:
         half = np.empty((FLOOR_TEXELS // 2, FLOOR_TEXELS // 2), dtype=np.float32)
         full = np.empty((FLOOR_TEXELS, FLOOR_TEXELS), dtype=np.float32)
-        lighting.shade_floor(look, rig.frames, rig.key_samples, key, dome, full, half)
+        lighting.shade_floor(uniforms, rig.frames, rig.key_samples, key, dome, full, half)
         for layer, light in enumerate((full, half.repeat(2, axis=0).repeat(2, axis=1))):
             floor[..., layer] = gaussian_filter(light, FLOOR_BLUR, mode="nearest")
-    return Lit(look=look, rig=rig, key=key, dome=dome, floor=floor)
+    return Lit(uniforms=uniforms, rig=rig, key=key, dome=dome, floor=floor)
 
 
 def _depths(packed: Packed, frames: NDArray[np.float32], size: int) -> NDArray[np.float32]:
@@ -98,7 +98,7 @@ def draw_surfaces(
         packed.finish, packed.skin,
         packed.atlas.texels, packed.atlas.levels, packed.atlas.kinds,
         packed.centers, packed.inverses, packed.tint,
-        lit.look, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
+        lit.uniforms, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
         out, seen,
     )  # fmt: skip
     return out, seen
@@ -109,20 +109,20 @@ def irradiance(lit: Lit, points: Floats, normals: Floats) -> NDArray[np.float32]
     out = np.zeros((len(points), 3), dtype=np.float32)
     if len(points):
         lighting.shade_points(
-            lit.look, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
+            lit.uniforms, lit.rig.frames, lit.rig.key_samples, lit.key, lit.dome, lit.floor,
             np.ascontiguousarray(points, dtype=np.float32),
             np.ascontiguousarray(normals, dtype=np.float32), out,
         )  # fmt: skip
     return out
 
 
-def _look(scene: Scene, packed: Packed, rig: Rig) -> NDArray[np.float32]:
+def _uniforms(scene: Scene, packed: Packed, rig: Rig) -> NDArray[np.float32]:
     """Lights, backdrop and floor as the kernels read them."""
-    look = np.zeros(lighting.LOOK_SIZE, dtype=np.float32)
+    uniforms = np.zeros(lighting.UNIFORM_COUNT, dtype=np.float32)
     up, key = np.array(scene.up, dtype=np.float64), np.array(rig.key.direction)
 
     def put(slot: int, value: Floats | tuple[float, float, float]) -> None:
-        look[slot : slot + 3] = value
+        uniforms[slot : slot + 3] = value
 
     put(lighting.UP, up)
     put(lighting.KEY_DIR, key)
@@ -133,13 +133,13 @@ def _look(scene: Scene, packed: Packed, rig: Rig) -> NDArray[np.float32]:
     put(lighting.BOUNCE, BOUNCE)
     put(lighting.CENTER, BACKDROP)
     put(lighting.EDGE, BACKDROP_EDGE)
-    look[lighting.RADIUS] = packed.radius
-    look[lighting.KEY_SPREAD] = np.tan(np.radians(rig.key.angle))
+    uniforms[lighting.RADIUS] = packed.radius
+    uniforms[lighting.KEY_SPREAD] = np.tan(np.radians(rig.key.angle))
 
     # the floor's map holds the footprint and the key's shadow, which falls away from the light
     center_height = float(packed.origin @ up)
     ground = FAR if scene.ground is None else scene.ground - center_height
-    look[lighting.FLOOR] = ground
+    uniforms[lighting.FLOOR] = ground
     slope = max(float(key @ up), 0.1)
     drop = 0.0 if scene.ground is None else max(-float(ground), 0.0)
     shadow = -(key - (key @ up) * up) / slope * drop
@@ -148,8 +148,8 @@ def _look(scene: Scene, packed: Packed, rig: Rig) -> NDArray[np.float32]:
     put(lighting.MAP_X, x_axis)
     put(lighting.MAP_Y, np.cross(up, x_axis))
     put(lighting.MAP_O, 0.5 * shadow - drop * up)
-    look[lighting.MAP_HALF] = 2.6 * packed.radius + 0.5 * float(np.linalg.norm(shadow))
-    return look
+    uniforms[lighting.MAP_HALF] = 2.6 * packed.radius + 0.5 * float(np.linalg.norm(shadow))
+    return uniforms
 
 
 Single = NDArray[np.float32]

@@ -12,8 +12,15 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+from gf_usd.view.report.labels import (
+    FACTS,
+    SETTINGS,
+    Line,
+    health_rows,
+    material_labels,
+    named_rows,
+)
 from gf_usd.view.report.record import Record
-from gf_usd.view.report.words import FACTS, SETTINGS, Line, health_rows, material_labels, named_rows
 
 VOID = {"input", "img", "meta", "link"}  # elements without an end
 
@@ -30,15 +37,15 @@ def tag(name_: str, /, *children: str, **attributes: str | bool) -> Html:
     A trailing underscore is dropped and others become dashes: ``class_``, ``data_look``.
     True is an attribute without a value, False none at all.
     """
-    words = [name_]
+    parts = [name_]
     for key, value in attributes.items():
         key = key.rstrip("_").replace("_", "-")
         if value is True:
-            words.append(key)
+            parts.append(key)
         elif value is not False:
-            words.append(f'{key}="{escape(str(value), quote=True)}"')
+            parts.append(f'{key}="{escape(str(value), quote=True)}"')
     end = "" if name_ in VOID else f"{join(children)}</{name_}>"
-    return Html(f"<{' '.join(words)}>{end}")
+    return Html(f"<{' '.join(parts)}>{end}")
 
 
 def join(parts: Iterable[str]) -> Html:
@@ -90,6 +97,8 @@ MODES = {
     "color": "own color",
     "strain": "strain",
     "speed": "speed",
+    "elastic": "elastic strain",
+    "plastic": "plastic strain",
     "stress": "stress",
 }
 
@@ -111,17 +120,17 @@ def header(name: str, looks: Sequence[str], records: Sequence[Record]) -> Html:
         if record.command:
             inside.append(tag("code", record.command, class_="command"))
         if record.failure:
-            words = tag("p", f"The bake ended early: {record.failure}")
-            inside.append(tag("div", words, class_="banner"))
+            text = tag("p", f"The bake ended early: {record.failure}")
+            inside.append(tag("div", text, class_="banner"))
         if record.missing:
-            words = join(tag("p", f"Missing: {line}.") for line in record.missing)
-            inside.append(tag("div", words, class_="banner"))
+            text = join(tag("p", f"Missing: {line}.") for line in record.missing)
+            inside.append(tag("div", text, class_="banner"))
         parts.append(_of(i, *inside))
     return tag("header", *parts)
 
 
 def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, cell: str) -> Html:
-    """Canvas and controls; for each look (frame, words, data URI) of its pictures."""
+    """Canvas and controls; for each look (frame, text, data URI) of its pictures."""
     speed = "0.5" if seconds < SHORT else "1"
     screen = tag(
         "div",
@@ -171,8 +180,8 @@ def _controls(speed: str) -> Html:
         tag(
             "div",
             *(
-                tag("button", words, type="button", data_show=kind, aria_pressed="false")
-                for kind, words in kinds
+                tag("button", text, type="button", data_show=kind, aria_pressed="false")
+                for kind, text in kinds
             ),
             class_="group",
             id="kinds",
@@ -225,12 +234,12 @@ def _health(record: Record) -> Html:
     many = len(record.warnings)
     verdict = tag("p", "No warnings.", class_="verdict")
     if many:
-        words = "One warning:" if many == 1 else f"{many} warnings:"
+        text = "One warning:" if many == 1 else f"{many} warnings:"
         items = (
             tag("li", w.message, tag("span", f" {w.hint}") if w.hint else "")
             for w in record.warnings
         )
-        verdict = tag("div", tag("p", words), tag("ul", *items), class_="banner")
+        verdict = tag("div", tag("p", text), tag("ul", *items), class_="banner")
     parts = [verdict, _health_table([row for row in rows if row.first])]
     if rest := [row for row in rows if not row.first]:
         parts.append(tag("details", tag("summary", "more numbers"), _health_table(rest)))
@@ -278,30 +287,30 @@ def _strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
         *(
             tag(
                 "button",
-                tag("img", src=uri, alt=words),
-                tag("span", words),
+                tag("img", src=uri, alt=text),
+                tag("span", text),
                 type="button",
                 data_frame=str(frame),
-                title=words,
+                title=text,
             )
-            for frame, words, uri in pictures
+            for frame, text, uri in pictures
         ),
         class_="pictures",
     )
 
 
-def _button(name: str, words: str, *icons: str) -> Html:
+def _button(name: str, text: str, *icons: str) -> Html:
     drawn = join(
         tag("svg", tag("path", d=ICONS[icon]), viewBox="0 0 16 16", class_=icon, aria_hidden="true")
         for icon in icons
     )
-    return tag("button", drawn, type="button", id=name, class_="icon", aria_label=words)
+    return tag("button", drawn, type="button", id=name, class_="icon", aria_label=text)
 
 
 def _choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
     return tag(
         "select",
-        *(tag("option", words, value=value, selected=value == chosen) for value, words in options),
+        *(tag("option", text, value=value, selected=value == chosen) for value, text in options),
         id=name,
     )
 

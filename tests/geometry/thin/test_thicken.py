@@ -63,7 +63,7 @@ def test_a_plate_grows_to_one_spacing_and_a_thick_one_stays() -> None:
     slab = cube(edge=(1.0, 0.3, 1.0))
     same, (left,) = thickened(slab, spacing=0.1)
     assert same.surfaces[0] is slab
-    assert left.words() == ()
+    assert left.messages() == ()
 
 
 def test_only_the_sheet_of_a_mesh_changes() -> None:
@@ -89,7 +89,7 @@ def test_what_is_too_small_or_in_flesh_stays_as_it_is() -> None:
     made, (_, leaf) = thickened(cube(), small, spacing=0.1)
     assert made.surfaces[1] is small
     assert (leaf.thickened, leaf.thin_left) == (0, 1)
-    assert "left 1 sheet without flesh" in leaf.words()[-1]
+    assert "left 1 sheet without flesh" in leaf.messages()[-1]
     within = joined(cube(), sheet(edge=0.5, at=(0.25, 0.5, 0.25)))
     same, (done,) = thickened(within, spacing=0.1)
     assert same.surfaces[0] is within

@@ -14,7 +14,8 @@ from gf_usd.core.materials import LAWS
 from gf_usd.physics.laws import crushable, hencky, von_mises
 from gf_usd.physics.laws.simd3x3 import let, unrolled
 
-FLOWING = [token for token, row in LAWS.items() if row.flows]
+# Of laws with Hencky's energy, for which the closed forms of `return_mapping` hold.
+FLOWING = [token for token, row in LAWS.items() if row.flows and not row.over]
 
 
 @pytest.mark.parametrize("token", FLOWING)

@@ -12,8 +12,7 @@ from recordings import FallingBox, report_of
 from gf_usd.core.frames import Health, Settings
 from gf_usd.core.materials import Material
 from gf_usd.pipeline.health import RULES, HealthLog
-from gf_usd.view.report.record import load_report, make_record, report_path
-from gf_usd.view.report.words import (
+from gf_usd.view.report.labels import (
     MARKS,
     MATERIAL,
     ROWS,
@@ -22,6 +21,7 @@ from gf_usd.view.report.words import (
     named_rows,
     number,
 )
+from gf_usd.view.report.record import load_report, make_record, report_path
 
 SETTINGS_OF_A_BAKE = Settings(
     frames=2, fps=24.0, time_codes_per_second=24.0, start=1.0, gravity=(0, -9.81, 0), up=(0, 1, 0)

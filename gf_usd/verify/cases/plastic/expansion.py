@@ -81,7 +81,9 @@ def ring(cells: int) -> tuple[Particles, float]:
 def widening(h: float, hole: Floats) -> Pin:
     """All that is within the hole, as it moves when that has the radii `hole` (frames,) [m]."""
     count = round(INNER / h)
-    ijk = np.stack(np.meshgrid(*[np.arange(-3, count + 2)] * 2, np.arange(-2, 4), indexing="ij"), -1)
+    ijk = np.stack(
+        np.meshgrid(*[np.arange(-3, count + 2)] * 2, np.arange(-2, 4), indexing="ij"), -1
+    )
     X = h * (ijk.reshape(-1, 3) + 0.5)
     R = np.hypot(X[:, 0], X[:, 1])
     X = X[(R < INNER) & (R > INNER - 4.0 * h)]

@@ -130,6 +130,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "device": ("Device", ""),
     "threads": ("Threads", ""),
     "time_scale": ("Time scale", ""),
+    "mass_scaling": ("Mass scaling of materials that flow", ""),
     "substeps": ("Substeps a frame", ""),
     "cell": ("Grid cell", "m"),
     "contact_rate": ("Contact stiffness", "1/s²"),

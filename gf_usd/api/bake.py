@@ -1,0 +1,98 @@
+"""`gf_usd.bake`: an asset in, USD layers with its motion out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.api.call import takes
+from gf_usd.api.host.guest import here_or_away
+from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
+
+if TYPE_CHECKING:
+    from gf_usd.pipeline.result import BakeResult
+
+
+@takes(BakeOptions)
+def bake(
+    path: Path,
+    *,
+    strict: bool = False,
+    max_hours: float = MAX_HOURS,
+    slice: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> BakeResult:
+    """Fill an asset with particles, simulate it and write its layers.
+
+    >>> result = gf_usd.bake("duck.usda", drop=3.0, range=(1, 4), particles=300, overwrite=True)
+    >>> result.bakes[0].material.name, result.health["inverted_particle_frames"]
+    ('rubber', 0)
+
+    A program that opened stages before, or that uses Taichi itself, may call it as well: the bake
+    then runs in a process of its own, and a note says so.
+
+    The keywords are the options of ``gf-usd bake``, with underscores.  They take values of Python:
+    numbers, tuples and lists, paths of `pathlib`, `gf_usd.Material` objects, and for regions dicts.
+    None is the same as leaving a keyword out.  The asset is never written to.
+
+    Parameters
+    ----------
+    path : the asset: USD, obj, ply, stl, off, glTF, FBX, or captured Gaussians.
+    material : a preset (see `gf_usd.materials`), a USD file with a material, a `gf_usd.Material`,
+        or a list of them: variants of one root layer.
+    output : root layer, or a folder.
+    prims : prim path to bake, or a list of them.
+    drop : height of the fall [stage units], or in radii of the body: "3r".
+    gravity : [m/s^2] downward, or a vector (3,).
+    floor : a height [stage units], a normal (3,), (height, normal), or False for none.
+    range : (first, last) time code to write, None where it is open.
+    pins : prim paths, or boxes of two corners [stage units].
+    material_boxes : {preset: (corner, corner)} [stage units].
+    material_labels : {property: {value: preset}} of captured Gaussians.
+    limits : of the process that reads the asset, {"time": [s], "memory": [B], "output": [B]}; None:
+        this process reads it.
+    strict : raise UnhealthyError where the finished bake has warnings.
+    max_hours : refuse a bake whose estimate is longer [h], and end one that takes twice as long.
+    slice : full value clips after which it ends, to be resumed.
+    progress : called after each frame with (frames done, frames in all).
+    options : all others; docs/guide.md describes each of them.
+
+    Returns
+    -------
+    BakeResult : the files, the health, the warnings and the notes.
+
+    Raises
+    ------
+    UsageError : the options make no sense, or the output exists or cannot be written.
+    InputError : the asset was refused; nothing was written.
+    BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
+        SolverError, with the frame and the particle, where the solver could not go on.
+    Unfinished : the slice is done, and there are frames left.
+    UnhealthyError : strict, and there are warnings; the files are written.
+    """
+    from gf_usd.pipeline.result import require_healthy
+
+    asked = {"path": path, "max_hours": max_hours, "slice": slice, **options}
+    result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
+    if why:
+        result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
+    if strict:
+        require_healthy(result)
+    return result
+
+
+def prepare_and_run(
+    path: Path,
+    *,
+    max_hours: float,
+    slice: int | None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> BakeResult:
+    """See `bake`; in this process."""
+    from gf_usd.pipeline.run import prepare, run
+
+    return run(prepare(path, **options), progress, max_hours=max_hours, slice=slice)

@@ -1,0 +1,136 @@
+"""Bone cores: the part of a body around the bones of its skeleton, which moves with their joints.
+
+Around each segment of a bone lies a core whose radius is a share of the distance to the skin, point
+by point.  Its axis ends before the joint, by `CLEAR` radii, so that the flesh between two bones has
+room to bend.  A point within reach of several bones belongs to the one whose core it is in the
+deepest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.stage import Bone, Pin
+from gf_usd.geometry.regions import Shape
+from gf_usd.geometry.solid import Solid
+
+POINTS = 25  # along a segment
+CLEAR = 1.0  # [radii] between the joint and the end of the axis
+HOLDS = 0.75  # [cells] a core of that radius holds nodes wherever it lies: a face's half diagonal
+MOST_CLEAR = 1.0 / 3.0  # of a segment: short bones keep a third of it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Core:
+    """One segment's core: a row of balls, and what is between them."""
+
+    bone: int
+    points: Floats  # (k, 3) [m] evenly along the segment, k >= 1
+    radius: Floats  # (k,) [m]; 0 outside the body
+
+    def depth(self, X: Floats) -> NDArray[np.float64]:
+        """(n,) [m] by which points (n, 3) [m] lie inside; below 0: outside."""
+        start, way = self.points[0], self.points[-1] - self.points[0]
+        length2 = float(way @ way)
+        t = np.zeros(len(X))
+        if length2 > 0.0:
+            t = np.clip((X - start) @ way / length2, 0.0, 1.0)
+        r = np.interp(t, np.linspace(0.0, 1.0, len(self.points)), self.radius)
+        distance = np.linalg.norm(X - start - t[:, None] * way, axis=1)
+        return np.asarray(np.where(r > 0.0, r - distance, -np.inf))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cores:
+    """All cores of a body."""
+
+    cores: tuple[Core, ...]
+
+    def owner(self, X: Floats) -> Ints:
+        """(n,) bone whose core each point (n, 3) [m] is in; -1: none."""
+        best, out = np.zeros(len(X)), np.full(len(X), -1)
+        for core in self.cores:
+            depth = core.depth(X)
+            deeper = depth > best
+            best[deeper], out[deeper] = depth[deeper], core.bone
+        return out
+
+
+def bone_cores(
+    bones: Sequence[Bone], solid: Solid, share: float, cell: float
+) -> tuple[Cores, tuple[str, ...]]:
+    """The cores of bones in a solid, for a grid whose nodes are held in them, and notes.
+
+    share : radius of a core over the distance from the bone to the skin.
+    cell : [m] edge of a cell.  Flesh is held as far as the last node in a core: half a cell less
+    than its radius on average, which is therefore half a cell larger.
+    """
+    skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
+
+    def radii(points: Floats) -> NDArray[np.float64]:
+        to_skin = np.min([skin.closest(points)[0] for skin in skins], axis=0)
+        return np.where(solid.inside(points), share * to_skin, 0.0)
+
+    cores, outside, thin = [], [], []
+    for number, bone in enumerate(bones):
+        mine = []
+        for (start, end), free in zip(bone.segments, bone.free, strict=True):
+            whole = radii(_along(start, end))
+            if not whole.any():
+                continue
+            typical = max(float(np.median(whole[whole > 0.0])) + 0.5 * cell, HOLDS * cell)
+            length = float(np.linalg.norm(end - start))
+            cut = min(CLEAR * typical / length, MOST_CLEAR) if length > 0.0 else 0.0
+            last = end if free else end - cut * (end - start)
+            points = _along(start + cut * (end - start), last)
+            radius = radii(points)
+            if radius.any():
+                mine.append((points, radius))
+        if not mine:
+            outside.append(bone.name)
+            continue
+        typical = float(np.median(np.concatenate([r[r > 0.0] for _, r in mine])))
+        if typical < (HOLDS - 0.5) * cell:
+            thin.append(bone.name)
+        for points, radius in mine:
+            wide = np.maximum(radius + 0.5 * cell, HOLDS * cell)
+            cores.append(Core(bone=number, points=points, radius=np.where(radius > 0.0, wide, 0.0)))
+    notes = []
+    if outside:
+        notes.append(f"{_some(outside)}: outside of the flesh, and hold nothing")
+    if thin:
+        notes.append(
+            f"{_some(thin)}: the flesh around is {2.0 / share * (HOLDS - 0.5):.2g} cells of the"
+            " grid thick or less, and moves with the bone; more --particles make it finer"
+        )
+    return Cores(cores=tuple(cores)), tuple(notes)
+
+
+def bone_pins(bones: Sequence[Bone], cores: Cores) -> tuple[Pin, ...]:
+    """One pin for each bone that has a core."""
+    there = sorted({core.bone for core in cores.cores if (core.radius > 0.0).any()})
+    return tuple(_pin(bones[k], cores, k) for k in there)
+
+
+def _pin(bone: Bone, cores: Cores, number: int) -> Pin:
+    return Pin(
+        name=bone.name,
+        inside=lambda X: cores.owner(X) == number,
+        nearest=lambda X: X,
+        anchors=bone.anchors,
+        path=bone.path,
+        sharp=False,
+    )
+
+
+def _along(start: Floats, end: Floats) -> NDArray[np.float64]:
+    return np.asarray(start + np.linspace(0.0, 1.0, POINTS)[:, None] * (end - start))
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more bones" if len(names) > 3 else "")

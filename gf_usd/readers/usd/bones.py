@@ -1,0 +1,375 @@
+"""The bones of a skeleton (UsdSkel): segments of the body in its bind pose, and their motion.
+
+A joint's segments run from it to each of its children.  One from which flesh hangs that no segment
+comes near, such as the last joint of a limb, has a segment into that flesh.
+
+At a frame a point X of the bind pose that joint j carries is, in row vectors,
+
+    x = X W0^-1 B_j^-1 J_j(t) W(t)
+
+with B_j the joint's bind transform, J_j its animated transform, both in the skeleton's space, and W
+the skeleton's local-to-world, W0 that of the first frame.  The bind pose as a whole is moved
+rigidly so that the topmost joint with flesh is where it is in the first frame.
+
+Times before the first frame lead from the bind pose into the animation.  Each joint's transform
+relative to the next joint above that carries flesh goes from the bind pose to where the animation
+would have been, by rotation, stretch and translation apart, with weights s = 3 r^2 - 2 r^3.
+Position and velocity agree with the animation at the first frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.asset import StageFacts
+from gf_usd.core.errors import InputError
+from gf_usd.core.matrices import signed_polar
+from gf_usd.core.stage import Bone
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.select import named_prim
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import open_stage, reading
+
+INTO_FLESH = 1.5  # times the way from a joint to the middle of its flesh: most of the way through
+AWAY = 0.5  # of a joint's longest segment: flesh that is farther from all of them needs its own
+MEMORY = 4.0  # [frames] that the pre-roll follows the animation back before its first frame
+SHORT = 1e-6  # of the skeleton's size: a segment below it is a point
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rig:
+    """A skeleton and the flesh that hangs on it."""
+
+    path: str  # prim path of the Skeleton
+    prim: Usd.Prim
+    query: UsdSkel.SkeletonQuery
+    joints: tuple[str, ...]
+    parents: Ints  # (J,) -1: a root
+    bind: Floats  # (J, 4, 4) skeleton space, row vectors, aligned: see `Skins.alignment`
+    points: list[Floats] = field(default_factory=list)  # (V, 3) [m] bind pose, world
+    owner: list[Ints] = field(default_factory=list)  # (V,) joint of the largest weight
+
+
+def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
+    """First and last time code of the animation that poses some meshes.
+
+    Where the stage says both, they are its own, else those of the time samples.  Raises InputError
+    as `read_bones`.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        codes: set[float] = set()
+        for rig in _rigs(stage, paths, facts, 0.0):
+            animation = rig.query.GetAnimQuery()
+            if animation:
+                codes.update(animation.GetJointTransformTimeSamples())
+            above = rig.prim
+            while above and not above.IsPseudoRoot():
+                if placed := UsdGeom.Xformable(above):
+                    codes.update(placed.GetTimeSamples())
+                above = above.GetParent()
+    first = facts.start_time_code
+    last = facts.end_time_code
+    if first is None:
+        first = min(codes, default=1.0)
+    if last is None:
+        last = max(codes, default=first)
+    return first, max(first, last)
+
+
+def read_bones(
+    file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
+) -> tuple[Bone, ...]:
+    """The bones of the skeletons that pose some meshes, in the bind pose, and their motion.
+
+    file : the USD file; facts.path is what messages call it.  paths : prim paths of the meshes.
+    first : time code of the first frame of the animation; times : time codes (F,), which begin with
+    the bind pose where they begin before it.
+
+    Raises InputError where no skeleton poses any of the meshes, and for a broken skeleton.
+    """
+    with reading(file):
+        stage = open_stage(file)
+        out = []
+        for rig in _rigs(stage, paths, facts, first):
+            out += _bones(rig, facts, first, np.asarray(times, float))
+        return tuple(out)
+
+
+def _rigs(stage: Usd.Stage, paths: Sequence[str], facts: StageFacts, first: float) -> list[Rig]:
+    time, notes = Usd.TimeCode(first), Notes()
+    skins = Skins(time, UsdGeom.XformCache(time), notes, bind=True)
+    rigs: dict[str, Rig] = {}
+    for path in paths:
+        prim = named_prim(stage, facts.path, path)
+        found = skins.skeleton(prim)
+        if found is None or not found[1].HasJointInfluences():
+            continue
+        skeleton, skin = found
+        where = str(skeleton.GetPath())
+        if where not in rigs:
+            rigs[where] = _rig(skeleton, skins.query(skeleton), facts)
+            rigs[where].bind[:] = rigs[where].bind @ skins.alignment(skeleton)
+        _add_flesh(rigs[where], prim, skin, skins, facts)
+    if rigs:
+        return list(rigs.values())
+    here = f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+    raise InputError(
+        f"{facts.path}: --flesh: no skeleton poses {here}",
+        "bind the mesh to a Skeleton under a SkelRoot (UsdSkel), with joint indices and weights, or"
+        " bake it without --flesh",
+    )
+
+
+def _rig(skeleton: Usd.Prim, query: UsdSkel.SkeletonQuery, facts: StageFacts) -> Rig:
+    where = f"{facts.path}: --flesh: <{skeleton.GetPath()}>"
+    hint = "repair the skeleton in the program that made it, or bake without --flesh"
+    if not query:
+        raise InputError(f"{where} is no valid skeleton", hint)
+    topology = query.GetTopology()
+    valid, reason = topology.Validate()
+    if not valid:
+        raise InputError(f"{where} has joints in no valid order: {reason}", hint)
+    joints = tuple(str(name) for name in query.GetJointOrder())
+    given = query.GetJointWorldBindTransforms() if query.HasBindPose() else None
+    if not joints or given is None or len(given) != len(joints):
+        raise InputError(
+            f"{where} has {len(joints)} joints and no bind transform for each of them",
+            "author bindTransforms, one matrix for each joint: they are the rest shape",
+        )
+    bind = np.array(given, dtype=np.float64).reshape(-1, 4, 4)
+    finite = np.where(np.isfinite(bind).all((1, 2), keepdims=True), bind, 0.0)
+    flat = np.abs(np.linalg.det(finite[:, :3, :3])) <= 1e-12
+    if flat.any():
+        raise InputError(
+            f"{where}: the bind transforms of {int(flat.sum())} of {len(joints)} joints have no"
+            f" inverse, the first is {joints[int(flat.argmax())]}",
+            hint,
+        )
+    return Rig(
+        path=str(skeleton.GetPath()), prim=skeleton, query=query, joints=joints,
+        parents=np.array([topology.GetParent(j) for j in range(len(joints))]), bind=bind,
+    )  # fmt: skip
+
+
+def _add_flesh(
+    rig: Rig, prim: Usd.Prim, skin: UsdSkel.SkinningQuery, skins: Skins, facts: StageFacts
+) -> None:
+    """Add the points of a mesh, each with the joint of its largest weight."""
+    authored = UsdGeom.PointBased(prim).GetPointsAttr().Get(skins.time)
+    points = np.asarray([] if authored is None else authored, np.float64).reshape(-1, 3)
+    place = skins.placement(prim)
+    found = skin.ComputeVaryingJointInfluences(len(points), skins.time)
+    per_point = skin.GetNumInfluencesPerComponent()
+    order = skin.GetJointOrder() or rig.joints
+    rows = {name: row for row, name in enumerate(rig.joints)}
+    known = np.array([rows.get(str(name), -1) for name in order])
+    sound = place is not None and found and len(found[0]) == len(points) * per_point
+    index = np.asarray(found[0] if sound else [], int).reshape(-1, max(per_point, 1))
+    if not sound or not len(points) or index.min() < 0 or index.max() >= len(known):
+        raise InputError(
+            f"{facts.path}: --flesh: the joint influences of <{prim.GetPath()}> do not fit its"
+            f" {len(points)} points and the {len(rig.joints)} joints of <{rig.path}>",
+            "bind the mesh again in the program that made it, or bake without --flesh",
+        )
+    assert place is not None
+    weights = np.asarray(found[1], float).reshape(index.shape)
+    most = weights.argmax(1)
+    owner = known[index[np.arange(len(index)), most]]
+    rig.points.append(place.points(points) * facts.units.length)
+    rig.owner.append(owner)
+
+
+def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bone]:
+    """One bone for each joint that carries flesh."""
+    unit = facts.units.length
+    rest = _world(rig, first, facts)
+    at = _through(rig.bind[:, 3, :3], rest) * unit
+    flesh, owner = np.concatenate(rig.points), np.concatenate(rig.owner)
+    size = float(np.linalg.norm(np.ptp(np.concatenate([at, flesh]), axis=0)))
+    motion = _motion(rig, facts, first, times)  # (F, J, 4, 4)
+    worlds = _worlds(rig, facts, first, times)  # (F, 4, 4)
+    corners = 0.25 * size * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    out = []
+    for j, joint in enumerate(rig.joints):
+        mine = flesh[owner == j]
+        if not len(mine):
+            continue
+        ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
+        ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size]
+        free = [False] * len(ends)
+        middle = mine.mean(0)
+        longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
+        if not ends or _distance(middle, at[j], ends) > AWAY * longest:
+            ends.append(at[j] + INTO_FLESH * (middle - at[j]))
+            free.append(True)
+        anchors = at[j] + corners
+        local = _through(anchors / unit, np.linalg.inv(rest))
+        carried = np.linalg.inv(rig.bind[j]) @ motion[:, j] @ worlds
+        path = np.stack([_through(local, M) for M in carried]) * unit
+        if len(times) and times[0] < first:
+            path[0] = anchors
+        out.append(
+            Bone(
+                name=f"{rig.path}:{joint}",
+                segments=np.array([(at[j], end) for end in ends]),
+                free=tuple(free),
+                anchors=anchors,
+                path=path,
+            )
+        )
+    return out
+
+
+def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
+    """[m] from a point to the nearest of the segments that begin at `start`."""
+    best = np.inf
+    for end in ends:
+        way = end - start
+        t = float(np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
+        best = min(best, float(np.linalg.norm(point - start - t * way)))
+    return best
+
+
+def _through(points: Floats, matrix: Floats) -> Floats:
+    return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
+
+
+def _world(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
+    """(4, 4) local-to-world of the skeleton, stage units."""
+    matrix = UsdGeom.Xformable(rig.prim).ComputeLocalToWorldTransform(Usd.TimeCode(code))
+    rows = np.array(matrix, dtype=np.float64)
+    if not np.isfinite(rows).all() or abs(np.linalg.det(rows[:3, :3])) == 0.0:
+        raise InputError(
+            f"{facts.path}: --flesh: the transform of <{rig.path}> has no inverse at time code"
+            f" {code:g}",
+            "repair the animation of the skeleton, or of a prim above it",
+        )
+    return rows
+
+
+def _posed(rig: Rig, code: float, facts: StageFacts) -> NDArray[np.float64]:
+    """(J, 4, 4) transforms of the joints in the skeleton's space at a time."""
+    found = rig.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
+    rows = np.array(found if found is not None else [], dtype=np.float64).reshape(-1, 4, 4)
+    bad = ~np.isfinite(rows).all((1, 2))
+    if len(rows) != len(rig.joints) or bad.any():
+        what = (
+            f"gives {len(rows)} transforms for {len(rig.joints)} joints"
+            if len(rows) != len(rig.joints)
+            else f"moves joint {rig.joints[int(bad.argmax())]} to what is not finite"
+        )
+        raise InputError(
+            f"{facts.path}: --flesh: the animation of <{rig.path}> {what} at time code {code:g}",
+            "repair the animation (SkelAnimation), or author restTransforms, one for each joint",
+        )
+    return rows
+
+
+def _carriers(rig: Rig) -> Ints:
+    """(J,) the next joint above each that carries flesh; -1: none."""
+    flesh = np.zeros(len(rig.joints), bool)
+    flesh[np.unique(np.concatenate(rig.owner))] = True
+    out = np.full(len(rig.joints), -1)
+    for j, parent in enumerate(rig.parents):  # parents come first in a valid order
+        if parent >= 0:
+            out[j] = parent if flesh[parent] else out[parent]
+    return out
+
+
+def _relative(above: Ints, matrices: Floats) -> NDArray[np.float64]:
+    """(J, 4, 4) relative to the joints above of transforms in the skeleton's space."""
+    base = np.where((above >= 0)[:, None, None], matrices[np.maximum(above, 0)], np.eye(4))
+    return np.asarray(matrices @ np.linalg.inv(base))
+
+
+def _joined(above: Ints, relative: Floats) -> NDArray[np.float64]:
+    """The inverse of `_relative`."""
+    out = np.array(relative, float)
+    for j, parent in enumerate(above):
+        if parent >= 0:
+            out[j] = out[j] @ out[parent]
+    return out
+
+
+def _motion(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray[np.float64]:
+    """(F, J, 4, 4) transforms of the joints in the skeleton's space."""
+    out = [_posed(rig, code, facts) for code in times if code >= first]
+    before = times[times < first]
+    if not len(before):
+        return np.stack(out)
+    above = _carriers(rig)
+    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    rest, start, after = (
+        _Parts.of(_relative(above, M))
+        for M in (rig.bind, _posed(rig, first, facts), _posed(rig, first + step, facts))
+    )
+    lead = [
+        _joined(above, rest.toward(start.toward(after, back), s).matrices)
+        for s, back in _lead_in(before, first, step)
+    ]
+    return np.stack([*lead, *out])
+
+
+def _worlds(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray[np.float64]:
+    """(F, 4, 4) local-to-world of the skeleton."""
+    rest = _world(rig, first, facts)
+    before = times[times < first]
+    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    change = _world(rig, first + step, facts) - rest if len(before) else 0.0
+    lead = [rest + back * s * change for s, back in _lead_in(before, first, step)]
+    return np.stack([*lead, *(_world(rig, code, facts) for code in times if code >= first)])
+
+
+def _lead_in(before: Floats, first: float, step: float) -> list[tuple[float, float]]:
+    """(s, frames) of times before the first frame: the weight of the animation, and how far back of
+    its first frame it is followed, with slope 1 at the end.
+    """
+    out = []
+    for code in before:
+        r = (code - before[0]) / (first - before[0])
+        frames = MEMORY * (np.exp((code - first) / (step * MEMORY)) - 1.0)
+        out.append((3.0 * r**2 - 2.0 * r**3, float(frames)))
+    return out
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Transforms x -> R S x + t of joints, apart."""
+
+    rotation: Floats  # (J, 3, 3)
+    stretch: Floats  # (J, 3, 3)
+    translation: Floats  # (J, 3)
+
+    @classmethod
+    def of(cls, matrices: Floats) -> _Parts:
+        """Of (J, 4, 4) for row vectors."""
+        A = np.swapaxes(matrices[:, :3, :3], 1, 2)
+        R = signed_polar(A)
+        return cls(R, np.swapaxes(R, 1, 2) @ A, matrices[:, 3, :3])
+
+    def toward(self, other: _Parts, s: float) -> _Parts:
+        """The transforms at a fraction s of the way to others; below 0: before these."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_matrix(np.swapaxes(self.rotation, 1, 2) @ other.rotation).as_rotvec()
+        return _Parts(
+            self.rotation @ Rotation.from_rotvec(s * turn).as_matrix(),
+            (1.0 - s) * self.stretch + s * other.stretch,
+            (1.0 - s) * self.translation + s * other.translation,
+        )
+
+    @property
+    def matrices(self) -> NDArray[np.float64]:
+        """(J, 4, 4) for row vectors."""
+        out = np.broadcast_to(np.eye(4), (len(self.rotation), 4, 4)).copy()
+        out[:, :3, :3] = np.swapaxes(self.rotation @ self.stretch, 1, 2)
+        out[:, 3, :3] = self.translation
+        return out

@@ -1,0 +1,126 @@
+"""A soft arm of two bones: a square prism along x with a skeleton that bends at its middle."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
+
+RINGS, WIDTH = 9, 0.4  # [m] of a side; the prism is 2 m long, with the joints at x = 0 and 1
+FIRST, LAST = 1, 13  # time codes of the animation
+ALONG = np.linspace(0.0, 2.0, RINGS)
+
+
+def points() -> NDArray[np.float64]:
+    """(4 RINGS, 3) [m] of the bind pose."""
+    ring = 0.5 * WIDTH * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    return np.array([(x, *yz) for x in ALONG for yz in ring])
+
+
+def faces() -> list[list[int]]:
+    """Quads, seen from outside."""
+    out = [[3, 2, 1, 0], [4 * RINGS - 4 + k for k in range(4)]]
+    for r in range(RINGS - 1):
+        for k in range(4):
+            a, b = 4 * r + k, 4 * r + (k + 1) % 4
+            out.append([a, b, b + 4, a + 4])
+    return out
+
+
+def arm(
+    *,
+    bend: tuple[float, float] = (20.0, 60.0),
+    lift: tuple[float, float] = (0.0, 0.0),
+    bind: str = "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (1, 0, 0, 1) )",
+    skin: str = "",
+    joints: str = '["A", "A/B"]',
+    skeleton: str = "rel skel:skeleton = </Arm/Skel>",
+    rotation: str | None = None,
+) -> str:
+    """A usda file; bend : [degrees] of joint B about z, and lift : [m] of joint A along y, at the
+    first and the last time code; the others : of a broken one.
+    """
+    weight = np.clip((ALONG - 0.8) / 0.4, 0.0, 1.0).repeat(4)
+    weights = ", ".join(f"{1.0 - w:g}, {w:g}" for w in weight)
+    quats = [
+        f"(1, 0, 0, 0), ({math.cos(a)!r}, 0, 0, {math.sin(a)!r})"
+        for a in (np.deg2rad(np.array(bend)) / 2.0).tolist()
+    ]
+    turn = rotation or f"[{quats[0]}], {LAST}: [{quats[1]}]"
+    listed = ", ".join(str(tuple(p)) for p in points().tolist())
+    corners = [c for face in faces() for c in face]
+    return f"""#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y"
+  defaultPrim = "Arm"
+  startTimeCode = {FIRST}
+  endTimeCode = {LAST}
+  timeCodesPerSecond = 24 )
+def SkelRoot "Arm" ( prepend apiSchemas = ["SkelBindingAPI"] )
+{{
+    def Skeleton "Skel" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token[] joints = {joints}
+        uniform matrix4d[] bindTransforms = [
+            ( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1) ), {bind}]
+        uniform matrix4d[] restTransforms = [
+            ( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1) ),
+            ( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (1, 0, 0, 1) )]
+        rel skel:animationSource = </Arm/Anim>
+    }}
+    def SkelAnimation "Anim"
+    {{
+        uniform token[] joints = ["A", "A/B"]
+        float3[] translations.timeSamples = {{
+            {FIRST}: [(0, {lift[0]!r}, 0), (1, 0, 0)], {LAST}: [(0, {lift[1]!r}, 0), (1, 0, 0)] }}
+        quatf[] rotations.timeSamples = {{ {FIRST}: {turn} }}
+        half3[] scales = [(1, 1, 1), (1, 1, 1)]
+    }}
+    def Mesh "Skin" ( prepend apiSchemas = ["SkelBindingAPI"] )
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points = [{listed}]
+        int[] faceVertexCounts = {[4] * len(faces())}
+        int[] faceVertexIndices = {corners}
+        {skeleton}
+        int[] primvars:skel:jointIndices = {skin or [0, 1] * len(weight)} (
+            elementSize = 2
+            interpolation = "vertex"
+        )
+        float[] primvars:skel:jointWeights = [{weights}] (
+            elementSize = 2
+            interpolation = "vertex"
+        )
+    }}
+}}
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    """The file arm.usda in a folder."""
+    path = folder / "arm.usda"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def skinned(path: Path, code: float) -> NDArray[np.float64]:
+    """(V, 3) [m] world points as UsdSkel poses them."""
+    stage = Usd.Stage.Open(str(path))
+    cache, root = UsdSkel.Cache(), UsdSkel.Root(stage.GetPrimAtPath("/Arm"))
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
+    (skin,) = binding.GetSkinningTargets()
+    posed = UsdGeom.Mesh(skin.GetPrim()).GetPointsAttr().Get(code)
+    joints = cache.GetSkelQuery(binding.GetSkeleton()).ComputeSkinningTransforms(code)
+    assert skin.ComputeSkinnedPoints(joints, posed, code)
+    return np.array(posed, float)
+
+
+def drawn(stage: Usd.Stage, code: float) -> NDArray[np.float64]:
+    """(V, 3) [m] world points of the mesh as they are authored."""
+    prim = stage.GetPrimAtPath("/Arm/Skin")
+    M = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code))
+    return np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code)) @ M[:3, :3] + M[3, :3]

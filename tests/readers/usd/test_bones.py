@@ -1,0 +1,104 @@
+"""Bones of a skeleton, against UsdSkel's own skinning of the points they carry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm import FIRST, LAST, arm, points, skinned, write
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.stage import Bone
+from gf_usd.physics.grid.pins import Motion
+from gf_usd.readers import read_asset
+from gf_usd.readers.usd.bones import animation_range, read_bones
+
+EPS = 2e-6  # float32 points and quaternions of order 1
+
+
+def bones_of(path: Path, times: Sequence[float], first: float = FIRST) -> tuple[Bone, ...]:
+    facts = read_asset(path).facts
+    return read_bones(path, ["/Arm/Skin"], facts, first=first, times=times)
+
+
+def test_segments_lie_in_the_bind_pose_and_the_last_one_goes_into_the_flesh(tmp_path: Path) -> None:
+    upper, lower = bones_of(write(tmp_path, arm()), [FIRST])
+    assert upper.name == "/Arm/Skel:A"
+    assert upper.free == (False,)
+    np.testing.assert_allclose(upper.segments, [[[0, 0, 0], [1, 0, 0]]], atol=EPS)
+    assert lower.free == (True,)
+    ((start, end),) = lower.segments
+    np.testing.assert_allclose(start, [1, 0, 0], atol=EPS)
+    np.testing.assert_allclose(end[1:], 0.0, atol=EPS)
+    assert 1.5 < end[0] < 2.0  # most of the way to the tip
+
+
+@pytest.mark.parametrize("code", [FIRST, 6.5, LAST])
+def test_a_bone_carries_points_as_the_skeleton_does(tmp_path: Path, code: float) -> None:
+    path = write(tmp_path, arm(lift=(0.3, 0.7)))
+    rest = read_asset(path, bind_pose=True).surfaces[0].points
+    posed = skinned(path, code)
+    for bone, mine in zip(bones_of(path, [code]), (slice(0, 4), slice(-4, None))):
+        goes = Motion(bone.anchors, bone.path).at(rest[mine], 0.0)[0]
+        np.testing.assert_allclose(goes, posed[mine], atol=EPS)
+
+
+def test_the_rest_shape_is_the_bind_pose_where_the_top_joint_is(tmp_path: Path) -> None:
+    path = write(tmp_path, arm(lift=(0.3, 0.7)))
+    surface = read_asset(path, bind_pose=True).surfaces[0]
+    assert surface.skinned
+    np.testing.assert_allclose(surface.points, points() + (0.0, 0.3, 0.0), atol=EPS)
+
+
+def test_the_preroll_begins_at_rest_and_joins_the_animation_smoothly(tmp_path: Path) -> None:
+    lead = 24
+    path = write(tmp_path, arm(lift=(0.0, 0.6)))
+    times = FIRST + np.arange(-lead, 4.0)
+    posed = bones_of(path, [FIRST])
+    for bone, first in zip(bones_of(path, times.tolist()), posed):
+        x = bone.path
+        np.testing.assert_array_equal(x[lead], first.path[0])
+        np.testing.assert_array_equal(x[0], bone.anchors)
+        v = np.diff(x, axis=0)
+        # ease in: 3 r^2 of the way, a sixty-fourth of the mean speed in the first frame at most
+        way = np.abs(np.diff(x, axis=0)).sum(0).max()
+        assert np.abs(v[0]).max() <= 4.0 / lead**2 * way + 1e-6
+        # no jump in velocity: the change over the seam is one of acceleration, as before it
+        jump = np.abs(v[lead] - v[lead - 1]).max()
+        usual = np.abs(np.diff(v[: lead - 1], axis=0)).max()
+        assert jump <= 1.5 * usual + 1e-6
+
+
+def test_the_range_is_that_of_the_stage_or_of_the_samples(tmp_path: Path) -> None:
+    path = write(tmp_path, arm())
+    assert animation_range(path, ["/Arm/Skin"], read_asset(path).facts) == (FIRST, LAST)
+    text = arm().replace(f"startTimeCode = {FIRST}\n", "").replace(f"endTimeCode = {LAST}\n", "")
+    path = write(tmp_path, text.replace(f" {LAST}:", f" {LAST + 7}:"))
+    assert animation_range(path, ["/Arm/Skin"], read_asset(path).facts) == (FIRST, LAST + 7)
+
+
+BROKEN = {
+    "no skeleton": (arm(skeleton=""), "no skeleton poses </Arm/Skin>"),
+    "no inverse": (
+        arm(bind="( (1, 0, 0, 0), (0, 0, 0, 0), (0, 0, 1, 0), (1, 0, 0, 1) )"),
+        "1 of 2 joints have no inverse, the first is A/B",
+    ),
+    "indices": (arm(skin=str([0, 7] * len(points()))), "do not fit its 36 points and the 2 joints"),
+    "order": (arm(joints='["A/B", "A"]'), "is no valid skeleton"),
+    "not finite": (arm(rotation="[(1, 0, 0, 0), (nan, 0, 0, 0)]"), "to what is not finite"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+def test_a_broken_skeleton_is_refused_in_words(tmp_path: Path, fault: str) -> None:
+    text, words = BROKEN[fault]
+    path = write(tmp_path, text)
+    facts = read_asset(write(tmp_path, arm())).facts
+    write(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        read_bones(path, ["/Arm/Skin"], facts, first=FIRST, times=[FIRST])
+    assert words in caught.value.message
+    assert str(path) in caught.value.message
+    assert caught.value.hint
