@@ -32,7 +32,7 @@ from gf_usd.verify.cases.elastic import (
     slanted,
     vibration,
 )
-from gf_usd.verify.cases.plastic import taylor, uniaxial
+from gf_usd.verify.cases.plastic import expansion, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -54,6 +54,7 @@ CASES: tuple[Case, ...] = (
     *collisions.CASES,
     *drop.CASES,
     *uniaxial.CASES,
+    *expansion.CASES,
     *taylor.CASES,
     *sides.CASES,
 )

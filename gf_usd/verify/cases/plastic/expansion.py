@@ -86,7 +86,7 @@ def widening(h: float, hole: Floats) -> Pin:
     )
     X = h * (ijk.reshape(-1, 3) + 0.5)
     R = np.hypot(X[:, 0], X[:, 1])
-    X = X[(R < INNER) & (R > INNER - 4.0 * h)]
+    X = X[(R < INNER) & (4.0 * h > INNER - R)]
     return Pin(
         name="hole",
         inside=lambda at: np.hypot(at[:, 0], at[:, 1]) < INNER,
