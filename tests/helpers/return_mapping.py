@@ -9,18 +9,16 @@ Of a trial gradient F with logarithmic strain e* that returns to E with e in the
 All laws here have Hencky's energy, a quadratic form in e, which makes the last line exact.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import taichi as ti
-from lane_kernels import CONVERGED, _from_lanes, _kind, _to_lanes, _values, load_lanes, nine
+from lane_kernels import flow_with_loss
 from scipy.stats import special_ortho_group
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import LAWS, LawSpec
-from gf_usd.physics.laws.registry import MODULI, load
-from gf_usd.physics.laws.simd3x3 import LANES
-from gf_usd.system.taichi_runtime import init_taichi
 
 MU, LAM, CAP = 2.0, 3.0, 2.12  # [Pa]
 BULK = LAM + 2.0 / 3.0 * MU
@@ -51,45 +49,11 @@ def turns(seed: int) -> Floats:
     return special_ortho_group.rvs(3, N, random_state=seed)
 
 
-def flow(token: str, F: Floats, a: Floats, yields: float, *, fresh: bool = False) -> Returned:
-    """The law's return mapping of F (N, 3, 3) and a (N,), compiled anew if `fresh`."""
-    init_taichi(f64=True)
-    spec = LAWS[token]
-    flat = _to_lanes(F, np.float64)
-    batches = len(flat) // 72
-    E, loss, lanes = np.full_like(flat, np.nan), np.full(batches * LANES, np.nan), a.copy()
-    own = {"yield_stress": yields, **OWN.get(token, {})}
-    values = _values(token, batches, MU, LAM, np.float64, own)
-    _kernel(spec, fresh)(flat, values, lanes, E, loss, batches, CONVERGED[np.float64])
-    return Returned(F=F, E=_from_lanes(E, len(F)), before=a, after=lanes, loss=loss)
-
-
-KERNELS: dict[str, object] = {}
-
-
-def _kernel(spec: LawSpec, fresh: bool):
-    if spec.token in KERNELS and not fresh:
-        return KERNELS[spec.token]
-    law, kind = load(spec), _kind(np.float64)
-    array = ti.types.ndarray(dtype=kind, ndim=1)
-    count = MODULI + len(spec.parameters)
-
-    @ti.kernel
-    def run(F: array, values: array, a: array, E: array, loss: array, batches: ti.i32, done: kind):
-        for b in range(batches):
-            o = b * 72
-            q = [load_lanes(values, LANES * (count * b + k)) for k in ti.static(range(count))]
-            before = [load_lanes(a, LANES * b)]
-            e, after, work = law.flow(nine(F, o), q, before, 0.0, done)
-            for lane in ti.static(range(8)):
-                loss[b * LANES + lane] = work[lane]
-                a[b * LANES + lane] = after[0][lane]
-                for k in ti.static(range(9)):
-                    E[o + 8 * k + lane] = e[k][lane]
-
-    if not fresh:
-        KERNELS[spec.token] = run
-    return run
+def flow(token: str, F: Floats, a: Floats, yields: float) -> Returned:
+    """The law's return mapping of F (N, 3, 3) and a (N,)."""
+    own: dict[str, Any] = {"yield_stress": yields, **OWN[token]}
+    E, after, loss = flow_with_loss(token, F, a[:, None], MU, LAM, **own)
+    return Returned(F=F, E=E, before=a, after=after[:, 0], loss=loss)
 
 
 def surface(token: str, tau: Floats, a: Floats, yields: float) -> tuple[Floats, Floats]:
@@ -113,17 +77,17 @@ def hencky(e: Floats) -> tuple[Floats, Floats]:
     return 2.0 * MU * e + LAM * trace[:, None], MU * (e * e).sum(1) + 0.5 * LAM * trace**2
 
 
-def faults(token: str, *, fresh: bool = False) -> list[str]:
+def faults(token: str) -> list[str]:
     """What does not hold, empty where all does."""
     return [
         f"{name}, {regime} strains"
         for regime, (size, yields) in REGIMES.items()
-        for name, holds in checks(token, size, yields, fresh=fresh).items()
+        for name, holds in checks(token, size, yields).items()
         if not holds
     ]
 
 
-def checks(token: str, size: float, yields: float, *, fresh: bool = False) -> dict[str, bool]:
+def checks(token: str, size: float, yields: float) -> dict[str, bool]:
     """Each property by name."""
     random = np.random.default_rng(0)
     e_trial = random.uniform(-size, size, (N, 3))
@@ -131,7 +95,7 @@ def checks(token: str, size: float, yields: float, *, fresh: bool = False) -> di
     e_trial[: N // 2] *= np.linspace(0.002, 0.2, N // 2)[:, None]
     U, V = turns(1), turns(2)
     F = (U * np.exp(e_trial)[:, None, :]) @ V.swapaxes(1, 2)
-    seen = flow(token, F, random.uniform(0.0, size / 3.0, N), yields, fresh=fresh)
+    seen = flow(token, F, random.uniform(0.0, size / 3.0, N), yields)
     # E in the axes of F: diagonal, where flow is coaxial.
     inner = U.swapaxes(1, 2) @ seen.E @ V
     s = np.einsum("nii->ni", inner)
@@ -147,9 +111,9 @@ def checks(token: str, size: float, yields: float, *, fresh: bool = False) -> di
     normal = np.abs(step - length[:, None] * along).max(1)
     work = (tau * step).sum(1)
     quadratic = hencky(e_trial)[1] - psi - work - hencky(step)[1]
-    again = flow(token, seen.E, seen.after, yields, fresh=fresh)
+    again = flow(token, seen.E, seen.after, yields)
     Q = turns(3)
-    turned = flow(token, Q @ F @ Q.swapaxes(1, 2), seen.before, yields, fresh=fresh)
+    turned = flow(token, Q @ F @ Q.swapaxes(1, 2), seen.before, yields)
     near = ROUNDING + SOLVED * yields
     grown = {
         "vonMises": np.sqrt(2.0 / 3.0) * length,

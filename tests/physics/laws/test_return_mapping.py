@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 import taichi as ti
+from lane_kernels import compile_anew
 from return_mapping import faults
 
 from gf_usd.core.materials import LAWS
-from gf_usd.physics.laws import crushable, hencky, von_mises
+from gf_usd.physics.laws import crushable, von_mises
 from gf_usd.physics.laws.simd3x3 import let, unrolled
 
 # Of laws with Hencky's energy, for which the closed forms of `return_mapping` hold.
@@ -100,10 +101,12 @@ def mutated(module: Any, name: str, wrong: Any) -> Iterator[None]:
     """A function of a law's module is another one as long as this lasts."""
     right = vars(module)[name]
     setattr(module, name, wrong)
+    compile_anew()
     try:
         yield
     finally:
         setattr(module, name, right)
+        compile_anew()
 
 
 @pytest.mark.slow
@@ -112,5 +115,4 @@ def test_a_fault_in_the_return_mapping_is_noticed(name):
     token, module, function, wrong = MUTATIONS[name]
     assert vars(module)[function] is not wrong
     with mutated(module, function, wrong):
-        assert faults(token, fresh=True) != []
-    assert hencky.psi is von_mises.psi
+        assert faults(token) != []

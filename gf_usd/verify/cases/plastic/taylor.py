@@ -121,7 +121,7 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
 
     def run(device: str) -> Iterator[Measure]:
         seen = [taylor(n, device, COPPER) for n in cells]
-        finest = seen[-1]
+        coarsest, finest = seen[0], seen[-1]
         h = 1.0 / np.array(cells)
         radii = np.array([one.at(END)[0] for one in seen])
         why = (
@@ -161,8 +161,8 @@ def impact(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], I
             why="motion, strain and what flow dissipated: the work of flow is a sum over substeps,"
             " each of which strains the foot by up to a hundredth",
         )  # fmt: skip
-        yield from moved(cells[0], seen[0], device)
-        away = taylor(cells[0], device, HARD, CONTROL).at(CONTROL)[0]
+        yield from moved(min(cells), coarsest, device)
+        away = taylor(min(cells), device, HARD, CONTROL).at(CONTROL)[0]
         yield Measure(
             name="negative-control", value=abs(away / HISTORY[CONTROL][0] - 1.0), target=0.2,
             bound=0.0, kind=AT_LEAST,
