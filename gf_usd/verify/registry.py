@@ -22,7 +22,7 @@ from gf_usd.verify.cases import (
     sampling,
     sides,
 )
-from gf_usd.verify.cases.contact import collisions, hertz, slope
+from gf_usd.verify.cases.contact import arms, collisions, hertz, slope
 from gf_usd.verify.cases.elastic import (
     bar,
     cantilever,
@@ -52,6 +52,7 @@ CASES: tuple[Case, ...] = (
     *slope.CASES,
     *hertz.CASES,
     *collisions.CASES,
+    *arms.CASES,
     *drop.CASES,
     *uniaxial.CASES,
     *expansion.CASES,
