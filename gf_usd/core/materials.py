@@ -63,6 +63,7 @@ class LawSpec:
     source: str
     parameters: tuple[Parameter, ...] = ()  # besides mu and lam
     flows: bool = False  # it has a flow rule, and so a history
+    isochoric: bool = False  # its flow keeps the volume, det F_p = 1
     over: str = ""  # the law whose energy it has; "": one of its own
     internal: tuple[Internal, ...] = ()
 
@@ -116,6 +117,7 @@ def _von_mises(token: str, code: str, over: str = "") -> LawSpec:
             ),
         ),
         flows=True,
+        isochoric=True,
         internal=(
             Internal(
                 name="plastic_strain", rest=0.0, attribute="plasticStrain",

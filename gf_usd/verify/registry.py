@@ -19,7 +19,6 @@ from gf_usd.verify.cases import (
     law,
     limbs,
     patch,
-    plastic,
     sampling,
     sides,
 )
@@ -34,6 +33,7 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
+from gf_usd.verify.cases.plastic import expansion, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -56,7 +56,9 @@ CASES: tuple[Case, ...] = (
     *collisions.CASES,
     *arms.CASES,
     *drop.CASES,
-    *plastic.CASES,
+    *uniaxial.CASES,
+    *expansion.CASES,
+    *taylor.CASES,
     *sides.CASES,
 )
 

@@ -19,7 +19,7 @@ from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.energies import elastic_energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
-from gf_usd.verify.bodies import block, elastic, settings
+from gf_usd.verify.bodies import block, elastic, put, settings
 from gf_usd.verify.cases.law import CASES as _LAW_CASES  # noqa: F401  (imported before the row)
 from gf_usd.verify.cases.patch import patch
 
@@ -176,6 +176,22 @@ def test_to_turn_a_bent_body_is_no_flow(family):
         after = press.solver.read(9).stress
     np.testing.assert_allclose(after, before, rtol=1e-12)
     assert stress.min() > before.max() > 0.0
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_flow_keeps_the_volume_over_many_steps(plain):
+    """A block is sheared evenly in steps that all round alike."""
+    law = elastic(E=E, nu=NU, density=1e9, law="vonMises", parameters={"yield_stress": 1.0})
+    body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
+    said = settings("cpu", fps=1e9, substeps=1, followers=False)
+    solver = TotalLagrangian(body, [law], said, plain=plain)
+    for a in np.linspace(0.0, 0.04, 201):
+        put(solver, solver.body.stencil.node_X @ (np.diag(np.exp([a, -a, 0.0])) - np.eye(3)).T)
+        solver.advance(1, 1)
+    assert plastic_strain(solver).min() > 0.045
+    Pi = history(solver)[:, :GRADIENT].reshape(-1, 3, 3)
+    # Nine products, rounded to 6e-8 each; without a correction 200 steps add up to 5e-6.
+    np.testing.assert_allclose(np.linalg.det(Pi), 1.0, rtol=0.0, atol=5e-7)
 
 
 def thrown(family: str, frames: int = 8, options: Any = None, **more: Any) -> Solver:

@@ -62,15 +62,19 @@ def _flow_kernel(spec: LawSpec, real: type):
     count, internals = MODULI + len(spec.parameters), len(spec.internal)
 
     @ti.kernel
-    def run(F: array, values: array, a: array, E: array, batches: ti.i32, dt: kind, done: kind):
+    def run(
+        F: array, values: array, a: array, E: array, loss: array, batches: ti.i32, dt: kind,
+        done: kind,
+    ):  # fmt: skip
         for b in range(batches):
             o = b * 72
             q = [load_lanes(values, LANES * (count * b + k)) for k in ti.static(range(count))]
             before = [
                 load_lanes(a, LANES * (internals * b + k)) for k in ti.static(range(internals))
             ]
-            e, after, _ = law.flow(nine(F, o), q, before, dt, done)
+            e, after, work = law.flow(nine(F, o), q, before, dt, done)
             for lane in ti.static(range(8)):
+                loss[b * LANES + lane] = work[lane]
                 for k in ti.static(range(9)):
                     E[o + 8 * k + lane] = e[k][lane]
                 for k in ti.static(range(internals)):
@@ -144,17 +148,37 @@ def flow(
     **own: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """F (n, 3, 3) and internal variables a (n, k) after the law's return mapping."""
+    E, after, _ = flow_with_loss(token, F, a, mu, lam, real, dt, **own)
+    return E, after
+
+
+def compile_anew() -> None:
+    """Return mappings are compiled again when they are next asked for."""
+    _flow_kernel.cache_clear()
+
+
+def flow_with_loss(
+    token: str,
+    F: np.ndarray,
+    a: np.ndarray,
+    mu: float,
+    lam: float,
+    real: type = np.float64,
+    dt: float = 0.0,
+    **own: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same, and what flow dissipated (n,) [J/m^3]."""
     init_taichi(f64=real is np.float64)
     flat = _to_lanes(F, real)
     batches, k = len(flat) // 72, a.shape[1]
     wide = np.zeros((batches * LANES, k), real)
     wide[: len(a)] = a
     lanes = np.ascontiguousarray(wide.reshape(batches, LANES, k).swapaxes(1, 2)).ravel()
-    E = np.full_like(flat, np.nan)
+    E, loss = np.full_like(flat, np.nan), np.full(batches * LANES, np.nan, real)
     values = _values(token, batches, mu, lam, real, own)
-    _flow_kernel(LAWS[token], real)(flat, values, lanes, E, batches, dt, CONVERGED[real])
+    _flow_kernel(LAWS[token], real)(flat, values, lanes, E, loss, batches, dt, CONVERGED[real])
     after = lanes.reshape(batches, k, LANES).swapaxes(1, 2).reshape(-1, k)
-    return _from_lanes(E, len(F)), after[: len(F)]
+    return _from_lanes(E, len(F)), after[: len(F)], loss[: len(F)]
 
 
 def alike(token: str, n: int, mu: float, lam: float) -> ParticleLaws:

@@ -67,8 +67,11 @@ class NodalMass:
 
     @property
     def strengths(self) -> Floats:
-        """(nnz, 3) [kg] of the springs along each axis."""
-        row, column = self.springs.nonzero()
+        """(nnz, 3) [kg] of the springs along each axis, one row for every entry of `springs`."""
+        # Not `springs.nonzero()`, which leaves out entries that are stored as 0: springs that the
+        # free axes lack and a held one has.
+        row = np.repeat(np.arange(self.springs.shape[0]), np.diff(self.springs.indptr))
+        column = self.springs.indices
         axes = self.axes or (self, self, self)
         return np.stack([np.asarray(one.springs[row, column]).ravel() for one in axes], 1)
 

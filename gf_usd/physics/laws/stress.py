@@ -24,6 +24,7 @@ in h: small vibrations and slow deformation do not feel it.
 import taichi as ti
 
 from gf_usd.physics.laws.simd3x3 import (
+    assign,
     choose,
     cofactor,
     determinant,
@@ -31,6 +32,7 @@ from gf_usd.physics.laws.simd3x3 import (
     double_dot,
     inverse,
     product,
+    scaled,
 )
 
 SHOCK = 1.5  # c2, the usual value in codes of impact (LS-DYNA Theory Manual, bulk viscosity)
@@ -94,15 +96,26 @@ def flowed(laws: ti.template(), which, F, q, a, dt, converged):
 
 
 @ti.func
-def compensate(Pi: ti.template(), F, E):
+def compensate(laws: ti.template(), which, Pi: ti.template(), F, E):
     """Pi = F_p^-1 <- Pi F^-1 E in the lanes whose trial gradient F flowed to E, in place.
 
+    Where flow keeps the volume, det Pi is put back to 1 by Newton's iteration: in f32 each update
+    leaves it off by up to 1e-7, of one sign along a steady flow, and a bulk modulus of 1e5 yield
+    stresses makes a pressure of that.
     Returns a number above 0 where any did.
     """
     D = difference(E, F)
     moved = double_dot(D, D)
     if moved.max() > 0.0:
-        choose(Pi, moved, product(Pi, product(inverse(F), E)))
+        new = product(Pi, product(inverse(F), E))
+        for number, law in ti.static(enumerate(laws.laws)):
+            if ti.static(law.spec.flows and law.spec.isochoric):
+                J = determinant(new, cofactor(new))
+                k = (4.0 - ti.min(ti.max(J, 0.5), 2.0)) / 3.0
+                if ti.static(laws.several):
+                    k = ti.select(lanes_of(which, number) > 0.0, k, 1.0)
+                assign(new, scaled(k, new))
+        choose(Pi, moved, new)
     return moved.max()
 
 

@@ -15,7 +15,7 @@ from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import mass as nodal_mass
 from gf_usd.physics.grid.pins import PinnedPoints, axis_factors, mirror_points, pinned_by
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import block, clamp, elastic, mirror_plane
+from gf_usd.verify.bodies import block, clamp, elastic, mirror_plane, put
 
 E, NU, RHO = 1e4, 0.3, 1000.0  # [Pa], [kg/m^3]
 H = 0.25  # [m] of a cell
@@ -152,3 +152,34 @@ def test_a_thrown_bar_keeps_its_energy_and_what_it_has_along_the_plane():
     assert min(h.momentum[1] for h in seen) < 0.0 < max(h.momentum[1] for h in seen)
     energy = [h.kinetic + h.elastic for h in seen]
     np.testing.assert_allclose(energy[1:], energy[1], rtol=0.01)
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_kernels_and_operator_have_the_same_mass_where_axes_have_springs_of_their_own(plain):
+    # A piece of a ball: at its rim one axis has springs that the others lack.
+    body = block((0.0, 0.0, 0.0), (3, 3, 3), H)
+    inside = np.linalg.norm(body.X, axis=1) < 0.75
+    part = {
+        name: value[inside]
+        for name, value in vars(body).items()
+        if isinstance(value, np.ndarray) and len(value) == len(body)
+    }
+    body = replace(body, **part, volume=float(body.V0[inside].sum()))
+    kicks = {}
+    for mass in (LUMPED, CONSISTENT):
+        solver = TotalLagrangian(
+            body, [soft()], settings(frames=2, fps=1e3, substeps=1, mass=mass), pins=QUARTER,
+            real=np.float64, plain=plain,
+        )  # fmt: skip
+        nodes, free = solver.body.stencil, solver.body.stencil.free_count
+        assert nodes.factors is not None
+        u = np.zeros((nodes.node_count, 3))
+        u[:free] = np.random.default_rng(0).normal(scale=0.01 * H, size=(free, 3))
+        u[free:] = nodes.factors * (nodes.follow @ u[:free])
+        put(solver, u)
+        solver.advance(1, 1)
+        kicks[mass] = solver.state.view().v[:free]
+    operator = solver.body.mass
+    assert (operator.springs.data == 0.0).any()
+    force = kicks[LUMPED] * operator.lumped[:, None]
+    np.testing.assert_allclose(kicks[CONSISTENT], operator.acceleration(force), rtol=1e-9)

@@ -147,7 +147,7 @@ def elastic(
     a = lane(body.history, laws.history, p, GRADIENT, laws.internals)
     q, which = constants(body, p, laws)
     E, A, loss = stress.flowed(laws, which, listed(trial), q, a, dt, converged)
-    stress.compensate(Pi, listed(trial), E)
+    stress.compensate(laws, which, Pi, listed(trial), E)
     if ti.static(acts):
         last = laws.history - 1
         lost = number(body.history, 0, laws.history, p, last)

@@ -90,7 +90,7 @@ def elastic(
     a = rows(body.history, o + GRADIENT, laws.internals)
     which = body.constants[laws.constants * b + laws.which]
     E, A, loss = stress.flowed(laws, which, F, q, a, dt, converged)
-    moved = stress.compensate(Pi, F, E)
+    moved = stress.compensate(laws, which, Pi, F, E)
     assign(F, E)
     if ti.static(acts):  # noqa: SIM102  (known while the kernel is built; the next is not)
         if moved > 0.0:

@@ -1,0 +1,178 @@
+"""A thick cylinder is blown up until its hole is four times as wide.
+
+Its material is perfectly plastic and as good as incompressible, so that a point at R comes to
+r = sqrt(R^2 + a^2 - A^2) when the hole, A at rest, is a wide, and balance of forces leaves
+
+    -sigma_rr(a) = Y / sqrt(3) ln((B^2 + a^2 - A^2) / a^2)        [Hill 1950, section V.2]
+
+on the hole.  It is measured by the work of what widens the hole over the volume that it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials import Material, young_poisson
+from gf_usd.core.stage import Pin
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import GAUSS, cloud, mirror_plane, settings
+from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, order
+
+# Cardiff et al. 2016; the set-up of solids4foam's tutorial cylinderExpansion.  [m], [Pa]
+INNER, OUTER = 10e-3, 20e-3
+SHEAR, BULK, YIELD = 3.8e9, 40e9, 0.5e6
+DENSITY = 1000.0  # [kg/m^3]: the answer has none
+SLOW = 2e-3  # of the pressure wave's speed: inertia is rho v^2 < 1 % of the stress
+STEP = 0.5e-3  # [m] that the hole widens a frame
+END = 40.5e-3  # [m]
+FINE = 8  # points along the edge of a stratum, of which its share in a ring is counted
+START = (10.5e-3, 13e-3)  # [m] between which the stress is fitted to be read at INNER
+
+
+def exact(a: Floats | float) -> Floats:
+    """-sigma_rr [Pa] on a hole of radius a [m]."""
+    a2 = np.asarray(a, float) ** 2
+    return YIELD / np.sqrt(3.0) * np.log((OUTER**2 + a2 - INNER**2) / a2)
+
+
+def place(X: Floats, a: float) -> Floats:
+    """Where points X (n, 3) are when the hole is `a` wide [m]; also of points in the hole."""
+    R = np.maximum(np.hypot(X[:, 0], X[:, 1]), 1e-3 * INNER)[:, None]
+    out = X.copy()
+    out[:, :2] *= np.sqrt(R**2 + a**2 - INNER**2) / R
+    return out
+
+
+def spline(X: Floats, a: float, h: float) -> Floats:
+    """Nodal values at X whose quadratic spline is `place` to the third order in h.
+
+    A spline of nodal values f is f + h^2 / 8 laplace f.
+    """
+    around = [place(X + way, a) + place(X - way, a) for way in 0.5 * h * np.eye(3)[:2]]
+    return place(X, a) - (sum(around) - 4.0 * place(X, a)) / 2.0
+
+
+def ring(cells: int) -> tuple[Particles, float]:
+    """A quarter of the cylinder, one cell thick, and its thickness [m]; `cells` cells a radius."""
+    h = INNER / cells
+    a, along = 0.5 * h, round(2.0 * OUTER / h)
+    fine = (np.arange(FINE) + 0.5) / FINE * a
+    places, share = [], []
+    for i, j in np.ndindex(along, along):
+        x, y = np.meshgrid(i * a + fine, j * a + fine, indexing="ij")
+        inside = (np.hypot(x, y) > INNER) & (np.hypot(x, y) < OUTER)
+        if inside.all():
+            places.append((h * (i // 2 + GAUSS[i % 2]), h * (j // 2 + GAUSS[j % 2])))
+        elif inside.any():
+            places.append((x[inside].mean(), y[inside].mean()))
+        share.extend([inside.mean()] * bool(inside.any()))
+    flat = np.repeat(np.array(places), 2, axis=0)
+    V0 = np.repeat(share, 2) / sum(share) * np.pi / 8.0 * (OUTER**2 - INNER**2) * h
+    X = np.column_stack([flat, np.tile(h * GAUSS, len(places))])
+    body = cloud(X, volume=float(V0.sum()), lattice=a, corner=np.zeros(3))
+    return replace(body, V0=V0), h
+
+
+def widening(h: float, hole: Floats) -> Pin:
+    """All that is within the hole, as it moves when that has the radii `hole` (frames,) [m]."""
+    count = round(INNER / h)
+    ijk = np.stack(
+        np.meshgrid(*[np.arange(-3, count + 2)] * 2, np.arange(-2, 4), indexing="ij"), -1
+    )
+    X = h * (ijk.reshape(-1, 3) + 0.5)
+    R = np.hypot(X[:, 0], X[:, 1])
+    X = X[(R < INNER) & (4.0 * h > INNER - R)]
+    return Pin(
+        name="hole",
+        inside=lambda at: np.hypot(at[:, 0], at[:, 1]) < INNER,
+        # Far away: the nodes have values of their own, instead of mirroring what is outside.
+        nearest=lambda at: at + OUTER / h * OUTER,
+        anchors=X,
+        path=np.stack([spline(X, a, h) for a in hole]),
+    )
+
+
+def blown_up(cells: int, softer: float, end: float, device: str) -> tuple[Floats, Floats]:
+    """Radii of the hole [m] and -sigma_rr [Pa] there, in the middle of each frame.
+
+    softer : what the moduli are divided by; the answer does not know them.
+    """
+    body, h = ring(cells)
+    mu, kappa = SHEAR / softer, BULK / softer
+    lam = kappa - 2.0 / 3.0 * mu
+    E, nu = young_poisson(mu, lam)
+    made = Material(
+        name="soft", law="vonMises", density=DENSITY, youngs_modulus=E, poissons_ratio=nu,
+        parameters={"yield_stress": YIELD},
+    )  # fmt: skip
+    speed = SLOW * np.sqrt(100.0 / softer) * np.sqrt((lam + 2.0 * mu) / DENSITY)
+    hole = np.arange(INNER, end + 0.5 * STEP, STEP)
+    above = replace(mirror_plane(2, h), name="above", inside=lambda at: at[:, 2] > h)
+    solver = TotalLagrangian(
+        body, [made], settings(device, frames=len(hole), fps=speed / STEP),
+        pins=[widening(h, hole), *(mirror_plane(axis, 0.0) for axis in range(3)), above],
+        real=np.float64,
+    )  # fmt: skip
+    work = np.array([frame.health.work for frame in solver.frames()][1:])
+    taken = 0.25 * np.pi * np.diff(hole**2) * h
+    return 0.5 * (hole[1:] + hole[:-1]), work / taken
+
+
+def read(hole: Floats, stress: Floats, a: float) -> float:
+    """-sigma_rr [Pa] when the hole is `a` wide: between frames; as it sets in, along `exact`."""
+    if a > INNER:
+        return float(np.interp(a, hole, stress))
+    first = (hole > START[0]) & (hole < START[1])
+    return float(np.polyval(np.polyfit(exact(hole[first]), stress[first], 1), exact(a)))
+
+
+def expansion(
+    cells: Sequence[int], radii: Sequence[float], bound: float, softer: float = 100.0
+) -> Callable[[str], Iterator[Measure]]:
+    """Stress on the hole at radii [m], and where there are several resolutions its order."""
+
+    def run(device: str) -> Iterator[Measure]:
+        seen = [blown_up(n, softer, max(radii) + STEP, device) for n in cells]
+        why = (
+            f"{cells[-1]} cells in the wall, moduli divided by {softer:g}: errors of volume, of the"
+            " third order in h, have a pressure of the bulk modulus, which is many yield stresses"
+        )
+        last = np.array([read(*one, max(radii)) for one in seen])
+        for a in radii:
+            yield Measure(
+                name=f"stress-at-{a * 1e3:.0f}mm", value=-read(*seen[-1], a),
+                target=-float(exact(a)), bound=bound, kind=RELATIVE, unit="Pa", why=why,
+                curve=Curve(
+                    title="thick cylinder, stress on the hole", x_label="h / R", y_label="[Pa]",
+                    x=tuple(1.0 / np.array(cells)), y=tuple(-last), logarithmic=False,
+                    target=-float(exact(max(radii))),
+                ) if a == max(radii) else None,
+            )  # fmt: skip
+        if len(cells) > 2:
+            error = last / exact(max(radii)) - 1.0
+            yield Measure(
+                name="order", value=order(1.0 / np.array(cells), error), target=2.0, bound=0.0,
+                kind=AT_LEAST, why="the order of quadratic splines, or more",
+            )  # fmt: skip
+
+    return run
+
+
+CASES = (
+    Case(
+        name="expansion",
+        what="A thick cylinder of perfectly plastic material, 10 mm inside and 20 outside, is blown"
+        " up until its hole is 40 mm wide, in plane strain: the stress on the hole.  Flow so far"
+        " must neither lock nor lose the volume.",
+        source="closed form of a rigid, perfectly plastic cylinder (Hill 1950); set-up of Cardiff"
+        " et al. 2016",
+        quick=expansion((5,), (10e-3, 20e-3), 0.02),
+        full=expansion((4, 6, 10), (10e-3, 20e-3, 40e-3), 0.015),
+        f64=True,
+    ),
+)

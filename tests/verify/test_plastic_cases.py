@@ -1,0 +1,38 @@
+"""The cases of laws that flow notice a wrong material."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gf_usd.verify.case import Measure
+from gf_usd.verify.cases.plastic import taylor
+
+COARSE = (0.08, 0.01, 0.1)  # bounds with two cells a radius
+
+
+def bars() -> list[Measure]:
+    """Radius and length of the coarsest bar."""
+    figures = taylor.impact(2, bounds=COARSE)("cpu")
+    return [next(figures), next(figures)]
+
+
+def test_taylors_bar_passes_with_copper_and_fails_with_ten_times_its_yield_stress(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert all(figure.passed for figure in bars())
+    monkeypatch.setattr(taylor, "COPPER", taylor.HARD)
+    radius, length = bars()
+    assert not radius.passed
+    assert not length.passed
+    assert radius.error > 5.0 * radius.bound
+
+
+def test_a_quarter_of_the_rod_has_its_volume_and_second_moment() -> None:
+    rod = taylor.quarter_rod(3)
+    assert (rod.X > 0.0).all()
+    area = 0.25 * np.pi * taylor.RADIUS**2
+    assert rod.V0.sum() == pytest.approx(area * taylor.LENGTH, rel=1e-12)
+    second = rod.V0 @ (rod.X[:, 0] ** 2 + rod.X[:, 2] ** 2)
+    # A cut stratum is one point in the middle of its share: (a / R)^2 / 12 of the rim, a = R / 6.
+    assert second == pytest.approx(0.5 * area * taylor.LENGTH * taylor.RADIUS**2, rel=5e-3)
