@@ -330,6 +330,20 @@ class Pin:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Goals:
+    """Springs that draw a body to a pose: per mass, w^2 times the way and 2 zeta w times the rate.
+
+    pose : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where these points are to be).
+    rate : X (n, 3) [m] at rest -> w (n,) [rad/s]; 0: free, inf: as good as keyframed.
+    """
+
+    pose: Callable[[Floats], Callable[[float], Floats]]
+    rate: Callable[[Floats], Floats]
+    damping: float = 0.5  # zeta, of the springs: 1 is critical
+    moving: bool = True  # whether the pose changes
+
+
+@dataclass(frozen=True, kw_only=True)
 class StageSpec:
     """What is said; empty for an asset that is no USD file."""
 
