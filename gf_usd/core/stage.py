@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import LAWS, Material, flowing_law, law_parameters
 from gf_usd.core.units import StageUnits
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Triple = tuple[float, float, float]
 
@@ -307,6 +310,14 @@ class Bone:
     free: tuple[bool, ...]  # (s,) whether a segment ends in flesh, and not at another joint
     anchors: Floats  # (4, 3) [m] at rest, world: corners of a tetrahedron that moves with the joint
     path: Floats  # (F, 4, 3) [m] where they are at each frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """The bones of a character, and the skin that they pose."""
+
+    bones: tuple[Bone, ...]
+    weights: Mapping[str, csr_matrix]  # (V, bones) of each posed surface, by path; rows sum to 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,7 @@ from gf_usd.prepare.bodies import (
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.pins import flesh_pins, make_pins, read_animation
+from gf_usd.prepare.pins import Flesh, flesh_of, make_pins, read_animation
 from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
@@ -136,14 +136,14 @@ def fill(
     animation = read_animation(asset, file, request.start) if request.flesh else None
     settings = resolve(request, asset.facts, radius, lowest, animation)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    boned: tuple[str, ...] = ()
     pins = make_pins(
         request.listed("pins"), asset, solid, sampled(settings), file, rest=request.start
     )
+    flesh = Flesh(pins=pins, goals=None, notes=())
     if animation:
-        pins, boned = flesh_pins(
-            asset, solid, sampled(settings), animation, file, share=request.bone_radius,
-            lattice=particles.lattice,
+        flesh = flesh_of(
+            asset, solid, samples, sampled(settings), animation, file, request,
+            lattice=particles.lattice, spacing=particles.spacing,
         )  # fmt: skip
     physics = spec.physics
     if physics.colliders:
@@ -181,7 +181,7 @@ def fill(
     )
     each = tuple(
         paper_options.of_material(
-            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            settings, m, radius, paper=paper, pinned=bool(flesh.pins), wls=request.wls,
             procrustes=request.procrustes, clamp=request.parsed["clamp"],
             stress_cap=request.parsed["stress_cap"],
             given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},
@@ -215,7 +215,8 @@ def fill(
         source=files.source or file,
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
-        pins=pins,
+        pins=flesh.pins,
+        goals=flesh.goals,
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,
@@ -224,7 +225,7 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *boned,
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
             *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
             *embedded_points, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),

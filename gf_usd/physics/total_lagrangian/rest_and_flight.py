@@ -52,9 +52,7 @@ class Shortcuts:
         self._g = np.asarray(s.gravity, float)
         self._flies = asked and not held and s.drag == 0.0 and not state.acceleration.any()
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
-        self._sleeps = (
-            asked and pressed and not body.driven
-        )
+        self._sleeps = asked and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
         self._limit = REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])

@@ -173,7 +173,9 @@ def goal_work(body: ti.template(), node, before, dt):
         change = body.v[a] - before[d]
         y = body.u[a] - body.goal[o] + 0.25 * dt * change
         middle = before[d] + 0.5 * change
-        force = -(k * y + c * (middle - body.goal[o + RATE])) / body.node_mass[MASS * node + INVERSE]
+        force = (
+            -(k * y + c * (middle - body.goal[o + RATE])) / body.node_mass[MASS * node + INVERSE]
+        )
         work += dt * middle * force
     body.goal[GOAL * node + WORK] = work
 
@@ -221,7 +223,9 @@ def move_node(
     if ti.static(coupled):
         a += inverse(body, node, share, slides)
     else:
-        a += force(body, node, contact, plain, goals) * body.node_mass[MASS * node + INVERSE] * share
+        a += (
+            force(body, node, contact, plain, goals) * body.node_mass[MASS * node + INVERSE] * share
+        )
     for d in ti.static(range(3)):
         a[d] += share * body.acceleration[3 * node + d]
         body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]

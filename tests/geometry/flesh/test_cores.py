@@ -6,7 +6,7 @@ import numpy as np
 from solids import cube, solid
 
 from gf_usd.core.stage import Bone
-from gf_usd.geometry.bones import CLEAR, MOST_CLEAR, Core, bone_cores, bone_pins
+from gf_usd.geometry.flesh.cores import CLEAR, MOST_CLEAR, Core, bone_cores, bone_pins
 
 BAR = solid(cube((0.0, -0.2, -0.2), (2.0, 0.4, 0.4)))  # 0.2 m from its axis to the skin
 CELL = 0.1

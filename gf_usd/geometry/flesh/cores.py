@@ -79,6 +79,8 @@ def bone_cores(
     cores, outside, thin = [], [], []
     for number, bone in enumerate(bones):
         mine = []
+        if not bone.free:  # other bones hold all of its flesh
+            continue
         for (start, end), free in zip(bone.segments, bone.free, strict=True):
             whole = radii(_along(start, end))
             if not whole.any():
