@@ -14,6 +14,7 @@ from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     drop,
+    flesh,
     flight,
     floor,
     law,
@@ -55,6 +56,7 @@ CASES: tuple[Case, ...] = (
     *drop.CASES,
     *plastic.CASES,
     *sides.CASES,
+    *flesh.CASES,
 )
 
 
