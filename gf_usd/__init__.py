@@ -1,8 +1,9 @@
 """gf-usd: make any USD or mesh asset soft.
 
 >>> import gf_usd
->>> result = gf_usd.bake("duck.usda", material="rubber")  # doctest: +SKIP
->>> result.root, result.health["restitution"]  # doctest: +SKIP
+>>> result = gf_usd.bake("duck.usda", material="rubber", particles=300, frames=4)
+>>> result.root, result.frames
+(PosixPath('duck.rubber.usda'), 4)
 
 Names are loaded when they are first used, so that importing the package costs nothing.
 """
@@ -16,43 +17,90 @@ from gf_usd.core import __version__
 
 if TYPE_CHECKING:
     from gf_usd.api.bake import bake
+    from gf_usd.api.check import check
+    from gf_usd.api.inspect import inspect
+    from gf_usd.api.materials import materials
+    from gf_usd.api.preview import Preview, preview
+    from gf_usd.api.read import Bake, BakeFrame, read
+    from gf_usd.api.report import report
+    from gf_usd.api.scene import Scene
+    from gf_usd.api.simulate import Simulation, SimulationFrame, simulate
     from gf_usd.core.errors import (
         BakeError,
         GfUsdError,
         InputError,
         SolverError,
+        Unfinished,
         UnhealthyError,
         UsageError,
     )
-    from gf_usd.core.frames import Settings
+    from gf_usd.core.frames import Health, Settings
     from gf_usd.core.materials import Material
-    from gf_usd.pipeline.result import BakeResult
+    from gf_usd.layers.check.run import CheckResult
+    from gf_usd.pipeline.inspect import Inspection
+    from gf_usd.pipeline.result import BakeResult, VariantResult
 
 _HOMES = {
     "bake": "gf_usd.api.bake",
+    "check": "gf_usd.api.check",
+    "inspect": "gf_usd.api.inspect",
+    "materials": "gf_usd.api.materials",
+    "preview": "gf_usd.api.preview",
+    "read": "gf_usd.api.read",
+    "report": "gf_usd.api.report",
+    "simulate": "gf_usd.api.simulate",
+    "Bake": "gf_usd.api.read",
+    "BakeFrame": "gf_usd.api.read",
     "BakeResult": "gf_usd.pipeline.result",
+    "CheckResult": "gf_usd.layers.check.run",
+    "Health": "gf_usd.core.frames",
+    "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials",
+    "Preview": "gf_usd.api.preview",
+    "Scene": "gf_usd.api.scene",
     "Settings": "gf_usd.core.frames",
+    "Simulation": "gf_usd.api.simulate",
+    "SimulationFrame": "gf_usd.api.simulate",
+    "VariantResult": "gf_usd.pipeline.result",
     "GfUsdError": "gf_usd.core.errors",
     "UsageError": "gf_usd.core.errors",
     "InputError": "gf_usd.core.errors",
     "BakeError": "gf_usd.core.errors",
     "SolverError": "gf_usd.core.errors",
     "UnhealthyError": "gf_usd.core.errors",
+    "Unfinished": "gf_usd.core.errors",
 }
 
 __all__ = [
+    "Bake",
     "BakeError",
+    "BakeFrame",
     "BakeResult",
+    "CheckResult",
     "GfUsdError",
+    "Health",
     "InputError",
+    "Inspection",
     "Material",
+    "Preview",
+    "Scene",
     "Settings",
+    "Simulation",
+    "SimulationFrame",
     "SolverError",
+    "Unfinished",
     "UnhealthyError",
     "UsageError",
+    "VariantResult",
     "__version__",
     "bake",
+    "check",
+    "inspect",
+    "materials",
+    "preview",
+    "read",
+    "report",
+    "simulate",
 ]
 
 

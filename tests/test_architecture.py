@@ -19,9 +19,10 @@ BASE = {"core", "system"}
 # Who takes these apart; all others are given what they need of them.
 WHOLE = {
     "gf_usd.prepare.plan.Plan": {"prepare/fill.py", "prepare/prepare.py", "pipeline/run.py",
-                                 "pipeline/inspect.py", "cli/console.py"},
+                                 "pipeline/inspect.py", "pipeline/scene.py", "cli/console.py"},
     "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill.py",
-                                               "prepare/prepare.py", "batch/manifest.py"},
+                                               "prepare/prepare.py", "pipeline/scene.py",
+                                               "batch/manifest.py"},
 }  # fmt: skip
 # What each package may import besides itself; lazy and type-only imports count.
 MAY_IMPORT = {

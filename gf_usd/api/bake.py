@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.api.call import takes
+from gf_usd.api.host.guest import here_or_away
 from gf_usd.prepare.options.table import MAX_HOURS, BakeOptions
 
 if TYPE_CHECKING:
@@ -25,7 +27,12 @@ def bake(
 ) -> BakeResult:
     """Fill an asset with particles, simulate it and write its layers.
 
-    >>> result = gf_usd.bake("duck.usda", material="rubber", drop=3.0)  # doctest: +SKIP
+    >>> result = gf_usd.bake("duck.usda", drop=3.0, range=(1, 4), particles=300, overwrite=True)
+    >>> result.bakes[0].material.name, result.health["inverted_particle_frames"]
+    ('rubber', 0)
+
+    A program that opened stages before, or that uses Taichi itself, may call it as well: the bake
+    then runs in a process of its own, and a note says so.
 
     The keywords are the options of ``gf-usd bake``, with underscores.  They take values of Python:
     numbers, tuples and lists, paths of `pathlib`, `gf_usd.Material` objects, and for regions dicts.
@@ -67,9 +74,25 @@ def bake(
     UnhealthyError : strict, and there are warnings; the files are written.
     """
     from gf_usd.pipeline.result import require_healthy
-    from gf_usd.pipeline.run import prepare, run
 
-    result = run(prepare(path, **options), progress, max_hours=max_hours, slice=slice)
+    asked = {"path": path, "max_hours": max_hours, "slice": slice, **options}
+    result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
+    if why:
+        result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
     if strict:
         require_healthy(result)
     return result
+
+
+def prepare_and_run(
+    path: Path,
+    *,
+    max_hours: float,
+    slice: int | None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> BakeResult:
+    """See `bake`; in this process."""
+    from gf_usd.pipeline.run import prepare, run
+
+    return run(prepare(path, **options), progress, max_hours=max_hours, slice=slice)

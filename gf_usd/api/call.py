@@ -93,19 +93,24 @@ OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 
 
 @contextmanager
-def keywords() -> Iterator[None]:
-    """Have errors name the keywords of Python: ``--max-hours`` is max_hours."""
+def keywords(*own: str, **renamed: str) -> Iterator[None]:
+    """Have errors name the keywords of Python: ``--max-hours`` is max_hours.
+
+    own : keywords of the function that are called as on the command line; renamed : others, by
+    their names there; none: the options of a bake.
+    """
+    mine = {**{name: name for name in own}, **renamed}
+    known = {f"--{name.replace('_', '-')}": word for name, word in mine.items()} or _KEYWORDS
+    known = {**known, "-o": "output"}
     try:
         yield
     except GfUsdError as error:
-        error.message, error.hint = in_keywords(error.message), in_keywords(error.hint)
+        error.message, error.hint = (
+            OPTION.sub(lambda found: known.get(found[0], found[0]), text)
+            for text in (error.message, error.hint)
+        )
         error.args = (error.message,)
         raise
-
-
-def in_keywords(text: str) -> str:
-    """A text with the keywords of Python in place of the options of the command line."""
-    return OPTION.sub(lambda found: _KEYWORDS.get(found[0], found[0]), text)
 
 
 def _spellings() -> dict[str, str]:

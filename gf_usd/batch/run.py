@@ -19,6 +19,7 @@ from gf_usd.pipeline.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
 from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children
+from gf_usd.system.workers import warm_workers
 
 BEAT = 0.25  # [s] between looks at the clock, for whoever draws
 
@@ -26,22 +27,28 @@ Event = dict[str, Any]
 
 
 def run_here(
-    jobs: Sequence[Job], limits: Limits, *, at_once: int, children: Children
+    jobs: Sequence[Job], limits: Limits, *, at_once: int, children: Children, warm: bool = True
 ) -> Iterator[Event | None]:
     """The events of all jobs as they happen, and None now and then where nothing does.
 
     It ends when every job has: each has one event `finished`, with its outcome.  `children.stop`
     ends those that run and keeps the others from starting.
+
+    warm : bakes follow each other in processes that stay; False: each has a process of its own.
     """
     events: queue.Queue[Event] = queue.Queue()
     table = InputTable(children)
-    with ThreadPoolExecutor(max_workers=at_once) as pool:
+    with (
+        warm_workers(children, warm) as workers,
+        ThreadPoolExecutor(max_workers=at_once) as pool,
+    ):
         # one child reads the assets of all jobs: starting it costs more than most assets do
         pool.submit(table.read, [path for job in jobs for path in read_by(job)])
         for job in jobs:
             future = pool.submit(
-                run_job, job, limits, children=children, table=table, emit=events.put
-            )
+                run_job, job, limits, children=children, table=table, emit=events.put,
+                workers=workers,
+            )  # fmt: skip
             future.add_done_callback(lambda done, job=job: events.put(_end(job, done)))
         yield from hear(events, len(jobs))
 

@@ -30,6 +30,7 @@ from gf_usd.core.errors import GfUsdError
 from gf_usd.prepare.outputs import outputs
 from gf_usd.system.file_locks import Held, acquire
 from gf_usd.system.processes import Children, Ended
+from gf_usd.system.workers import Workers
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
@@ -51,9 +52,18 @@ class Limits:
 
 
 def run_job(
-    job: Job, limits: Limits, *, children: Children, table: InputTable, emit: Emit
+    job: Job,
+    limits: Limits,
+    *,
+    children: Children,
+    table: InputTable,
+    emit: Emit,
+    workers: Workers | None = None,
 ) -> Outcome:
-    """Bake, unless the same is there already; nothing that happens to a bake raises."""
+    """Bake, unless the same is there already; nothing that happens to a bake raises.
+
+    workers : run the bake in a warm process; None: in a process of its own.
+    """
     if children.stopping:
         return _none(job, "stopped", "interrupted before it began")
     try:
@@ -67,13 +77,19 @@ def run_job(
             job, "busy", f"another run is baking {job.root}", "repeat the batch when it is done"
         )
     try:
-        return _run_locked(job, limits, held, children, table, emit)
+        return _run_locked(job, limits, held, children, workers, table, emit)
     finally:
         held.release()
 
 
 def _run_locked(
-    job: Job, limits: Limits, held: Held, children: Children, table: InputTable, emit: Emit
+    job: Job,
+    limits: Limits,
+    held: Held,
+    children: Children,
+    workers: Workers | None,
+    table: InputTable,
+    emit: Emit,
 ) -> Outcome:
     inputs = table.read(read_by(job))
     unread = [row["error"] for row in inputs.values() if "error" in row]
@@ -89,7 +105,7 @@ def _run_locked(
         return told
     before = stamps(inputs)
     seconds, cpu = spent(job, known)
-    outcome, files = _attempts(job, limits, held, children, emit)
+    outcome, files = _attempts(job, limits, held, children, workers, emit)
     outcome = replace(
         outcome,
         host=socket.gethostname(),
@@ -117,7 +133,7 @@ def _run_locked(
 
 
 def _attempts(
-    job: Job, limits: Limits, held: Held, children: Children, emit: Emit
+    job: Job, limits: Limits, held: Held, children: Children, workers: Workers | None, emit: Emit
 ) -> tuple[Outcome, tuple[Path, ...]]:
     """Run the bake until it ends by itself or the retries are used up."""
     seconds = cpu = 0.0
@@ -127,7 +143,7 @@ def _attempts(
         began = time.monotonic()
         emit({"event": "started", "job": job.name, "attempt": attempt, "command": job.command})
         watch = _Watch(job, emit)
-        ended = _bake(job, limits, held, children, watch)
+        ended = _bake(job, limits, held, children, workers, watch)
         if ended is None:
             return _none(job, "stopped", "interrupted before it began"), ()
         seconds += time.monotonic() - began
@@ -145,7 +161,9 @@ def _attempts(
         children.pause(min(float(attempt), 5.0))
 
 
-def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watch) -> Ended | None:
+def _bake(
+    job: Job, limits: Limits, held: Held, children: Children, workers: Workers | None, watch: _Watch
+) -> Ended | None:
     """One attempt; None where no more is to be started."""
     arguments = [*job.arguments(), "--overwrite"]
     if "threads" not in job.options and limits.threads:
@@ -165,6 +183,11 @@ def _bake(job: Job, limits: Limits, held: Held, children: Children, watch: _Watc
     locks = [lock.descriptor for lock in (held, shared) if lock is not None]
     try:
         with _listening(watch) as writer:
+            if workers is not None:
+                return workers.run(
+                    arguments, lambda line: None, events=writer, timeout=limits.timeout,
+                    inherit=locks,
+                )  # fmt: skip
             command = [sys.executable, "-m", "gf_usd", *arguments, "--events", str(writer)]
             return children.run(
                 command, lambda line: None, timeout=limits.timeout, inherit=[*locks, writer]

@@ -65,6 +65,11 @@ def batch(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Bake also what is done already.")
     ] = False,
+    warm: Annotated[
+        bool,
+        typer.Option("--warm/--no-warm",
+                     help="Let processes bake one job after the other, which saves their start."),
+    ] = True,
     scheduler: Annotated[
         str | None, typer.Option(help="Run on a dask.distributed cluster: tcp://HOST:8786.")
     ] = None,
@@ -118,7 +123,7 @@ def batch(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the summary.")] = False,
 ) -> None:  # fmt: skip
-    """Bake many assets with many materials and settings, each in a process of its own.
+    """Bake many assets with many materials and settings, several at once.
 
     What is done already and still the same is kept. Exit status 1 if any job is not good, 5 if
     nothing but slices are left, 143 and 130 if it was terminated or interrupted; the same command
@@ -150,7 +155,7 @@ def batch(
     how = How(
         at_once=at_once, memory=memory, overwrite=overwrite, scheduler=scheduler,
         resources=tuple(resource or ()), report=not no_report, as_json=as_json,
-        openjd_lines=openjd_lines, quiet=quiet, slice=slice,
+        openjd_lines=openjd_lines, quiet=quiet, slice=slice, warm=warm,
         part=None if part is None else parse_part(part, slice),
     )  # fmt: skip
     if dry_run:

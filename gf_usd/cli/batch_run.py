@@ -197,6 +197,7 @@ class How:
     at_once: int | None = None
     memory: float | None = None  # [GB] of a job
     overwrite: bool = False
+    warm: bool = True
     scheduler: str | None = None
     resources: tuple[str, ...] = ()
     report: bool = True
@@ -268,7 +269,7 @@ def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
             events = run_there(jobs, limits, address=how.scheduler, resources=how.resources,
                                children=children)  # fmt: skip
         else:
-            events = run_here(jobs, limits, at_once=at_once, children=children)
+            events = run_here(jobs, limits, at_once=at_once, children=children, warm=how.warm)
         outcomes = collect(events, tell)
     repeat = again(_without_choice(), outcomes)
     _finish(plan, outcomes, how, repeat=repeat, seconds=time.monotonic() - began,

@@ -10,7 +10,7 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -26,6 +26,7 @@ from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
 from gf_usd.cli.verify import verify
+from gf_usd.cli.worker import serve
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, Unfinished
 from gf_usd.system.processes import end_with_parent
@@ -82,7 +83,7 @@ def program(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def run() -> NoReturn:
-    """Run the command line; an expected error ends in words on stderr, never in a traceback."""
+    """Run the command line of this process, and end it with the exit status."""
     # The products here are too small for threads of BLAS, which spin for 25 ms after each, and
     # sums that threads share depend on their number.
     for library in ("OPENBLAS", "MKL"):
@@ -93,20 +94,36 @@ def run() -> NoReturn:
     end_with_parent()
     # Nearly all that a command makes lives as long as it: less often looked through for cycles.
     gc.set_threshold(100_000, 20, 20)
-    asked = sys.argv[1:2]
+    leave(execute(sys.argv[1:]))
+
+
+def execute(arguments: Sequence[str]) -> int:
+    """Run the command line with these arguments; returns the exit status.
+
+    An expected error is said on stderr, never as a traceback.
+    """
+    asked = arguments[:1]
     # Typer goes through the options of all the commands it knows before it runs one.
     chosen = asked if asked and asked[0] in COMMANDS else COMMANDS
     try:
-        program(chosen)(standalone_mode=True)
+        program(chosen)(args=list(arguments), standalone_mode=True)
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)
-        leave(error.exit_status)
+        return error.exit_status
     except SystemExit as end:
         if isinstance(end.code, int):
-            leave(end.code)
+            return end.code
         raise
-    leave(0)
+    return 0
+
+
+def worker(descriptor: Annotated[int, typer.Argument(help="Its socket.")]) -> None:
+    """Run the bakes of a batch one after the other."""
+    sys.exit(serve(descriptor, execute))
+
+
+COMMANDS["worker"] = (worker, {"hidden": True})
 
 
 def _stop(number: int, frame: object) -> NoReturn:

@@ -8,14 +8,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gf_usd.cli.preview_options import Options, read_options, time_codes
+from gf_usd.api.drawing.options import Options, read_options
 from gf_usd.core.errors import GfUsdError
 
 
@@ -82,8 +81,8 @@ def preview(
     color: Annotated[
         str,
         typer.Option(
-            help="strain (largest |stretch - 1|), stress (von Mises; bake with --stress), or none:"
-            " the asset's own colors."
+            help="strain (largest |stretch - 1|), elastic and plastic (bake with --internal),"
+            " stress (von Mises; bake with --stress), or none: the asset's own colors."
         ),
     ] = "none",
     old_color: Annotated[str | None, typer.Option("--colour", hidden=True)] = None,
@@ -92,7 +91,7 @@ def preview(
         typer.Option(
             "--range",
             metavar="LOW:HIGH",
-            help="Of the colors: a pure number for strain, [Pa] for stress.",
+            help="Of the colors: a pure number for strains, [Pa] for stress.",
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,
@@ -128,46 +127,15 @@ def draw(
     InputError : the stage cannot be read, or does not hold what is to be shown.
     """
     # pxr and taichi take a second to import, which --help must not wait for
-    from gf_usd.cli import preview_draw
-    from gf_usd.readers.pictures.scene import PictureStage
-    from gf_usd.view.film import require_folder
-    from gf_usd.view.render.render import write_png
+    from gf_usd.api.preview import draw as draw_preview
 
-    require_folder(options.target)
-    notes: list[str] = []
-    if options.target.suffix.lower() == ".mp4" and (options.size[0] % 2 or options.size[1] % 2):
-        width, height = (n + n % 2 for n in options.size)
-        options = replace(options, size=(width, height))
-        notes.append(f"note: H.264 wants even sizes: {width}x{height}")
-    source = PictureStage(path, show, camera=camera, color=color)
-    motion = source.motion
-    if not options.film and options.sheet is None:
-        source.require_time(options.frame)
-        paint = preview_draw.Drawing(source, options.size, options.limits)
-        pixels = paint(options.frame)
-        write_png(options.target, pixels)
-        done = f"{options.target}: {pixels.shape[1]}x{pixels.shape[0]}"
-        return [*notes, done, *(f"note: {note}" for note in paint.notes)]
-
-    frame_step = motion.time_codes_per_second / motion.frames_per_second
-    codes = time_codes(options.span, motion.time_codes, frame_step, path)
-    paint = preview_draw.Drawing(source, options.size, options.limits)
-    if options.sheet is not None:
-        page = preview_draw.write_sheet(paint, codes, options)
-        write_png(options.target, page)
-        done = f"{options.target}: {page.shape[1]}x{page.shape[0]}"
-    else:
-        rate = preview_draw.film_rate(codes, motion.time_codes_per_second, options)
-        if options.target.suffix.lower() == ".gif":
-            total = len(codes)
-            codes, rate = preview_draw.thin_for_gif(codes, rate)
-            if len(codes) < total:
-                notes.append(f"note: a gif shows at most 50 frames a second: {rate:g} are kept")
-        with progress() as advance:
-            preview_draw.write_film(paint, codes, rate, options, advance)
-        width, height = options.size
-        done = f"{options.target}: {width}x{height}, {len(codes)} frames, {rate:g} a second"
-    return [*notes, done, *(f"note: {note}" for note in paint.notes)]
+    with progress() if options.film else nullcontext() as advance:
+        done = draw_preview(path, options, show=show, camera=camera, color=color, progress=advance)
+    width, height = done.size
+    made = f"{done.path}: {width}x{height}"
+    if done.fps is not None:
+        made += f", {done.frames} frames, {done.fps:g} a second"
+    return [made, *(f"note: {note}" for note in done.notes)]
 
 
 @contextmanager
@@ -210,7 +178,7 @@ def thumbnails(
 
 def thumbnail(root: Path) -> Path:
     """The picture of one stage.  Raises InputError for what cannot be drawn."""
-    from gf_usd.cli.preview_draw import Drawing
+    from gf_usd.api.drawing.pictures import Drawing
     from gf_usd.readers.pictures.scene import PictureStage
     from gf_usd.view.render.render import write_png
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.core.errors import UsageError
+from gf_usd.api.report import write
 
 
 def report(
@@ -33,47 +33,8 @@ def report(
     It stays under 20 MB; what is left out for that is said on the page.
     """
     target = output or Path(f"{baked.stem}.html")
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(
-            f"{target} does not end in .html.", "report writes a web page: -o report.html"
-        )
     write(baked, target, look, max_vertices, max_frames)
     typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
-
-
-def write(path: Path, target: Path, look: str | None, vertices: int, frames: int) -> None:
-    """Write the page of a bake, all its looks or one.
-
-    Raises
-    ------
-    UsageError : no such look, the target is an input, or its folder does not exist.
-    InputError : the file cannot be read, or nothing in it moves.
-    BakeError : the disk refuses.
-    """
-    # pxr and taichi take a second to import, which --help must not wait for
-    from gf_usd.readers.pictures.recording import BakedMotion
-    from gf_usd.system.atomic_files import publish_text
-    from gf_usd.view.report.record import load_report, report_path
-    from gf_usd.view.report.report import Limits, build_report
-
-    require_target(target, (path, report_path(path)))
-    first = BakedMotion(path, look)
-    # the look that is selected in the file comes first
-    names = [first.look, *(n for n in first.looks if n != first.look)] if look is None else [look]
-    sources = [first, *(BakedMotion(path, name) for name in names[1:])]
-    page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
-    publish_text(target, page)
-
-
-def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
-    """Raise UsageError where a page cannot be written, or would replace what it is made of."""
-    for source in inputs:
-        if target.resolve() == source.resolve():
-            raise UsageError(f"{target} is the input itself.", "choose another -o")
-    if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
-    if target.is_dir():
-        raise UsageError(f"{target} is a folder.", "name the page: -o report.html")
 
 
 def view(

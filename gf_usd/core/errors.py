@@ -37,6 +37,10 @@ class InputError(GfUsdError):
     exit_status = 3
 
 
+class SchemaTooLate(GfUsdError):
+    """USD had read its schema definitions before those of gf-usd were registered."""
+
+
 class BakeError(GfUsdError):
     """The bake failed while running (exit status 1); only ``*.partial.*`` files remain."""
 

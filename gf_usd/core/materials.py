@@ -63,6 +63,7 @@ class LawSpec:
     source: str
     parameters: tuple[Parameter, ...] = ()  # besides mu and lam
     flows: bool = False  # it has a flow rule, and so a history
+    over: str = ""  # the law whose energy it has; "": one of its own
     internal: tuple[Internal, ...] = ()
 
 
@@ -78,6 +79,53 @@ HARDENING = Parameter(
     label="Hardening",
 )  # fmt: skip
 
+# Of every law that flows, besides its own: what the solvers work out of F_e.
+ELASTIC_STRAIN = Internal(
+    name="elastic_strain", rest=0.0, attribute="elasticStrain",
+    meaning="Largest |stretch - 1| of the elastic part F_e of each particle's deformation.",
+    label="Elastic Strain",
+)  # fmt: skip
+
+
+def _von_mises(token: str, code: str, over: str = "") -> LawSpec:
+    """Von Mises plasticity over the elastic energy of a module."""
+    return LawSpec(
+        token=token,
+        code=code,
+        source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
+        over=over,
+        parameters=(
+            YIELD_STRESS,
+            HARDENING,
+            Parameter(
+                name="saturation", unit="Pa", attribute="saturation", default=0.0,
+                meaning="Hardening that saturates: what the yield stress gains by it at most.",
+                label="Saturating hardening",
+            ),
+            Parameter(
+                name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
+                meaning="Plastic strains e-fold the rest of the saturating hardening this many"
+                " times per unit.",
+                label="Saturation rate",
+            ),
+            Parameter(
+                name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
+                meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
+                " once.",
+                label="Viscosity of flow",
+            ),
+        ),
+        flows=True,
+        internal=(
+            Internal(
+                name="plastic_strain", rest=0.0, attribute="plasticStrain",
+                meaning="Equivalent plastic strain of each particle, summed over its past.",
+                label="Plastic Strain",
+            ),
+        ),
+    )  # fmt: skip
+
+
 LAWS: dict[str, LawSpec] = {
     row.token: row
     for row in (
@@ -87,40 +135,7 @@ LAWS: dict[str, LawSpec] = {
             source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
         ),
         LawSpec(token="neoHookean", code=".neo_hookean", source="Bonet and Wood 2008, eq. 6.28"),
-        LawSpec(
-            token="vonMises",
-            code=".von_mises",
-            source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
-            parameters=(
-                YIELD_STRESS,
-                HARDENING,
-                Parameter(
-                    name="saturation", unit="Pa", attribute="saturation", default=0.0,
-                    meaning="Hardening that saturates: what the yield stress gains by it at most.",
-                    label="Saturating hardening",
-                ),
-                Parameter(
-                    name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
-                    meaning="Plastic strains e-fold the rest of the saturating hardening this many"
-                    " times per unit.",
-                    label="Saturation rate",
-                ),
-                Parameter(
-                    name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
-                    meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
-                    " once.",
-                    label="Viscosity of flow",
-                ),
-            ),
-            flows=True,
-            internal=(
-                Internal(
-                    name="plastic_strain", rest=0.0, attribute="plasticStrain",
-                    meaning="Equivalent plastic strain of each particle, summed over its past.",
-                    label="Plastic Strain",
-                ),
-            ),
-        ),
+        _von_mises("vonMises", ".von_mises"),
         LawSpec(
             token="crushable",
             code=".crushable",
@@ -145,6 +160,8 @@ LAWS: dict[str, LawSpec] = {
                 ),
             ),
         ),
+        _von_mises("vonMisesNeoHookean", ".von_mises_neo_hookean", over="neoHookean"),
+        _von_mises("vonMisesCorotated", ".von_mises_corotated", over="corotated"),
     )
 }  # fmt: skip
 
@@ -157,10 +174,11 @@ def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]
 
 
 def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
-    """The internal variables of laws that are written, one of each name; None: of all laws."""
+    """What is written of the state of laws that flow, one of each name; None: of all laws."""
     wanted = set(LAWS if tokens is None else tokens)
-    rows = [row for token, row in LAWS.items() if token in wanted]
-    return tuple({v.name: v for row in rows for v in row.internal if v.attribute}.values())
+    rows = [row for token, row in LAWS.items() if token in wanted and row.flows]
+    own = [v for row in rows for v in row.internal if v.attribute]
+    return tuple({v.name: v for v in (own + [ELASTIC_STRAIN] if rows else own)}.values())
 
 
 def flowing_law(stated: Iterable[str], otherwise: str) -> str:

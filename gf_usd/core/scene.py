@@ -222,4 +222,5 @@ class MotionFrame:
     meshes: tuple[Floats, ...]  # (V, 3) [m], one for each mesh of the recording
     positions: Floats | None = None  # (N, 3) [m] of the Gaussians
     axes: Floats | None = None  # (N, 3, 3) [m] columns are the axes, as long as the deviations
-    stress: Floats | None = None  # (N,) [Pa] von Mises, where the bake wrote it
+    # (N,) what the bake wrote of them: "stress" (von Mises) [Pa], "elastic", "plastic" strain
+    measured: Mapping[str, Floats] = field(default_factory=dict)

@@ -23,7 +23,8 @@ Types = Sdf.ValueTypeNames
 # API schemas of others, known by name only: usd-core has no definition of them
 VOLUME_MATERIAL_API = "PhysicsVolumeDeformableMaterialAPI"  # AOUSD proposal
 NEWTON_MATERIAL_API = "NewtonMPMMaterialAPI"
-VOLUME_KEEPING = "vonMises"  # the law whose flow Newton has words for
+# the laws whose flow Newton has words for
+VOLUME_KEEPING = ("vonMises", "vonMisesNeoHookean", "vonMisesCorotated")
 
 
 def write_materials(
@@ -135,7 +136,7 @@ def _newtons_flow(material: Material, units: StageUnits) -> list[tuple[str, floa
 
     Newton's fallback of internalFriction would make its strength grow with pressure.
     """
-    if material.law != VOLUME_KEEPING:
+    if material.law not in VOLUME_KEEPING:
         return []
     words = [("newton:mpm:internalFriction", 0.0)]
     for one in law_parameters([material.law]):

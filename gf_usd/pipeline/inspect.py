@@ -19,7 +19,8 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             center, size, thickness, particles, suggested_particles; none where faults of a mesh
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
-materials   of each: name, substeps_per_frame, seconds, disk_bytes, memory_bytes
+materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
+            seconds, disk_bytes, memory_bytes
 advice      of --material auto, for each mesh: path, material, confidence, reason, by
 """
 

@@ -57,7 +57,7 @@ class Prepared:
     @cached_property
     def solvers(self) -> Solvers:
         """The solvers of its variants."""
-        return Solvers(partial(_solver, self.plan), len(self.plan.particles))
+        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
 
     @cached_property
     def cost(self) -> Cost:
@@ -340,7 +340,7 @@ def _run_variant(
     return result, baked, (*summary.notes, *splats.notes), failure
 
 
-def _solver(plan: Plan, variant: Variant) -> Solver:
+def solver_of(plan: Plan, variant: Variant) -> Solver:
     """The solver of a variant, at its start."""
     from gf_usd.physics.solvers import make_solver
 

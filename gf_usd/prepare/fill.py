@@ -28,7 +28,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import LAWS, Material
-from gf_usd.core.stage import StageSpec
+from gf_usd.core.stage import Pin, StageSpec
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -60,16 +60,19 @@ def fill(
     presets: Sequence[Any],
     law: str | None,
     files: Outputs,
-    file: Path,
+    file: Path | None,
     *,
     spec: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
+    more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
 
-    file : its USD form; spec : what its stage says.
+    file : its USD form; None: it has none, and spec has the motion of its obstacles.
+    spec : what its stage says.
     known : what `diagnose` said of its surfaces, if it was asked already.
+    more_pins : of the solid, besides those that are asked for.
     """
     from gf_usd.core.mesh import signed_volume
     from gf_usd.geometry.diagnosis import diagnose, tolerated
@@ -133,20 +136,23 @@ def fill(
     every_surface = (*asset.surfaces, *solid.surfaces)
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
-    animation = read_animation(asset, file, request.start) if request.flesh else None
+    animation = read_animation(asset, file, request.start) if request.flesh and file else None
     settings = resolve(request, asset.facts, radius, lowest, animation)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
-    pins = make_pins(
-        request.listed("pins"), asset, solid, sampled(settings), file, rest=request.start
-    )
-    flesh = Flesh(pins=pins, goals=None, notes=())
-    if animation:
+    pins = tuple(more_pins(solid)) if more_pins else ()
+    flesh = Flesh()
+    if file is not None:
+        names = request.listed("pins")
+        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
+    if animation and file is not None:
         flesh = flesh_of(
-            asset, solid, samples, sampled(settings), animation, file, request,
-            lattice=particles.lattice, spacing=particles.spacing,
+            asset, solid, samples, sampled(settings), animation, file,
+            share=request.bone_radius, frequency=request.goal_frequency,
+            damping=request.goal_damping, lattice=particles.lattice, spacing=particles.spacing,
         )  # fmt: skip
+        pins += flesh.pins
     physics = spec.physics
-    if physics.colliders:
+    if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
@@ -181,7 +187,7 @@ def fill(
     )
     each = tuple(
         paper_options.of_material(
-            settings, m, radius, paper=paper, pinned=bool(flesh.pins), wls=request.wls,
+            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
             procrustes=request.procrustes, clamp=request.parsed["clamp"],
             stress_cap=request.parsed["stress_cap"],
             given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},
@@ -212,10 +218,10 @@ def fill(
         settings=each[0],
         each=each,
         outputs=files,
-        source=files.source or file,
+        source=files.source or file or asset.facts.path,
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
-        pins=flesh.pins,
+        pins=pins,
         goals=flesh.goals,
         choices=choices,
         bodies=bodies,

@@ -13,7 +13,6 @@ from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
 from gf_usd.core.stage import Goals, Pin, Region
-from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
@@ -103,9 +102,9 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
 class Flesh:
     """What moves a character's flesh."""
 
-    pins: tuple[Pin, ...]  # the cores of bones
-    goals: Goals | None  # springs to the skinned pose
-    notes: tuple[str, ...]
+    pins: tuple[Pin, ...] = ()  # the cores of bones
+    goals: Goals | None = None  # springs to the skinned pose
+    notes: tuple[str, ...] = ()
 
 
 def flesh_of(
@@ -115,15 +114,18 @@ def flesh_of(
     settings: Settings,
     animation: Animation,
     file: Path,
-    request: Request,
     *,
+    share: float | None,
+    frequency: float | None,
+    damping: float | None,
     lattice: float,
     spacing: float,
 ) -> Flesh:
     """The cores of the bones, and the springs that are asked for.
 
-    settings : as `sampled`; lattice : [m] half the edge of a cell; spacing : [m] of the samples.
-    Raises InputError as `read_animation`, and where no bone lies in the flesh.
+    settings : as `sampled`.  share, frequency [Hz], damping : of --bone-radius, --goal-frequency
+    and --goal-damping; None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the
+    samples.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
     """
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
@@ -135,8 +137,8 @@ def flesh_of(
     times = animation.first + (np.arange(settings.frames) - lead) * step
     paths = [s.path for s in asset.surfaces]
     skeleton = read_skeleton(file, paths, asset.facts, first=animation.first, times=times.tolist())
-    bones, share = skeleton.bones, request.bone_radius or BONE_RADIUS
-    cores, notes = bone_cores(bones, solid, share, 2.0 * lattice)
+    bones = skeleton.bones
+    cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
         raise InputError(
@@ -145,14 +147,13 @@ def flesh_of(
             "bind the mesh again: in the bind pose its skeleton lies inside of it",
         )
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
-    frequency = request.goal_frequency or (GOAL_FREQUENCY if painted else None)
+    if frequency is None and not painted:
+        return Flesh(pins=pins, notes=notes)
     if frequency is None:
-        return Flesh(pins=pins, goals=None, notes=notes)
-    if request.goal_frequency is None:
+        frequency = GOAL_FREQUENCY
         notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
-    damping = GOAL_DAMPING if request.goal_damping is None else request.goal_damping
     goals = flesh_goals(
         solid, samples, skeleton, painted,
-        frequency=frequency, damping=damping, spacing=spacing,
+        frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes)

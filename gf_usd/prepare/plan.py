@@ -23,7 +23,7 @@ from gf_usd.core.frames import (
     summary,
     written,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import Material, law_internals
 from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.options.table import arguments
@@ -183,6 +183,7 @@ SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
+INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writes more
 
 
 def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choices) -> int:
@@ -197,6 +198,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
     if "gaussians" in choices.shapes:
         each = SPLAT_BYTES - HALF_BYTES * choices.half
         each += GRADIENT_BYTES * settings.deformation_gradients + STRESS_BYTES * settings.stress
+        each += INTERNAL_BYTES * settings.internal
         size += each * particles
     if "points" in choices.shapes:
         size += POINT_BYTES * particles

@@ -66,6 +66,9 @@ def prepare(
     Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
     long as the object is there.
     """
+    from gf_usd.system import usd_schema
+
+    usd_schema.require()
     check_unit(meters_per_unit)
     request, presets = parse_request(material, law, options)
     source = Path(path)

@@ -14,8 +14,9 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import IO, TypeVar
 
 from gf_usd.system.file_locks import INHERITED
 
@@ -41,13 +42,13 @@ class Ended:
     reply: bytes = b""  # stdout of a child whose output is binary; `out` is empty then
 
 
-class Child:
+class Process:
     """A process in a session of its own, so that a signal reaches all that it started.
 
     Parameters
     ----------
-    inherit : file descriptors that it gets.
-    binary : its stdout is not text.
+    inherit : file descriptors that it gets, with their numbers.
+    out, err : its stdout and stderr, as `subprocess` takes them.
     grace : [s] between the request to end and the end; 0: it is ended without a request.  None:
         GRACE.
     """
@@ -57,15 +58,15 @@ class Child:
         command: Sequence[str],
         *,
         inherit: Sequence[int] = (),
-        binary: bool = False,
+        out: int = subprocess.DEVNULL,
+        err: int = subprocess.DEVNULL,
         grace: float | None = None,
     ) -> None:
         self._began = time.monotonic()
-        self._binary = binary
         self._grace = GRACE if grace is None else grace
         self._process = subprocess.Popen(
             command,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL, stdout=out, stderr=err,
             start_new_session=True,
             pass_fds=tuple(inherit),
             env={
@@ -90,52 +91,35 @@ class Child:
         timer.daemon = True
         timer.start()
 
-    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
-        """Read its output to the end, and end what it leaves running.
+    def reap(self) -> tuple[int, float, int]:
+        """Wait for its end and end what it leaves running.
 
-        Parameters
-        ----------
-        on_line : called with each line of stderr.
-        timeout : [s] after which it is stopped.
+        Returns its exit status (negative: the signal that ended it), CPU time [s] and peak memory
+        [bytes].
         """
-        process = self._process
-        stdout, stderr = process.stdout, process.stderr
-        assert stdout is not None
-        assert stderr is not None
-        out: list[bytes] = []
-        reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
-        reader.start()
+        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
+            # ended but not yet reaped, its number still names its group
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            self._signal(signal.SIGKILL)
+        # not Popen.wait: only this call also tells what the process used
+        _, code, usage = os.wait4(self.pid, 0)
+        with self._lock:
+            self._reaped = True
+        self._process.returncode = os.waitstatus_to_exitcode(code)
+        memory = usage.ru_maxrss * (1 if os.uname().sysname == "Darwin" else 1024)
+        return self._process.returncode, usage.ru_utime + usage.ru_stime, memory
+
+    @contextlib.contextmanager
+    def _timed(self, timeout: float | None) -> Iterator[None]:
+        """Stop it where the block takes longer than `timeout` [s]."""
         timer = threading.Timer(timeout or 0.0, self._time_out)
         if timeout:
             timer.daemon = True
             timer.start()
-        tail = ""
-        for line in io.TextIOWrapper(stderr, encoding="utf-8", errors="replace"):
-            tail = (tail + line)[-TAIL:]
-            on_line(line.rstrip("\n"))
-        reader.join()
-        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
-            # ended but not yet reaped, its number still names its group
-            os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
-            self._signal(signal.SIGKILL)
-        # not Popen.wait: only this call also tells what the process used
-        _, code, usage = os.wait4(process.pid, 0)
-        with self._lock:
-            self._reaped = True
-        timer.cancel()
-        stdout.close()
-        process.returncode = os.waitstatus_to_exitcode(code)
-        return Ended(
-            status=process.returncode,
-            out="" if self._binary else out[0].decode(errors="replace"),
-            err=tail,
-            seconds=time.monotonic() - self._began,
-            cpu_seconds=usage.ru_utime + usage.ru_stime,
-            peak_memory=usage.ru_maxrss * (1 if os.uname().sysname == "Darwin" else 1024),
-            timed_out=self._timed_out,
-            stopped=self._stopped and not self._timed_out,
-            reply=out[0] if self._binary else b"",
-        )
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     def _time_out(self) -> None:
         self._timed_out = True
@@ -149,11 +133,86 @@ class Child:
                     os.killpg(self._process.pid, number)
 
 
+def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:
+    """Read to its end; the last TAIL characters.  on_line : called with each line."""
+    tail = ""
+    for line in io.TextIOWrapper(stderr, encoding="utf-8", errors="replace"):
+        tail = (tail + line)[-TAIL:]
+        on_line(line.rstrip("\n"))
+    return tail
+
+
+class Child(Process):
+    """A process that runs one command, whose output is read.
+
+    Parameters
+    ----------
+    inherit, grace : as of `Process`.
+    binary : its stdout is not text.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        inherit: Sequence[int] = (),
+        binary: bool = False,
+        grace: float | None = None,
+    ) -> None:
+        super().__init__(
+            command, inherit=inherit, out=subprocess.PIPE, err=subprocess.PIPE, grace=grace
+        )
+        self._binary = binary
+
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+        """Read its output to the end, and end what it leaves running.
+
+        Parameters
+        ----------
+        on_line : called with each line of stderr.
+        timeout : [s] after which it is stopped.
+        """
+        stdout, stderr = self._process.stdout, self._process.stderr
+        assert stdout is not None
+        assert stderr is not None
+        out: list[bytes] = []
+        reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
+        reader.start()
+        with self._timed(timeout):
+            tail = tail_of(stderr, on_line)
+            reader.join()
+            status, cpu_seconds, peak_memory = self.reap()
+        stdout.close()
+        return Ended(
+            status=status,
+            out="" if self._binary else out[0].decode(errors="replace"),
+            err=tail,
+            seconds=time.monotonic() - self._began,
+            cpu_seconds=cpu_seconds,
+            peak_memory=peak_memory,
+            timed_out=self._timed_out,
+            stopped=self._stopped and not self._timed_out,
+            reply=out[0] if self._binary else b"",
+        )
+
+    def end(self) -> None:
+        """End it and all that it started, at once, where `wait` was broken off."""
+        self._signal(signal.SIGKILL)
+        if not self._reaped:
+            self.reap()
+        for pipe in (self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+
+P = TypeVar("P", bound=Process)
+
+
 class Children:
     """The processes that run now, so that all of them can be stopped at once."""
 
     def __init__(self) -> None:
-        self._running: set[Child] = set()
+        self._running: set[Process] = set()
         self._lock = threading.Lock()
         self._stopping = threading.Event()
 
@@ -182,16 +241,25 @@ class Children:
         inherit: Sequence[int] = (),
     ) -> Ended | None:
         """Run a command to its end; None where nothing is to be started any more."""
+        with self.running(lambda: Child(command, inherit=inherit)) as child:
+            return None if child is None else child.wait(on_line, timeout)
+
+    @contextlib.contextmanager
+    def running(self, start: Callable[[], P]) -> Iterator[P | None]:
+        """What `start` returns, stopped by `stop` for as long as the block takes.
+
+        None where nothing is to be started any more; `start` is not called then.
+        """
         with self._lock:
-            if self._stopping.is_set():
-                return None
-            child = Child(command, inherit=inherit)
-            self._running.add(child)
+            child = None if self._stopping.is_set() else start()
+            if child is not None:
+                self._running.add(child)
         try:
-            return child.wait(on_line, timeout)
+            yield child
         finally:
-            with self._lock:
-                self._running.discard(child)
+            if child is not None:
+                with self._lock:
+                    self._running.discard(child)
 
 
 EVERY = 0.5  # [s]

@@ -15,8 +15,8 @@ builds the same, to the bit of the key, and says the same where Taichi complains
   every sum to choose one of: here that is looked up.
 
 All of this replaces private parts of Taichi 1.7.4.  With any other version, or with the environment
-variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` is
-called by `taichi_runtime`, and nothing else knows this file.
+variable `GF_USD_FAST_START=0`, nothing is replaced and only the start takes longer.  `quicken` and
+`restore` are called by `taichi_runtime`, and nothing else knows this file.
 """
 
 from __future__ import annotations
@@ -39,30 +39,53 @@ VERSION = (1, 7, 4)  # of Taichi, whose private parts these are
 SWITCH = "GF_USD_FAST_START"  # environment variable; "0" leaves Taichi as it is
 
 
-@cache
+Part = tuple[Any, str, Any, Any]  # owner, name, what Taichi has there, what replaces it
+
+_replaced: list[Part] = []  # now
+
+
 def quicken(taichi: ModuleType) -> None:
-    """Replace the detours of an imported Taichi of this version, once, unless switched off."""
-    if taichi.__version__ != VERSION or os.environ.get(SWITCH) == "0":
+    """Replace the detours of an imported Taichi of this version, unless switched off."""
+    if _replaced or taichi.__version__ != VERSION or os.environ.get(SWITCH) == "0":
         return
+    for owner, name, _, new in _parts():
+        setattr(owner, name, new)
+    _replaced.extend(_parts())
+
+
+def restore() -> None:
+    """Give Taichi back what `quicken` replaced."""
+    for owner, name, old, _ in _replaced:
+        setattr(owner, name, old)
+    _replaced.clear()
+
+
+@cache
+def _parts() -> tuple[Part, ...]:
+    """All that is replaced, made once of Taichi as it was imported."""
     numbers: Any = importlib.import_module("taichi.lang.expr")
-    for name in ("_check_in_range", "_clamp_unsigned_to_range"):
-        setattr(numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name)))
     words: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
     context = words.ASTTransformerContext
-    words.Builder.__call__ = _looked_up(words.Builder.__call__, context.get_pos_info)
-    context.get_pos_info = _briefly
     transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
-    transformer.build_Name = staticmethod(_named)
-    transformer.build_BinOp = staticmethod(_chosen(transformer.build_BinOp))
     kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
     trees = Trees(kernels.transform_tree)
-    kernels.ast = SimpleNamespace(**{**vars(ast), "parse": trees.parse})
-    kernels.textwrap = SimpleNamespace(**{**vars(textwrap), "fill": _filled})
-    kernels.transform_tree = trees.transform
-    kernels.getsourcelines = cache(_up_to_its_end(kernels.getsourcelines))
-    kernels.getsourcefile = cache(kernels.getsourcefile)
     statements = tuple(kernels._KERNEL_CLASS_STACKFRAME_STMT_RES)
-    kernels._inside_class = _asked_of_files(kernels._inside_class, statements)
+    ranges = ("_check_in_range", "_clamp_unsigned_to_range")
+    new: tuple[tuple[Any, str, Any], ...] = (
+        *((numbers, name, lru_cache(4096, typed=True)(getattr(numbers, name))) for name in ranges),
+        (words.Builder, "__call__", _looked_up(words.Builder.__call__, context.get_pos_info)),
+        (context, "get_pos_info", _briefly),
+        (transformer, "build_Name", staticmethod(_named)),
+        (transformer, "build_BinOp", staticmethod(_chosen(transformer.build_BinOp))),
+        (kernels, "ast", SimpleNamespace(**{**vars(ast), "parse": trees.parse})),
+        (kernels, "textwrap", SimpleNamespace(**{**vars(textwrap), "fill": _filled})),
+        (kernels, "transform_tree", trees.transform),
+        (kernels, "getsourcelines", cache(_up_to_its_end(kernels.getsourcelines))),
+        (kernels, "getsourcefile", cache(kernels.getsourcefile)),
+        (kernels, "_inside_class", _asked_of_files(kernels._inside_class, statements)),
+    )
+    # as they stand in their owners: a static method is not what it looks up to
+    return tuple((owner, name, vars(owner)[name], value) for owner, name, value in new)
 
 
 def _briefly(self: Any, node: Any) -> str:

@@ -7,31 +7,80 @@ import gc
 import importlib
 import io
 import os
+import sys
+from collections.abc import Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.system.taichi_fast_start import quicken
+from gf_usd.system.taichi_fast_start import quicken, restore
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
 
+# Variables of the environment while it is imported and started.
+QUIET = {
+    "ENABLE_TAICHI_HEADER_PRINT": "0",
+    "TI_SKIP_VERSION_CHECK": "ON",  # a weekly request to the network
+    "TI_ENABLE_PYBUF": "0",  # a word on stderr where stdout is wrapped
+}
+
 _started: dict[str, Any] = {}
 _starts = 0
+_runtime: Any = None  # that of the last start here
+_guests = 0  # nested `borrowed`
 
 
-@cache
 def import_taichi() -> ModuleType:
     """The taichi module, imported without its banner.
 
     Raises GfUsdError where a system library that Taichi links to is missing.
     """
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
-    os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # a weekly request to the network
-    os.environ.setdefault("TI_ENABLE_PYBUF", "0")  # a word on stderr where stdout is wrapped
+    taichi = _imported()
+    quicken(taichi)
+    return taichi
+
+
+@contextlib.contextmanager
+def borrowed() -> Iterator[None]:
+    """Use Taichi within the block, and leave nothing of it replaced after it."""
+    global _guests  # noqa: PLW0603  (blocks of a process nest)
+    if "taichi" in sys.modules:
+        import_taichi()
+    _guests += 1
     try:
-        taichi = importlib.import_module("taichi")
+        yield
+    finally:
+        _guests -= 1
+        if not _guests:
+            restore()
+
+
+def is_taken() -> bool:
+    """Whether somebody else started Taichi in this process: of which there is one."""
+    if "taichi" not in sys.modules:
+        return False
+    now = importlib.import_module("taichi.lang.impl").get_runtime()
+    return now is not _runtime and now.prog is not None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    set_here = {name: text for name, text in QUIET.items() if name not in os.environ}
+    os.environ.update(set_here)
+    try:
+        yield
+    finally:
+        for name in set_here:
+            os.environ.pop(name, None)
+
+
+@cache
+def _imported() -> ModuleType:
+    try:
+        with _quiet():
+            return importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):
             raise GfUsdError(
@@ -42,8 +91,6 @@ def import_taichi() -> ModuleType:
             f"Taichi cannot be loaded: {error}",
             "install it: python -m pip install 'taichi>=1.7.4,<1.8'",
         ) from error
-    quicken(taichi)
-    return taichi
 
 
 def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = False) -> None:
@@ -70,7 +117,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if threads is not None and threads < 1:
         raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
-    if _started == wanted:
+    if _started == wanted and not is_taken():
         return
     ti = import_taichi()
     if device == "cuda" and not _has_cuda(ti):
@@ -78,12 +125,12 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             "No CUDA device was found.",
             "use --device cpu, or check with nvidia-smi that the driver sees the card",
         )
-    global _starts  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
+    global _starts, _runtime  # noqa: PLW0603  (the state of Taichi is the process's, not ours)
     _started.clear()
     if _starts:
         _abandon()
     # ti.init prints the architecture on stdout, which belongs to the data of --json
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _quiet(), contextlib.redirect_stdout(io.StringIO()):
         ti.init(
             arch=ti.cuda if device == "cuda" else ti.cpu,
             default_fp=ti.f64 if f64 else ti.f32,
@@ -97,6 +144,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     _leave_threads_out(ti, wanted["threads"])
     _started.update(wanted)
     _starts += 1
+    _runtime = ti.lang.impl.get_runtime()
 
 
 def _abandon() -> None:

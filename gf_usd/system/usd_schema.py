@@ -1,8 +1,9 @@
 """The schema library gaussianFlesh, made known to USD when this module is imported.
 
 USD reads schema definitions once, at the first use of its registry (opening a stage is one).  So
-this module has to be imported before any stage is opened; where that is too late it raises instead
-of leaving the caller with APIs that apply but have no attributes.
+this module has to be imported before any stage is opened.  Where that is too late files can still
+be read, which has no need of definitions; whoever writes or checks asks `require` first, so that
+APIs are not applied that have no attributes.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from pxr import Plug, Sdf, Usd
 
-from gf_usd.core.errors import GfUsdError
+from gf_usd.core.errors import GfUsdError, SchemaTooLate
 
 NAMESPACE = "gaussianFlesh"
 PARTICLES_API = "GaussianFleshParticlesAPI"
@@ -49,15 +50,15 @@ def register(folder: Path) -> None:
 
     Raises
     ------
-    GfUsdError : another version of the library was registered before, or USD had read its schema
-        definitions before this call.
+    GfUsdError : another version of the library was registered before.
+    SchemaTooLate : USD had read its schema definitions before this call.
     """
     Plug.Registry().RegisterPlugins(str(folder))
     _refuse_another_version(folder)
     registry = Usd.SchemaRegistry()
     missing = [name for name in APIS if registry.FindAppliedAPIPrimDefinition(name) is None]
     if missing:
-        raise GfUsdError(
+        raise SchemaTooLate(
             f"the schema library {NAMESPACE} was registered too late: USD had already read its "
             f"schema definitions and has none for {', '.join(missing)}",
             "import gf_usd.system.usd_schema before anything opens a stage, or start the program"
@@ -86,4 +87,14 @@ def property_names(api: str) -> tuple[str, ...]:
     return tuple(spec.name for spec in layer.GetPrimAtPath(f"/{api}").properties)
 
 
-register(schema_path())
+LATE: SchemaTooLate | None = None  # why the definitions are not there
+try:
+    register(schema_path())
+except SchemaTooLate as error:
+    LATE = error
+
+
+def require() -> None:
+    """Raise SchemaTooLate where USD had read its definitions before this module was imported."""
+    if LATE is not None:
+        raise LATE

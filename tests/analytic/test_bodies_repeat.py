@@ -9,6 +9,7 @@ from meetings import bricks, half_space, meeting
 from solids import sphere, surface
 
 from gf_usd.core.frames import Health
+from gf_usd.physics.contact.active import ActiveSamples
 
 
 def falling(threads: int = 2, frames: int = 7):
@@ -98,3 +99,27 @@ def test_a_body_that_meets_itself_goes_on_to_the_bit():
         last = other.next(index, last).health
         assert last == ends[index]
     assert np.array_equal(whole(solver), whole(other))
+
+
+def test_samples_far_from_the_floor_are_left_out_without_a_trace(monkeypatch):
+    """Between two detections only what the floor may reach until then is looked at."""
+    counts, nearer, ends = [], ActiveSamples.nearer, []
+
+    def counted(self, state, near, span):
+        found = nearer(self, state, near, span)
+        counts.append((len(found), len(near)))
+        return found
+
+    for chosen in (counted, lambda self, state, near, span: near):
+        monkeypatch.setattr(ActiveSamples, "nearer", chosen)
+        solver = meeting(
+            sphere(center=(0.0, 1.1, 0.0), subdivisions=2, path="/Low"),
+            sphere(center=(0.3, 3.2, 0.1), subdivisions=2, path="/High"),
+            particles=300, frames=6, gravity=(0.0, -9.81, 0.0), floor=0.0,
+            velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)],
+        )  # fmt: skip
+        ends.append(list(solver.frames())[-1])
+    assert sum(few for few, _ in counts) < sum(many for _, many in counts)
+    assert ends[0].health.penetration > 0.0
+    assert ends[0].health.overlap > 0.0
+    np.testing.assert_array_equal(ends[0].particles.x, ends[1].particles.x)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from law_references import ENERGIES
 from solids import cube, fill, look, settings, solid
 
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials import LAWS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 MAPS = {
@@ -31,7 +31,7 @@ def even_cube() -> Particles:
 
 
 @pytest.mark.parametrize("A", MAPS.values(), ids=MAPS.keys())
-@pytest.mark.parametrize("token", LAWS)
+@pytest.mark.parametrize("token", ENERGIES)
 @pytest.mark.parametrize("real", [np.float32, np.float64])
 def test_nodes_inside_feel_nothing_and_nodes_at_the_skin_feel_the_traction(A, token, real):
     particles = even_cube()

@@ -67,7 +67,7 @@ def ran(
 ) -> tuple[dict[str, str], list[dict]]:
     events: list[dict] = []
     ends = collect(
-        run_here(jobs, Limits(**limits), at_once=2, children=children),
+        run_here(jobs, Limits(**limits), at_once=2, children=children, warm=False),
         lambda event: events.append(event) if event else None,
     )
     return {end.job: end.state for end in ends}, events

@@ -8,7 +8,7 @@ from PIL import Image
 from previews import FALLING_BOX
 from previews import preview as run
 
-from gf_usd.cli.preview_options import parse_size
+from gf_usd.api.drawing.options import parse_size
 from gf_usd.core.errors import UsageError
 
 

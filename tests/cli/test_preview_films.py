@@ -10,7 +10,7 @@ from previews import FALLING_BOX
 from previews import preview as run
 
 import gf_usd.system.usd_schema  # noqa: F401  (before any test here opens a stage: one of them bakes)
-from gf_usd.cli.preview_options import Span, parse_limits, parse_span, time_codes
+from gf_usd.api.drawing.options import Span, parse_limits, parse_span, time_codes
 from gf_usd.core.errors import InputError, UsageError
 
 # 24 frames a second, from time code 1 to 3: three frames

@@ -147,4 +147,4 @@ def test_an_unknown_law_is_refused() -> None:
     with pytest.raises(UsageError) as caught:
         check_law("stvk")
     assert caught.value.message == "there is no law 'stvk'"
-    assert caught.value.hint == "choose one of corotated, neoHookean, vonMises, crushable"
+    assert caught.value.hint == f"choose one of {', '.join(LAWS)}"

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 from lane_kernels import evaluate
 
+from gf_usd.core.materials import LAWS
 from gf_usd.verify.cases.patch import stress
+
+# Laws with an energy of their own: what flows over another has its functions.
+ENERGIES = [token for token, row in LAWS.items() if not row.over]
 
 # F of an affine map that every particle is given
 A = np.array([[1.10, 0.06, -0.03], [0.02, 0.92, 0.05], [-0.04, 0.03, 1.05]])

@@ -43,12 +43,12 @@ def test_a_missing_library_is_named(monkeypatch, cause, hint):
         raise ImportError(cause)
 
     monkeypatch.setattr(importlib, "import_module", fail)
-    taichi_runtime.import_taichi.cache_clear()
+    taichi_runtime._imported.cache_clear()
     try:
         with pytest.raises(GfUsdError, match="Taichi cannot be loaded") as caught:
             taichi_runtime.import_taichi()
     finally:
-        taichi_runtime.import_taichi.cache_clear()
+        taichi_runtime._imported.cache_clear()
     assert cause in caught.value.message
     assert hint in caught.value.hint
 

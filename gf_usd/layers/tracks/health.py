@@ -102,9 +102,9 @@ class HealthTrack:
         self._cache, self._layer = cache, None
         prim = cache.OverridePrim(path)
         prim.ApplyAPI(usd_schema.HEALTH_API)
-        sizes = _sizes(units)
+        si = sizes(units)
         self._rows = [
-            (prim.CreateAttribute(PREFIX + name, kind, False), field, sizes[unit])
+            (prim.CreateAttribute(PREFIX + name, kind, False), field, si[unit])
             for name, (kind, field, unit) in (FRAME | FLOW if flows else FRAME).items()
         ]
         self._paths = [attribute.GetPath() for attribute, _, _ in self._rows]
@@ -140,10 +140,10 @@ def author_totals(
     names = Sdf.TokenListOp()
     names.prependedItems = [usd_schema.HEALTH_API]
     spec.SetInfo("apiSchemas", names)
-    sizes = _sizes(units)
+    si = sizes(units)
     for name, (kind, key, unit) in TOTAL.items():
         if health.get(key) is not None:
-            _author(spec, f"total:{name}", kind, _value(health[key], sizes[unit]))
+            _author(spec, f"total:{name}", kind, _value(health[key], si[unit]))
     if warnings:
         _author(spec, "warnings", Types.StringArray, Vt.StringArray(list(warnings)))
     if failure:
@@ -163,7 +163,7 @@ def _value(value: Any, size: float) -> Any:
     return Gf.Vec3d(*(float(part) / size for part in value))
 
 
-def _sizes(units: StageUnits) -> dict[str, float]:
+def sizes(units: StageUnits) -> dict[str, float]:
     """What one unit of the stage is in SI; seconds are seconds."""
     return {
         "": 1.0,

@@ -15,7 +15,8 @@ class ActiveSamples:
 
     def __init__(self, body: Body) -> None:
         self._body = body
-        self._active: Ints | None = None  # what the device holds
+        self._active: tuple[Ints, Ints] | None = None  # what the device holds
+        self._height = np.zeros(0)  # [m] of the samples over the floor, without u and the offset
 
     def near_floor(self, state: State) -> Ints:
         """The samples within reach of the floor; clears what all of them noticed."""
@@ -23,17 +24,29 @@ class ActiveSamples:
         if contact is None:
             return np.zeros(0, np.int64)
         now, normal, span = state.view(), body.settings.normal, body.settings.frame_time
-        rows = contact.rows
+        self._height = contact.rows.X @ normal - floor_height(body.settings)
+        if contact.constants is not None:
+            c, rate = now.constants
+            self._height += contact.constants @ ((c + 0.5 * span * rate) @ normal)
+            state.put("sample_height", self._height)
+        state.clear("sample_force", "sample_depth", "sample_capped")
+        return self._within(state, span)
+
+    def nearer(self, state: State, near: Ints, span: float) -> Ints:
+        """Those of the samples `near` that are so for a part of the frame, a span [s] from now."""
+        if not len(near) or self._body.contact is None or self._body.contact.constants is not None:
+            return near  # what pins move is told for the frame
+        return np.intersect1d(near, self._within(state, span), assume_unique=True)
+
+    def _within(self, state: State, span: float) -> Ints:
+        """Samples that may come to the floor within a span [s]."""
+        body, contact, normal = self._body, self._body.contact, self._body.settings.normal
+        assert contact is not None
+        now = state.view()
         speed = float(np.abs(now.v @ normal).max())
         g = abs(float(np.dot(body.settings.gravity, normal)))
         reach = 2.0 * span * (speed + g * span) + body.particles.spacing
-        height = rows.X @ normal - floor_height(body.settings)
-        if contact.constants is not None:
-            c, rate = now.constants
-            height = height + contact.constants @ ((c + 0.5 * span * rate) @ normal)
-            state.put("sample_height", height)
-        height = height + float(state.offset @ normal) + rows.W @ (now.u @ normal)
-        state.clear("sample_force", "sample_depth", "sample_capped")
+        height = self._height + float(state.offset @ normal) + contact.rows.W @ (now.u @ normal)
         return np.flatnonzero(height < reach)
 
     def move_springs(self, state: State, time: float) -> None:
@@ -53,20 +66,27 @@ class ActiveSamples:
 
         move_springs(state, velocity, body.settings.normal, time)
 
-    def select(self, state: State, samples: Ints) -> int:
+    def select(self, state: State, near: Ints, meeting: Ints) -> int:
         """Have the kernels look at these samples and no others; returns how many there are.
 
-        The nodes' side is W^T of these samples alone: the others would be summed as zeros, substep
-        by substep.
+        near, meeting : (k,) ascending, those that the floor may reach and those that face a body or
+        an obstacle or carry a plane.  The nodes' side is W^T of both alone: the others would be
+        summed as zeros, substep by substep.
         """
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
-        if self._active is None or not np.array_equal(samples, self._active):
-            self._active = samples
+        samples = np.union1d(near, meeting) if len(meeting) else near
+        if self._active is None or not _same(self._active, (samples, meeting)):
+            self._active = samples, meeting
             of_nodes = self._body.contact.rows.W[samples].T.tocsr()  # sorted by counting
-            state.put_first("sample_active", samples)
+            others = np.setdiff1d(samples, meeting, assume_unique=True)
+            state.put_first("sample_active", np.concatenate([[len(meeting)], meeting, others]))
             state.put_first("node_sample", samples[of_nodes.indices])
             state.put_first("node_sample_weight", of_nodes.data)
             state.put("node_sample_start", of_nodes.indptr)
         return len(samples)
+
+
+def _same(a: tuple[Ints, Ints], b: tuple[Ints, Ints]) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(a, b))

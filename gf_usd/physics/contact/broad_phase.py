@@ -1,12 +1,17 @@
 """Broad phase: bodies and obstacles that are near each other, and for how long they are.
 
 A pair whose boxes are apart is left alone until they could have come together.
+
+Parts of one body: its surface is divided into patches, and every pair of them is compared.  Those
+that are apart are left alone until they could have come together, those that are neighbors at rest
+until the surface is folded between them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,3 +82,160 @@ def schedule(
             speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
             hold = min(hold, judge(obstacle.gap(mine.low, mine.high), speed, (a, -1 - k)))
     return near, hold
+
+
+PATCH = 48  # samples of a patch, about
+OPPOSED = 0.5  # cosine from where two walls, or two patches, look at each other
+FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
+CREASE = 0.75  # cosine by which they turn at most before it is looked whether they do
+CHANGE = 0.5  # of a relative speed: by as much a velocity may change until the next detection
+STIR = 1e-3  # [spacings] that a patch is moved by to see how fast it turns
+
+
+def closing(away: Floats, distance: Floats, relative: Floats) -> Floats:
+    """(n,) [m/s] by which distances may shrink; away (n, 3) [m] from one to the other.
+
+    relative : (n, 3) [m/s] of the other against the one.
+    """
+    along = np.einsum("na,na->n", away, relative) / np.maximum(distance, 1e-30)
+    return np.maximum(-along, 0.0) + CHANGE * np.sqrt(np.einsum("na,na->n", relative, relative))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """Every pair of patches at one time."""
+
+    near: Ints  # (P,) whether they may be near each other
+    until: Floats  # (P,) [s] before they are not; 0 where they are; inf where they are neighbors
+    rate: Floats  # (P,) [m/s] at which they may come together
+    fold: float  # [s] before neighbors may be folded onto each other
+
+
+class Patches:
+    """The surface of a body at rest in patches: X, normal (n, 3) of its samples.
+
+    see : [spacings] from where patches are near; thick : [spacings] through a limb.
+    """
+
+    def __init__(
+        self, X: Floats, normal: Floats, spacing: float, *, see: float, thick: float
+    ) -> None:
+        from scipy.sparse import csr_matrix
+
+        edge = np.sqrt(PATCH * max(1.0, len(X) / 6000.0)) * spacing
+        side = np.abs(normal).argmax(1)
+        cell = np.floor((X - X.min(0)) / edge).astype(np.int64)
+        way = 2 * side + (np.take_along_axis(normal, side[:, None], 1)[:, 0] > 0.0)
+        _, of = np.unique(np.column_stack([cell, way]), axis=0, return_inverse=True)
+        self._of = of.reshape(-1)
+        self._order = np.argsort(self._of, kind="stable")
+        self._count = np.bincount(self._of)
+        self._start = np.cumsum(self._count) - self._count
+        rows, columns = self._of[self._order], self._order
+        mean = csr_matrix((1.0 / self._count[rows], (rows, columns)))
+        n0 = mean @ normal
+        n0 /= np.maximum(np.linalg.norm(n0, axis=1, keepdims=True), 1e-12)
+        axis = np.eye(3)[np.abs(n0).argmin(1)]
+        t1 = np.cross(n0, axis)
+        t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
+        t2 = np.cross(n0, t1)
+        away = X - (mean @ X)[self._of]
+        # x = c + a t1 + b t2 by least squares over each patch: two rows of sums of x.
+        a, b = (away * t1[self._of]).sum(1), (away * t2[self._of]).sum(1)
+        aa, ab, bb = (np.bincount(self._of, p) for p in (a * a, a * b, b * b))
+        determinant = aa * bb - ab * ab
+        flat = determinant > 1e-6 * np.maximum(aa, bb) ** 2
+        scale = np.where(flat, 1.0 / np.where(flat, determinant, 1.0), 0.0)
+        first = (bb[self._of] * a - ab[self._of] * b) * scale[self._of]
+        second = (aa[self._of] * b - ab[self._of] * a) * scale[self._of]
+        self._mean = mean
+        self._first = csr_matrix((first[columns], (rows, columns)))
+        self._second = csr_matrix((second[columns], (rows, columns)))
+        self._a, self._b = np.triu_indices(len(self._count), 1)
+        self._spacing, self._see = spacing, see * spacing
+        c, n, r = self._shape(X)
+        every = slice(None)
+        gap, look = self._gap(c, r), self._look(c, n, every)
+        self.adjacent = gap < (see + thick) * spacing  # (P,) neighbors at rest
+        opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
+        walls = opposed & (look > OPPOSED)  # of a gap: they may close at any time
+        self._folds = np.flatnonzero(self.adjacent & ~walls)
+        self._look0 = np.maximum(look, 0.0)[self._folds]
+
+    def judge(self, x: Floats, v: Floats) -> Judged:
+        """How near the patches are to each other; x, v : (n, 3) [m], [m/s] of the samples."""
+        a, b, s = self._a, self._b, self._spacing
+        c, n, r = self._shape(x)
+        gap = self._gap(c, r)
+        mean = self._mean @ v
+        spread = self._farthest(v - mean[self._of])
+        away = c[b] - c[a]
+        distance = np.sqrt(np.einsum("na,na->n", away, away))
+        rate = closing(away, distance, mean[b] - mean[a])
+        rate += (1.0 + CHANGE) * (spread[a] + spread[b])
+        look = self._look(c, n, self._folds)
+        open_ = look <= self._look0 + FOLD
+        waits = np.zeros(len(a), bool)  # for a fold
+        waits[self._folds] = open_
+        close = gap < self._see
+        near = close & ~waits
+        rest = np.flatnonzero(near & ~self.adjacent)
+        near[rest] = self._look(c, n, rest) > -OPPOSED
+        until = np.maximum(gap - 0.5 * self._see, 0.5 * self._see) / np.maximum(rate, 1e-30)
+        until[near], until[waits] = 0.0, np.inf
+        fold = np.inf
+        fastest = float(np.sqrt(np.einsum("na,na->n", v, v).max()))
+        if (some := np.flatnonzero(open_ & close[self._folds])).size and fastest > 0.0:
+            step = STIR * s / fastest
+            later = self._look(c + step * mean, self._normal(x + step * v), self._folds[some])
+            left = self._look0[some] + CREASE - look[some]
+            turn = np.maximum(later - look[some], 1e-30) / step
+            fold = float((left / turn).min()) / (1.0 + CHANGE)
+        return Judged(near=near, until=until, rate=rate, fold=fold)
+
+    def few(self, judged: Judged, span: float, most: int) -> Ints:
+        """The pairs of patches that may meet first and within a span [s].
+
+        most : pairs of samples that they have at most.
+        """
+        pairs = np.flatnonzero(judged.until < span)
+        pairs = pairs[np.argsort(judged.until[pairs], kind="stable")]
+        size = np.cumsum(self._count[self._a[pairs]] * self._count[self._b[pairs]])
+        return pairs[size <= most]
+
+    def samples(self, pairs: Ints) -> tuple[Ints, Ints, Ints]:
+        """Every pair (m,), (m,) of samples of pairs (k,) of patches, and where each (k,) begins."""
+        a, b = self._a[pairs], self._b[pairs]
+        size = self._count[a] * self._count[b]
+        start = np.cumsum(size) - size
+        of = np.repeat(np.arange(len(pairs)), size)
+        i, j = np.divmod(np.arange(len(of)) - start[of], self._count[b][of])
+        return self._order[self._start[a][of] + i], self._order[self._start[b][of] + j], start
+
+    def _shape(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Center (p, 3) [m], normal (p, 3) and radius (p,) [m] of each patch."""
+        c = self._mean @ x
+        return c, self._normal(x), self._farthest(x - c[self._of])
+
+    def _normal(self, x: Floats) -> Floats:
+        # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
+        n = np.cross(self._first @ x, self._second @ x)
+        length = np.linalg.norm(n, axis=1, keepdims=True)
+        return n / np.where(length > 0.0, length, 1.0)
+
+    def _farthest(self, away: Floats) -> Floats:
+        squared = np.einsum("na,na->n", away, away)
+        return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))
+
+    def _gap(self, c: Floats, r: Floats) -> Floats:
+        """(P,) [m] between the balls around the two of each pair."""
+        along = c[self._b] - c[self._a]
+        return np.sqrt(np.einsum("na,na->n", along, along)) - r[self._a] - r[self._b]
+
+    def _look(self, c: Floats, n: Floats, pairs: Any) -> Floats:
+        """The cosine by which both of some pairs look at each other."""
+        a, b = self._a[pairs], self._b[pairs]
+        along = c[b] - c[a]
+        length = np.sqrt(np.einsum("na,na->n", along, along))
+        both = np.minimum(np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b]))
+        return both / np.maximum(length, 1e-30)

@@ -36,6 +36,7 @@ from gf_usd.physics.contact.narrow_phase import (
     pair_values,
 )
 from gf_usd.physics.contact.self_contact import AHEAD, FACE, NEARLY, SelfContact
+from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
@@ -182,8 +183,9 @@ class BodyContact:
 
     def _motion(self, now: StateView) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the samples, (n, 3)."""
-        W, constants = self.contact.rows.W, self.contact.constants
-        x, rate = self._X + now.offset + W @ now.u, W @ now.v
+        constants = self.contact.constants
+        x, rate = placed(self.contact.rows, now.u, now.v)
+        x += self._X + now.offset
         if constants is not None:
             c, c_rate = now.constants
             x, rate = x + constants @ c, rate + constants @ c_rate
@@ -210,7 +212,10 @@ class BodyContact:
                 self._face_obstacle(search, near, -1 - other, frame, min(hold, left * dt))
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
-        hold = min(hold, self._face_themselves(search, v))
+        hold = min(hold, self._face_themselves(search, v, left * dt))
+        if not len(old.planes.active) and not len(search.planes.active):
+            self._gap, self._detected, self._x = search.gap, time, x
+            return (chunk := int(np.clip(hold / dt, 1, left))), chunk
         self._keep(search, old.depth)
         values = pair_values(
             search.planes, self.contact,
@@ -309,14 +314,17 @@ class BodyContact:
             rows[found.rows], found.gap, found.normal, found.point, *skin.carriers(rest)
         )  # fmt: skip
 
-    def _face_themselves(self, search: ContactSearch, v: Floats) -> float:
-        """Offer what bodies have near of themselves; returns for how long [s] that is all."""
+    def _face_themselves(self, search: ContactSearch, v: Floats, span: float) -> float:
+        """Offer what bodies have near of themselves; returns for how long [s] that is all.
+
+        span : [s] after which it is asked again.
+        """
         hold = float("inf")
         known = self._own_gap
         self._own_gap = np.full(len(known), (FACING + TRAVEL) * self._spacing)
         for k, own in self._own.items():
             m = self._members[k]
-            near, until = own.judge(search.x[m], v[m])
+            near, until = own.judge(search.x[m], v[m], span)
             hold = min(hold, until)
             if not near:
                 continue
@@ -411,6 +419,8 @@ class BodyContact:
 
     def follow(self, state: State, dt: float, closed: bool) -> None:
         """Take the planes as substeps of dt [s] left them; closed : they ended a frame."""
+        if not len(self.planes.active):
+            return
         pair, f = state.rows("pair", narrow_phase.ROW), self.planes
         who = f.carried
         normal, point = f.normal.copy(), f.point.copy()

@@ -1,9 +1,8 @@
 """Contact of a body with itself: what of its surface comes near what is far from it at rest.
 
-The broad phase divides the surface into patches and compares every pair of them: those that are
-apart are left alone until they could have come together, those that are neighbors at rest until
-the surface is folded between them.  A body whose patches are all apart costs a few products of
-small matrices a frame.
+The broad phase is by patches of the surface (`broad_phase.Patches`).  Of the pairs of patches that
+may meet first, every pair of samples is looked at: most of what is near by its patches is not.
+A body whose patches are all apart costs a few products of small matrices a detection.
 
 The narrow phase is by the triangles of the `SampleMesh`.  A sample looks for something ahead of it
 in a ball that touches the surface there; what finds something that is not near at rest, and what
@@ -23,6 +22,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Skin
+from gf_usd.physics.contact.broad_phase import Patches, closing
 from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulate
 
 HOPS = 4  # edges of the sample mesh, from where on a body meets itself
@@ -30,13 +30,11 @@ THICK = 4.0  # [spacings] that two sides of a limb are apart which never meet ea
 SEE = 2.0  # [spacings] radius of the ball in which a sample looks ahead: it sees twice as far
 SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
-OPPOSED = 0.5  # cosine from where two walls, or two patches, look at each other
 ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
 TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
 LOOKED = 8  # samples of which SEEDS are chosen
-PATCH = 48  # samples of a patch, about
-FOLD = 0.25  # cosine by which neighboring patches turn to each other before they are looked at
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
+FEW = 8_000  # pairs of samples that are looked at one by one
 CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for again
 FACE = 1.5  # [spacings] from where a sample faces a place
 NEARLY = 0.25  # [spacings] from where something is about to touch
@@ -55,96 +53,6 @@ class Facing:
     hold: float = float("inf")  # [s] until what was seen beyond the reach may come within it
 
 
-class Patches:
-    """The surface of a body at rest in patches: X, normal (n, 3) of its samples."""
-
-    def __init__(self, X: Floats, normal: Floats, spacing: float) -> None:
-        from scipy.sparse import csr_matrix
-
-        edge = np.sqrt(PATCH * max(1.0, len(X) / 6000.0)) * spacing
-        side = np.abs(normal).argmax(1)
-        cell = np.floor((X - X.min(0)) / edge).astype(np.int64)
-        way = 2 * side + (np.take_along_axis(normal, side[:, None], 1)[:, 0] > 0.0)
-        _, of = np.unique(np.column_stack([cell, way]), axis=0, return_inverse=True)
-        self.of = of.reshape(-1)
-        self.order = np.argsort(self.of, kind="stable")
-        self.start = np.searchsorted(self.of[self.order], np.arange(self.of.max() + 1))
-        count = np.bincount(self.of)
-        rows, columns = self.of[self.order], self.order
-        mean = csr_matrix((1.0 / count[rows], (rows, columns)))
-        n0 = mean @ normal
-        n0 /= np.maximum(np.linalg.norm(n0, axis=1, keepdims=True), 1e-12)
-        axis = np.eye(3)[np.abs(n0).argmin(1)]
-        t1 = np.cross(n0, axis)
-        t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
-        t2 = np.cross(n0, t1)
-        away = X - (mean @ X)[self.of]
-        # x = c + a t1 + b t2 by least squares over each patch: two rows of sums of x.
-        a, b = (away * t1[self.of]).sum(1), (away * t2[self.of]).sum(1)
-        aa, ab, bb = (np.bincount(self.of, p) for p in (a * a, a * b, b * b))
-        determinant = aa * bb - ab * ab
-        flat = determinant > 1e-6 * np.maximum(aa, bb) ** 2
-        scale = np.where(flat, 1.0 / np.where(flat, determinant, 1.0), 0.0)
-        first = (bb[self.of] * a - ab[self.of] * b) * scale[self.of]
-        second = (aa[self.of] * b - ab[self.of] * a) * scale[self.of]
-        self._mean = mean
-        self._first = csr_matrix((first[columns], (rows, columns)))
-        self._second = csr_matrix((second[columns], (rows, columns)))
-        self._a, self._b = np.triu_indices(len(count), 1)
-        c, n, r = self._shape(X)
-        gap, look = self._look(c, n, r)
-        self._adjacent = gap < (2.0 * SEE + THICK) * spacing
-        opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
-        self._walls = opposed & (look > OPPOSED)  # of a gap: they may close at any time
-        self._look0 = np.maximum(look, 0.0)
-        self._spacing = spacing
-
-    def _shape(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        c = self._mean @ x
-        # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
-        n = np.cross(self._first @ x, self._second @ x)
-        length = np.linalg.norm(n, axis=1, keepdims=True)
-        n = n / np.where(length > 0.0, length, 1.0)
-        return c, n, self._farthest(x - c[self.of])
-
-    def _farthest(self, away: Floats) -> Floats:
-        squared = np.einsum("na,na->n", away, away)
-        return np.sqrt(np.maximum.reduceat(squared[self.order], self.start))
-
-    def _look(self, c: Floats, n: Floats, r: Floats) -> tuple[Floats, Floats]:
-        """Gap [m] of each pair, and the cosine by which both look at each other."""
-        a, b = self._a, self._b
-        along = c[b] - c[a]
-        length = np.sqrt(np.einsum("na,na->n", along, along))
-        look = np.minimum(
-            np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b])
-        ) / np.maximum(length, 1e-30)
-        return length - r[a] - r[b], look
-
-    def judge(self, x: Floats, v: Floats) -> tuple[bool, float]:
-        """Whether anything may be near itself, and for how long [s] that holds.
-
-        x, v : (n, 3) [m], [m/s] of the samples.
-        """
-        a, b, s = self._a, self._b, self._spacing
-        if len(a) == 0:
-            return False, float("inf")
-        c, n, r = self._shape(x)
-        gap, look = self._look(c, n, r)
-        mean = self._mean @ v
-        spread = self._farthest(v - mean[self.of])
-        speed = np.linalg.norm(mean[a] - mean[b], axis=1) + spread[a] + spread[b]
-        turned = np.where(self._adjacent, look > self._look0 + FOLD, look > -OPPOSED)
-        near = (gap < 2.0 * SEE * s) & (turned | self._walls)
-        apart = ~near & ~self._adjacent
-        hold = np.maximum(gap[apart] - SEE * s, SEE * s) / np.maximum(speed[apart], 1e-30)
-        best = float(hold.min(initial=np.inf)) / AHEAD
-        if near.any():
-            unseen = (2.0 * SEE - CLEAR) * s
-            best = min(best, unseen / AHEAD / max(float(speed[near].max()), 1e-30))
-        return bool(near.any()), best
-
-
 class SelfContact:
     """Finds what of one body faces itself.
 
@@ -153,7 +61,7 @@ class SelfContact:
 
     def __init__(self, skin: Skin, X: Floats, normal: Floats, spacing: float) -> None:
         self._skin, self._X, self._normal, self._spacing = skin, X, normal, spacing
-        self._patches = Patches(X, normal, spacing)
+        self._patches = Patches(X, normal, spacing, see=2.0 * SEE, thick=THICK)
         self._made: tuple[SampleMesh, Neighbors] | None = None
 
     @property
@@ -165,13 +73,37 @@ class SelfContact:
             self._made = mesh, Neighbors(mesh, self._X, self._normal, HOPS, far)
         return self._made
 
-    def judge(self, x: Floats, v: Floats) -> tuple[bool, float]:
-        """See `Patches.judge`."""
-        return self._patches.judge(x, v)
+    def judge(self, x: Floats, v: Floats, span: float = np.inf) -> tuple[bool, float]:
+        """Whether anything may be near itself, and for how long [s] that holds.
+
+        x, v : (n, 3) [m], [m/s] of the samples; span : [s] after which it is asked again.
+        """
+        patches = self._patches
+        judged = patches.judge(x, v)
+        until = judged.until.copy()
+        # Of what is not looked at one by one the bound is that of how far samples see.
+        unseen = (2.0 * SEE - CLEAR) * self._spacing
+        until[judged.near] = unseen / np.maximum(judged.rate[judged.near], 1e-30)
+        few = patches.few(judged, span, FEW)
+        if len(few):
+            until[few] = np.maximum(until[few], self._one_by_one(few, x, v))
+        return bool(judged.near.any()), min(judged.fold, float(until.min(initial=np.inf)))
+
+    def _one_by_one(self, pairs: Ints, x: Floats, v: Floats) -> Floats:
+        """(k,) [s] before samples of pairs (k,) of patches may touch that do not yet."""
+        i, j, start = self._patches.samples(pairs)
+        away, relative = x[j] - x[i], v[j] - v[i]
+        distance = np.sqrt(np.einsum("na,na->n", away, away))
+        # What touches slides: it may go on for a while.
+        left = np.maximum(distance - CLEAR * self._spacing, CLEAR * self._spacing)
+        until = left / np.maximum(closing(away, distance, relative), 1e-30)
+        if self._patches.adjacent[pairs].any():
+            until[self._mesh[1].near(i, j)] = np.inf
+        return np.minimum.reduceat(until, start)
 
     def imminent(self, x: Floats, v: Floats, span: float, before: Floats, gap: Floats) -> bool:
         """Whether anything may touch itself within a span [s]; before, gap : as of `find`."""
-        near, hold = self.judge(x, v)
+        near, hold = self.judge(x, v, span)
         if not near:
             return hold < span
         found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap)

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import LAWS, LawSpec, Material, check_law
+from gf_usd.core.materials import ELASTIC_STRAIN, LAWS, LawSpec, Material, check_law
 from gf_usd.physics import taichi_arrays
 
 MODULI = 2  # of the values of every law: mu, lam
@@ -139,6 +139,12 @@ class ParticleLaws:
         if not self.set.flows:
             return np.zeros((n, 0))
         return np.column_stack([np.tile(np.eye(3).ravel(), (n, 1)), *self.rest, np.zeros(n)])
+
+    def written(self, history: Floats, stretch: Floats) -> dict[str, Floats]:
+        """`internal`, and |stretch - 1| at most of stretches (N, 3) of F_e; {}: nothing flows."""
+        if not self.set.flows:
+            return {}
+        return {**self.internal(history), ELASTIC_STRAIN.name: np.abs(stretch - 1.0).max(1)}
 
     def internal(self, history: Floats) -> dict[str, Floats]:
         """(N,) of each internal variable by name, NaN where a particle's law has none such.

@@ -195,7 +195,7 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
             "sample_force": np.zeros(3),
             "sample_spring": np.zeros(3),
             "sample_depth": np.zeros(1),
-            "sample_active": np.zeros(1, int),
+            "sample_active": np.zeros(2, int),
             "sample_capped": np.zeros(1, int),
             "node_sample_start": np.zeros(nodes + 1, int),
             "node_sample": np.zeros(1, int),
@@ -214,7 +214,7 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
         "sample_force": np.zeros(3 * n),
         "sample_spring": np.zeros(3 * n),
         "sample_depth": np.zeros(n),
-        "sample_active": np.zeros(n, int),
+        "sample_active": np.zeros(1 + n, int),  # how many meet; those, then the others
         "sample_capped": np.zeros(n, int),
         "node_sample_start": transposed.indptr,
         "node_sample": transposed.indices,

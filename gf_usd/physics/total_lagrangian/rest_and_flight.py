@@ -50,7 +50,8 @@ class Shortcuts:
         asked = s.shortcuts and not acts(s)
         self._body = body
         self._g = np.asarray(s.gravity, float)
-        self._flies = asked and not held and s.drag == 0.0 and not state.acceleration.any()
+        self._free = asked and not held and s.drag == 0.0
+        self._flies = self._free and not state.acceleration.any()
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
         self._sleeps = asked and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
@@ -67,6 +68,11 @@ class Shortcuts:
         """See `Saved`."""
         self.at_rest = np.array(saved["at_rest"], float)
         self.depth = np.array(saved["at_rest_depth"], float)
+
+    def wake(self, state: State) -> None:
+        """What acts on the bodies was changed: none sleeps, and under a body force none flies."""
+        self.at_rest = np.zeros_like(self.at_rest)
+        self._flies = self._free and not state.acceleration.any()
 
     def note(self, state: State, stats: FrameStats) -> None:
         """See which bodies rest after a frame with substeps."""

@@ -116,15 +116,17 @@ class TotalLagrangian(Solver):
         active = taken = 0
         last = 0.0  # [s] the substep before
         while left:
-            chunk, parts, watched = left, left, near
+            chunk, parts, low, meeting = left, left, near, near[:0]
             if pairs:
                 chunk, parts = pairs.detect(state, index, whole, substeps - left, left)
-                watched = np.union1d(near, pairs.planes.active)
+                low = self.active.nearer(state, near, chunk * whole)
+                meeting = pairs.planes.active
             dt = chunk * whole / parts
             if dt != last:  # springs stand where the forces before are taken, half a step back
                 self.active.move_springs(state, 0.5 * (last - dt))
-            active = max(active, self.active.select(state, watched))
-            self.launches.run(state, parts, dt, len(watched))
+            watched = self.active.select(state, low, meeting)
+            active = max(active, watched)
+            self.launches.run(state, parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt
             if pairs:
                 pairs.follow(state, dt, closed=left == 0)
@@ -158,13 +160,26 @@ class TotalLagrangian(Solver):
             penetration=float(state.get("sample_depth").max()),
         )
 
+    def push(self, acceleration: Floats) -> None:
+        """Replace the body force of the frames to come: (free, 3) [m/s^2] besides gravity."""
+        self.state.accelerate(np.asarray(acceleration, float))
+        self.shortcuts.wake(self.state)
+
+    def throw(self, velocities: Floats) -> None:
+        """Replace the velocities (free, 3) [m/s] of the nodes that nothing holds."""
+        v = self.state.rows("v")
+        v[: len(velocities)] = velocities
+        self.state.put("v", v)
+        self.shortcuts.wake(self.state)
+
     def read(self, index: int) -> Frame:
         """See `Solver`."""
         body, state, pairs = self.body, self.state, self.pairs
         now, time = state.view(), state.time
         particles = now.pose(index)
         now.strains(index, particles.F)
-        self.strained = strained_substeps(body, *now.elastic_strains(index), now)
+        stretch, J = now.elastic_strains(index)
+        self.strained = strained_substeps(body, stretch, J, now)
         return Frame(
             index=index,
             time=time,
@@ -175,6 +190,6 @@ class TotalLagrangian(Solver):
                 for name, rows in body.embedded.items()
             },
             stress=von_mises(body, state) if body.settings.stress else None,
-            internal=now.internal if body.settings.internal else {},
+            internal=now.internal(stretch) if body.settings.internal else {},
             health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
         )  # fmt: skip

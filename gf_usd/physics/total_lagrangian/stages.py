@@ -10,9 +10,11 @@ from dataclasses import dataclass
 
 # Of what a part has an item each.
 FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
+MEETING = "meeting"  # samples that face a body or an obstacle, or carry a plane
 
-# When a stage is due: in every substep, where a frame opens, where the filter acts.
-ALWAYS, OPENING, FILTERING = "always", "opening", "filtering"
+# When a stage is due: in every substep, where a frame opens, where the filter acts, where samples
+# meet.
+ALWAYS, OPENING, FILTERING, TOUCHING = "always", "opening", "filtering", "touching"
 
 APART = 32  # numbers between the two counters of a launch: they share no cache line
 QUEUE = 2 * APART  # numbers of the array that they stand in
@@ -51,9 +53,9 @@ def stages(plain: bool, meets: bool, coupled: bool) -> tuple[Stage, ...]:
 
     summed = [stage(("node force", NODES))] if plain else []
     gathered = [stage(("node momentum", NODES), when=FILTERING)] if plain else []
-    motion = [("sample motion", SAMPLES)] if meets else []
-    pairs = [("pair contact", SAMPLES)] if meets else []
-    totals = [stage(("pair total", SAMPLES))] if meets else []
+    motion = [("sample motion", MEETING)] if meets else []
+    pairs = [("pair contact", MEETING)] if meets else []
+    totals = [stage(("pair total", MEETING), when=TOUCHING)] if meets else []
     lost = [stage(("filter lumped", FREE), when=FILTERING)] if coupled else []
     pushed = [stage(("move lumped", FREE))] if coupled else []
     return (

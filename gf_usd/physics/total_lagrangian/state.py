@@ -242,12 +242,11 @@ class StateView:
             return F
         return F @ self._plastic
 
-    @property
-    def internal(self) -> dict[str, Floats]:
-        """(N,) of each internal variable by name: see `ParticleLaws.internal`."""
+    def internal(self, stretch: Floats) -> dict[str, Floats]:
+        """(N,) by name at stretches (N, 3) of F_e: see `ParticleLaws.written`."""
         if not self._body.law.set.flows:
             return {}
-        return self._body.law.internal(self._history)
+        return self._body.law.written(self._history, stretch)
 
     @cached_property
     def _history(self) -> Floats:

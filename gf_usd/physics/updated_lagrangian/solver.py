@@ -144,7 +144,9 @@ class UpdatedLagrangian(Solver):
             particles=pose,
             embedded={name: ride.pose(x, v, F, L) for name, ride in body.embedded.items()},
             stress=self.von_mises() if s.stress else None,
-            internal=body.law.internal(state.rows("history", body.law.set.history).astype(float))
+            internal=body.law.written(
+                state.rows("history", body.law.set.history).astype(float), elastic_strains[0]
+            )
             if s.internal and flows
             else {},
             health=measure(

@@ -19,6 +19,7 @@ from gf_usd.core.scene import GaussianSet, MotionFrame, Recording, RenderMesh
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
+from gf_usd.readers.pictures.values import MEASURES, written
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.mesh import Reading, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
@@ -112,7 +113,7 @@ class BakedMotion:
         skins = Skins(time, xforms, Notes())
         meshes = []
         for prim, shape in zip(self._meshes, self._shapes):
-            points = _points(prim, time, xforms, skins) * self._facts.units.length
+            points = world_points(prim, time, xforms, skins) * self._facts.units.length
             if points.shape != shape.points.shape or not np.isfinite(points).all():
                 raise InputError(
                     f"{self._path}: {prim.GetPath()} has {len(points)} points at time code"
@@ -128,7 +129,7 @@ class BakedMotion:
             meshes=tuple(meshes),
             positions=positions,
             axes=axes,
-            stress=self._stress(time, len(positions)),
+            measured=self._measured(time, len(positions)),
         )
 
     def _splats(self, time: Usd.TimeCode, xforms: UsdGeom.XformCache) -> tuple[Floats, Floats]:
@@ -150,11 +151,15 @@ class BakedMotion:
         unit = self._facts.units.length
         return place.points(values["positions"]) * unit, place.matrix[:3, :3].T * unit @ local
 
-    def _stress(self, time: Usd.TimeCode, count: int) -> Floats | None:
-        values = self._cloud.GetAttribute("gaussianFlesh:vonMisesStress").Get(time)
-        if values is None or len(values) != count:
-            return None
-        return np.asarray(values, dtype=np.float64) * self._facts.units.pressure
+    def _measured(self, time: Usd.TimeCode, count: int) -> dict[str, Floats]:
+        found: dict[str, Floats] = {}
+        for name, measure in MEASURES.items():
+            stored = [attribute.Get(time) for attribute in written(self._cloud, measure)]
+            whole = [values for values in stored if values is not None and len(values) == count]
+            if whole:
+                scale = self._facts.units.pressure if measure.unit else 1.0
+                found[name] = np.asarray(whole, dtype=np.float64).max(0) * scale
+        return found
 
     def _find(self) -> None:
         """Meshes, Gaussians and their times."""
@@ -247,7 +252,9 @@ class BakedMotion:
         return float(floor) if isinstance(floor, int | float) else None
 
 
-def _points(prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins) -> Floats:
+def world_points(
+    prim: Usd.Prim, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins
+) -> Floats:
     """(V, 3) points of a mesh or shape, world, stage units."""
     posed = skins.placement(prim) if prim.IsA(UsdGeom.Mesh) else None
     place = posed or Placement.of(xforms.GetLocalToWorldTransform(prim))

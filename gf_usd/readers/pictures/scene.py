@@ -71,7 +71,7 @@ class PictureStage:
     show : "mesh", "splats", "gaussians", "ellipsoids", "points" or "both"; None: the first of mesh,
         splats, gaussians and points that is there.
     camera : prim path of a camera of the stage; None: pictures bring their own.
-    color : "strain" or "stress" of a bake, given to all that has it; None: looks as they are.
+    color : a row of `values.MEASURES`, given to all that a bake has it of; None: own colors.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Values that color a picture: strain or stress of particles, and of meshes from them.
+"""Values that color a picture: strains or stress of particles, and of meshes from them.
 
 How much particles are stretched: from deformation gradients, or from their motion alone.
 """
@@ -20,9 +20,35 @@ from gf_usd.core.scene import Quantity
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
 
 GRADIENTS = "gaussianFlesh:deformationGradients"
-STRESS = "gaussianFlesh:vonMisesStress"
-MEASURES = {"strain": "largest |stretch - 1|", "stress": "von Mises"}
-UNITS = {"strain": "", "stress": "Pa"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """What a picture may be colored by."""
+
+    label: str
+    unit: str = ""
+    attributes: tuple[str, ...] = ()  # of particles, the largest that is written; (): F is asked
+    option: str = ""  # of the bake that writes them
+
+
+MEASURES = {
+    "strain": Measure(label="largest |stretch - 1|"),
+    "elastic": Measure(
+        label="largest |elastic stretch - 1|",
+        attributes=("gaussianFlesh:elasticStrain",),
+        option="--internal",
+    ),
+    "plastic": Measure(
+        label="what stays",
+        attributes=("gaussianFlesh:plasticStrain", "gaussianFlesh:lostVolume"),
+        option="--internal",
+    ),
+    "stress": Measure(
+        label="von Mises", unit="Pa", attributes=("gaussianFlesh:vonMisesStress",),
+        option="--stress",
+    ),
+}  # fmt: skip
 MOST = 99.0  # [%] of the particles that the range holds in every frame
 SAMPLED_TIMES = 48  # times at which a longer motion is looked at
 NEIGHBORS = 8  # particles that a mesh vertex takes its value from
@@ -43,7 +69,7 @@ class Values:
 
     Parameters
     ----------
-    what : "strain" or "stress".
+    what : a row of MEASURES.
     path : the file, for messages.
     pressure : [Pa] per stage pressure.
 
@@ -66,15 +92,17 @@ class Values:
                 f"{path}: there are no particles of a bake in it, which --color {what} needs.",
                 "give a file that gf-usd bake wrote, with its variant gaussianFlesh not none",
             )
-        bare = [c for c in self._carriers if not c.prim.GetAttribute(STRESS).HasValue()]
-        if what == "stress" and bare:
+        measure = MEASURES[what]
+        bare = [c for c in self._carriers if measure.attributes and not written(c.prim, measure)]
+        if bare:
             raise InputError(
-                f"{path}: <{bare[0].prim.GetPath()}> holds no stress ({STRESS}).",
-                "bake with --stress, or use --color strain",
+                f"{path}: <{bare[0].prim.GetPath()}> holds no {what}"
+                f" ({', '.join(measure.attributes)}).",
+                f"bake with {measure.option}, or use --color strain",
             )
-        self.what = what
+        self.what, self._measure = what, measure
         self.notes: list[str] = []
-        self._scale = pressure if what == "stress" else 1.0
+        self._scale = pressure if measure.unit else 1.0
         self._fits: dict[str, NeighborFit] = {}
         self._skins: dict[str, tuple[NDArray[np.int64], Floats]] = {}
         for carrier in self._carriers:
@@ -129,8 +157,8 @@ class Values:
         ]
         return Quantity(
             title=self.what,
-            measure=MEASURES[self.what],
-            unit=UNITS[self.what],
+            measure=self._measure.label,
+            unit=self._measure.unit,
             high=max(float(np.percentile(values, MOST)) for values in seen),
             largest=max(float(values.max()) for values in seen),
         )
@@ -138,8 +166,9 @@ class Values:
     def _read(self, carrier: Carrier, time: Usd.TimeCode) -> Floats:
         """(N,) in SI; 0 where a number is not finite."""
         where = str(carrier.prim.GetPath())
-        if self.what == "stress":
-            values = np.asarray(carrier.prim.GetAttribute(STRESS).Get(time), dtype=np.float64)
+        if self._measure.attributes:
+            stored = [a.Get(time) for a in written(carrier.prim, self._measure)]
+            values = np.asarray(stored, dtype=np.float64).max(0)
         elif where in self._fits:
             now = carrier.prim.GetAttribute("positions").Get(time)
             values = largest_stretch(self._fits[where](np.asarray(now, dtype=np.float64)))
@@ -147,6 +176,12 @@ class Values:
             stored = carrier.prim.GetAttribute(GRADIENTS).Get(time)
             values = largest_stretch(np.asarray(stored, dtype=np.float64).reshape(-1, 3, 3))
         return self._scale * np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def written(particles: Usd.Prim, measure: Measure) -> list[Usd.Attribute]:
+    """The attributes that particles hold it in: of several laws each has its own."""
+    named = (particles.GetAttribute(name) for name in measure.attributes)
+    return [attribute for attribute in named if attribute.HasValue()]
 
 
 def _carrier(prim: Usd.Prim) -> Carrier:

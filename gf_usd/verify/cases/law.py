@@ -124,5 +124,6 @@ CASES = tuple(
         quick=check(token),
         f64=True,
     )
-    for token in LAWS
+    for token, row in LAWS.items()
+    if not row.over
 )

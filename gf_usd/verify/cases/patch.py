@@ -46,6 +46,8 @@ REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
     "neoHookean": neo_hookean,
     "vonMises": hencky,  # far below its yield stress
     "crushable": hencky,
+    "vonMisesNeoHookean": neo_hookean,
+    "vonMisesCorotated": corotated,
 }
 
 
@@ -67,7 +69,7 @@ def patch(real: type, bound: float) -> Callable[[str], Iterator[Measure]]:
     """The affine patch test in one precision."""
 
     def run(device: str) -> Iterator[Measure]:
-        for token in LAWS:
+        for token in (token for token, row in LAWS.items() if not row.over):
             body, _ = ball(500)
             made = look("rubber", body, law=token, damping_time=0.0)
             s = settings(device, fps=1e6, substeps=1, followers=False)

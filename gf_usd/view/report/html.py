@@ -97,6 +97,8 @@ MODES = {
     "color": "own color",
     "strain": "strain",
     "speed": "speed",
+    "elastic": "elastic strain",
+    "plastic": "plastic strain",
     "stress": "stress",
 }
 

@@ -5,7 +5,7 @@ How far a surface and its Gaussians are stretched, from their shapes alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,7 +31,7 @@ class Motion:
     turns: NDArray[np.float32]  # (F, G, 4) (x, y, z, w) unit, continuous in time
     scales: NDArray[np.float32]  # (F, G, 3) [m]
     ratio: NDArray[np.float32]  # (F, G) volume ratio |J|
-    stress: NDArray[np.float32] | None  # (F, G) [Pa]
+    measured: Mapping[str, NDArray[np.float32]]  # (F, G) by name, as `MotionFrame` has it
     curves: dict[str, list[float]] = field(default_factory=dict)  # (F,) each, over the whole body
 
     @property
@@ -71,6 +71,7 @@ class _Kept:
     def __init__(self) -> None:
         self.codes: list[float] = []
         self.rows: dict[str, list[NDArray[np.float32]]] = {}
+        self.measured: set[str] = set()
         self._last: Floats | None = None
 
     def add(
@@ -91,8 +92,8 @@ class _Kept:
             self._last = turns
             row["positions"] = frame.positions[chosen]
             row |= {"turns": turns, "scales": scales, "ratio": ratio[chosen]}
-            if frame.stress is not None:
-                row["stress"] = frame.stress[chosen]
+            row |= {name: values[chosen] for name, values in frame.measured.items()}
+            self.measured |= set(frame.measured)
         for name, values in row.items():
             self.rows.setdefault(name, []).append(np.asarray(values, dtype=np.float32))
 
@@ -109,8 +110,8 @@ class _Kept:
         def of(name: str, *shape: int) -> NDArray[np.float32]:
             return whole.get(name, np.zeros((n, 0, *shape), dtype=np.float32))
 
-        # a bake writes stress at all of its frames or at none
-        stress = whole.get("stress")
+        # a bake writes them at all of its frames or at none
+        measured = {name: whole[name] for name in sorted(self.measured) if len(whole[name]) == n}
         return Motion(
             recording=recording,
             time_codes=tuple(self.codes),
@@ -122,7 +123,7 @@ class _Kept:
             turns=of("turns", 4),
             scales=of("scales", 3),
             ratio=of("ratio"),
-            stress=stress if stress is not None and len(stress) == n else None,
+            measured=measured,
             curves=curves,
         )
 

@@ -74,10 +74,10 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
         packer.add("turns", np.round(motion.turns * 127.0).astype(np.int8), moving=True)
         _add_scales(packer, motion.scales)
         packer.add("ratio", octaves(motion.ratio), moving=True)
-    if motion.stress is not None:
-        top = float(np.percentile(motion.stress, 99.5)) or 1.0
-        code = np.clip(motion.stress / top, 0.0, 1.0)
-        packer.add("stress", np.round(code * 255.0).astype(np.uint8), moving=True, top=top)
+    for name, values in motion.measured.items():
+        top = float(np.percentile(values, 99.5)) or 1.0
+        code = np.clip(values / top, 0.0, 1.0)
+        packer.add(name, np.round(code * 255.0).astype(np.uint8), moving=True, top=top)
     return packer.table, packer.blob()
 
 

@@ -10,7 +10,9 @@ from scipy.stats import special_ortho_group
 from von_mises_law import HARDENING
 
 from gf_usd.core.materials import LAWS
+from gf_usd.physics.laws.registry import load
 from gf_usd.physics.laws.von_mises import CLOSE
+from gf_usd.verify.cases.patch import stress
 
 MU, LAM, YIELD = 2.0, 3.0, 0.05  # [Pa]; it yields at a strain of about 0.01
 BULK, CAP = LAM + 2.0 / 3.0 * MU, 2.12
@@ -19,8 +21,15 @@ OWN = {
     "vonMises": {"hardening": 0.2, "saturation": 0.04, "saturation_rate": 15.0},
     "crushable": {"hardening": 0.3, "cap_shape": CAP},
 }
-ISOCHORIC = ("vonMises", ROW.token)
-flowing = pytest.mark.parametrize("token", [*(t for t in LAWS if LAWS[t].flows), ROW.token])
+OVER_OTHERS = ("vonMisesNeoHookean", "vonMisesCorotated")  # elastic energies than Hencky's
+OWN |= dict.fromkeys(OVER_OTHERS, OWN["vonMises"])
+ISOCHORIC = ("vonMises", *OVER_OTHERS, ROW.token)
+# One law over another energy is held to everything at once, the second with the slow tests.
+SLOW = {OVER_OTHERS[1]: (pytest.mark.slow,)}
+flowing = pytest.mark.parametrize(
+    "token",
+    [pytest.param(t, marks=SLOW.get(t, ())) for t in LAWS if LAWS[t].flows] + [ROW.token],
+)
 
 
 @pytest.fixture(autouse=True)
@@ -53,7 +62,11 @@ def excess(token: str, F: np.ndarray, a: np.ndarray) -> np.ndarray:
     e, a = np.log(np.linalg.svd(F)[1]), a[:, 0]
     dev = e - e.mean(1, keepdims=True)
     shear = np.sqrt(1.5) * 2.0 * MU * np.linalg.norm(dev, axis=1)
-    if token == "vonMises":
+    if token in OVER_OTHERS:
+        tau = np.array([stress(token, one, MU, LAM) @ one.T for one in F])
+        tau -= np.trace(tau, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+        shear = np.sqrt(1.5) * np.linalg.norm(tau, axis=(1, 2))
+    if token in ("vonMises", *OVER_OTHERS):
         return shear - YIELD - 0.2 * a - 0.04 * (1.0 - np.exp(-15.0 * a))
     if token == "crushable":
         p = -BULK * e.sum(1)
@@ -105,7 +118,7 @@ def test_to_return_twice_is_to_return_once(token):
     np.testing.assert_allclose(after, a, rtol=0.0, atol=near)
 
 
-@pytest.mark.parametrize("token", ISOCHORIC)
+@pytest.mark.parametrize("token", [pytest.param(t, marks=SLOW.get(t, ())) for t in ISOCHORIC])
 def test_volume_stays(token):
     F = gradients(64, 0.3)
     E, _ = returned(token, F, hardened(64))
@@ -166,3 +179,37 @@ def test_a_viscous_return_is_that_of_perzyna_backwards_in_time():
     assert a[0, 0] == pytest.approx((trial - YIELD) / (3.0 * MU + 0.2 + eta / dt), rel=1e-12)
     _, a = flow("vonMises", F, np.zeros((1, 1)), MU, LAM, dt=0.0, **own)
     assert a[0, 0] < 1e-20, "in no time nothing that is viscous flows"
+
+
+def test_over_another_energy_it_flows_along_the_deviator_of_the_strain():
+    F, a = gradients(64, 0.3), np.zeros((64, 1))
+    E, after = returned("vonMisesNeoHookean", F, a)
+    before, left = (np.log(np.linalg.svd(G)[1]) for G in (F, E))
+    dev = before - before.mean(1, keepdims=True)
+    along = np.sqrt(1.5) * after * dev / np.linalg.norm(dev, axis=1, keepdims=True)
+    np.testing.assert_allclose(before - left, along, rtol=0.0, atol=1e-13)
+
+
+def test_a_viscous_return_over_another_energy_leaves_the_stress_that_its_rate_asks_for():
+    F, a, eta, dt = gradients(64, 0.3), hardened(64), 2e-3, 1e-3
+    own = {**OWN["vonMisesNeoHookean"], "yield_stress": YIELD, "flow_viscosity": eta}
+    E, after = flow("vonMisesNeoHookean", F, a, MU, LAM, dt=dt, **own)
+    flown = after > a
+    assert flown.mean() > 0.8
+    left = excess("vonMisesNeoHookean", E, after) - eta * (after - a)[:, 0] / dt
+    assert np.abs(left[flown[:, 0]]).max() < 1e-10  # as where it lands, above
+
+
+@pytest.mark.parametrize("token", OVER_OTHERS)
+def test_a_law_over_another_has_its_functions(token):
+    law, under = (load(LAWS[name]) for name in (token, LAWS[token].over))
+    assert (law.psi, law.pk1, law.stored, law.moduli) == (
+        under.psi, under.pk1, under.stored, under.moduli,
+    )  # fmt: skip
+
+
+def test_what_is_flat_or_inside_out_is_left_to_the_law():
+    F = np.stack([np.diag(s) for s in ([1.0, 1.2, 0.05], [1.0, 1.2, -0.8], [1.5, 1.0, 0.7])])
+    E, after = returned("vonMisesNeoHookean", F, np.zeros((3, 1)))
+    assert np.array_equal(E[:2], F[:2])
+    assert (after[:, 0] > 0.0).tolist() == [False, False, True]

@@ -122,7 +122,7 @@ def test_gaussians_come_with_their_rest_and_their_axes(tmp_path):
         np.array([[0, -0.02, 0], [0.02, 0, 0], [0, 0, 0.03]]), abs=1e-8
     )
     # kg / (s^2 cm) in pascals
-    assert frame.stress == pytest.approx([700.0])
+    assert frame.measured["stress"] == pytest.approx([700.0])
 
 
 def test_another_look_is_chosen_in_the_session_only(tmp_path):

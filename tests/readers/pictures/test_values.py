@@ -7,6 +7,7 @@ import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol, Vt
 
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.readers.pictures.recording import BakedMotion
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.readers.pictures.values import NeighborFit, largest_stretch
 
@@ -124,6 +125,31 @@ def test_stress_is_in_pascals_and_each_vertex_has_that_of_its_neighbors(tmp_path
     for corner, value in zip(corners, values):
         near = own[np.argsort(np.linalg.norm(lattice() - corner, axis=1))[:8]]
         assert near.min() < value < near.max()
+
+
+def test_elastic_and_plastic_strain_are_read_where_they_were_written(tmp_path):
+    path = bake(tmp_path / "box.usda")
+    with pytest.raises(InputError, match="</Box/Gaussians> holds no plastic") as caught:
+        PictureStage(path, "gaussians", color="plastic")
+    assert "--internal" in caught.value.hint
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath("/Box/Gaussians")
+    ramp = np.arange(SIDE**3, dtype=np.float32)
+    of_each = {"elasticStrain": 0.01 * ramp, "plasticStrain": ramp, "lostVolume": ramp[::-1]}
+    for name, values in of_each.items():
+        attribute = prim.CreateAttribute(f"gaussianFlesh:{name}", Types.FloatArray, False)
+        for time in (1.0, 2.0):
+            attribute.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(time * values)), time)
+    stage.Save()
+    for what, expected in (
+        ("elastic", 0.02 * ramp),
+        ("plastic", 2.0 * np.maximum(ramp, ramp[::-1])),
+    ):
+        (cloud,) = PictureStage(path, "gaussians", color=what).scene(2.0).splats
+        assert cloud.values == pytest.approx(expected)
+    (*_, frame) = BakedMotion(path).frames()
+    assert sorted(frame.measured) == ["elastic", "plastic", "stress"]
+    assert frame.measured["elastic"] == pytest.approx(0.02 * ramp)
 
 
 def test_the_range_holds_nearly_all_in_every_frame(tmp_path):

@@ -9,6 +9,7 @@ from pxr import Sdf, Usd
 from small_stages import RUBBER
 
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials import LAWS
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import write_materials
 from gf_usd.readers.usd_bake.material_file import is_material_file, read_material
@@ -172,7 +173,7 @@ def test_values_out_of_range(write, values: dict[str, str], message: str, hint: 
         (
             'uniform token gaussianFlesh:law = "hyper"',
             "gaussianFlesh:law is 'hyper'",
-            "choose one of corotated, neoHookean, vonMises, crushable",
+            f"choose one of {', '.join(LAWS)}",
         ),
         (
             "float gaussianFlesh:dampingTime = -1",

@@ -64,9 +64,11 @@ from gf_usd.physics.total_lagrangian.stages import (
     FOLLOWERS,
     FREE,
     GROUPS,
+    MEETING,
     NODES,
     OPENING,
     OPENS,
+    TOUCHING,
     stages,
 )
 
@@ -114,8 +116,8 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     table = stages(options.plain, options.meets, options.coupled)
 
     @ti.func
-    def size(part: ti.template(), groups, free, followers, active):
-        """Items of a part."""
+    def size(part: ti.template(), groups, free, followers, active, meeting):
+        """Items of a part; the samples that meet something are the first of the active ones."""
         count = active
         if ti.static(part.items == FREE):
             count = free
@@ -125,16 +127,20 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             count = free + followers
         elif ti.static(part.items == GROUPS):
             count = groups
+        elif ti.static(part.items == MEETING):
+            count = meeting
         return count
 
     @ti.func
-    def due(stage: ti.template(), s, ends, every, phase):
+    def due(stage: ti.template(), s, ends, every, phase, meeting):
         """1 where a stage is part of substep s of a launch, else 0."""
         on = 1
         if ti.static(stage.when == OPENING):
             on = int(s == 0 and ends & OPENS > 0)
         if ti.static(stage.when == FILTERING):
             on = int(every > 0 and (s + phase) % every == 0)
+        if ti.static(stage.when == TOUCHING):
+            on = int(meeting > 0)
         return on
 
     @ti.func
@@ -172,13 +178,13 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "node force"):
             node_force(body, n, nodes, ih)
         elif ti.static(part.name == "sample motion"):
-            sample_motion(body, body.sample_active[n], dt)
+            sample_motion(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "contact"):
-            sample_contact(body, body.sample_active[n], up, lift, dt)
+            sample_contact(body, body.sample_active[1 + n], up, lift, dt)
         elif ti.static(part.name == "pair contact"):
-            pair_contact(body, body.sample_active[n], dt)
+            pair_contact(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "pair total"):
-            pair_total(body, body.sample_active[n])
+            pair_total(body, body.sample_active[1 + n])
         elif ti.static(part.name == "share"):
             follower_share(body, n, free, dt, options.plain, options.slides)
         elif ti.static(part.name == "move"):
@@ -206,19 +212,20 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         for z in range(threads * SPAN):
             if z % SPAN == 0:
                 before = 0
+                meeting = body.sample_active[0]
                 work_item = take(body.queue)
                 for s in range(substeps):
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
                         drift = 0.5 * dt
                     for stage in ti.static(table):
-                        count = size(stage.parts[0], groups, free, followers, active)
+                        count = size(stage.parts[0], groups, free, followers, active, meeting)
                         pieces = pieces_of(stage.parts[0], count, threads)
-                        pieces *= due(stage, s, ends, every, phase)
+                        pieces *= due(stage, s, ends, every, phase, meeting)
                         while work_item < before + pieces:
                             wait(body.queue, before)
                             for part in ti.static(stage.parts):
-                                many = size(part, groups, free, followers, active)
+                                many = size(part, groups, free, followers, active, meeting)
                                 first, behind = piece(many, work_item - before, pieces)
                                 for n in range(first, behind):
                                     act(
@@ -237,10 +244,12 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     ):  # fmt: skip
         """One substep, a thread an item: for GPUs."""
         closing = (ends & CLOSES) // CLOSES
+        meeting = body.sample_active[0]
         for stage in ti.static(table):
             for part in ti.static(stage.parts):
                 for n in range(
-                    size(part, groups, free, followers, active) * due(stage, 0, ends, every, phase)
+                    size(part, groups, free, followers, active, meeting)
+                    * due(stage, 0, ends, every, phase, meeting)
                 ):
                     act(
                         part, body, n, free, free + followers, active, alpha, g, up, lift, dt,

@@ -46,11 +46,18 @@ const MAPS = {
     [122, 197, 84], [206, 220, 62], [253, 231, 90]],
 };
 
+// What a bake may have written of its Gaussians: name and unit.
+const MEASURED = {
+  elastic: ["elastic strain of the Gaussians", ""],
+  plastic: ["plastic strain of the Gaussians", ""],
+  stress: ["von Mises stress of the Gaussians", " Pa"],
+};
+
 // The values 0..255 that color vertices or Gaussians in a mode; null where there are none.
 function scalars(look, mode, kind, frame) {
   const a = look.arrays;
   if (mode === "strain") return a[kind === "mesh" ? "stretch" : "ratio"]?.at(frame) ?? null;
-  if (mode === "stress") return kind === "mesh" ? null : a.stress?.at(frame) ?? null;
+  if (MEASURED[mode]) return kind === "mesh" ? null : a[mode]?.at(frame) ?? null;
   if (mode !== "speed") return null;
   const places = a[kind === "mesh" ? "points" : "positions"];
   if (!places) return null;

@@ -51,7 +51,7 @@ class Controls {
     const has = { mesh: look.arrays.points.row > 0, gaussians: look.arrays.positions?.row > 0 };
     $("kinds").hidden = !(has.mesh && has.gaussians);
     for (const option of $("mode").options) {
-      option.hidden = option.value === "stress" && !look.arrays.stress;
+      option.hidden = option.value in MEASURED && !look.arrays[option.value];
     }
     this.legend();
   }
@@ -173,8 +173,8 @@ class Controls {
     if (mode === "speed") {
       return { low: "0", middle: "", high: `${show(look.topSpeed)} m/s`, title: "speed" };
     }
-    const high = `≥ ${show(look.arrays.stress.top)} Pa`;
-    return { low: "0", middle: "", high, title: "von Mises stress of the Gaussians" };
+    const [title, unit] = MEASURED[mode];
+    return { low: "0", middle: "", high: `≥ ${show(look.arrays[mode].top)}${unit}`, title };
   }
 }
 

@@ -72,7 +72,12 @@ def read_options(
         (frames is not None, "--frames", many, "use --frame for one picture, or --sheet 12"),
         (fps is not None, "--fps", film, "write a film: -o out.mp4"),
         (columns is not None, "--columns", sheet is not None, "ask for a sheet: --sheet 12"),
-        (limits is not None, "--range", color is not None, "give --color strain or stress"),
+        (
+            limits is not None,
+            "--range",
+            color is not None,
+            "give --color strain, elastic, plastic or stress",
+        ),
     ):
         _refuse(given and not needed, f"{name} does not go with the rest.", hint)
     for value, name in ((sheet, "--sheet"), (columns, "--columns")):

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gf_usd.cli.preview_options import Options
+from gf_usd.api.drawing.options import Options
 from gf_usd.core.scene import Camera, Light, Quantity
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.view.film import FASTEST, columns_for, contact_sheet, write_gif, write_mp4

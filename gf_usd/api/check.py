@@ -1,0 +1,53 @@
+"""`gf_usd.check`: is a file sound?"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.host.guest import here_or_away
+from gf_usd.prepare.options import values
+
+if TYPE_CHECKING:
+    from gf_usd.layers.check.run import CheckResult
+    from gf_usd.system.sandbox import Limits
+
+
+def check(
+    path: str | os.PathLike[str],
+    *,
+    limits: Limits | Mapping[str, float] | Literal[False] | str | None = None,
+) -> CheckResult:
+    """Run UsdValidation and the rules of gf-usd over a file; each finding says what to do.
+
+    >>> gf_usd.check(result.root).ok
+    True
+
+    Parameters
+    ----------
+    path : any USD file, a bake or not.
+    limits : of a process that reads it, {"time": [s], "memory": [B], "output": [B]}; None: this
+        process reads it.
+
+    Returns
+    -------
+    CheckResult : `ok`, and `findings` with severity, rule, prim_path, message and fix.
+
+    Raises
+    ------
+    InputError : there is no such file, or USD cannot open it.
+    """
+    with keywords("limits"):
+        file = asset_path(path)
+        most = None if limits is None else values.limits("limits", limits)
+        return here_or_away("gf_usd.api.check:check_here", {"path": file, "limits": most})[0]
+
+
+def check_here(path: Path, limits: Limits | None) -> CheckResult:
+    """See `check`; in this process."""
+    from gf_usd.system.sandbox import attempt
+
+    return attempt(path, "gf_usd.layers.check.run:check_file", limits, path)

@@ -1,0 +1,76 @@
+"""A call as a guest of another program: a notebook, a DCC, a daemon.
+
+The program may have opened stages before, which makes it too late to register the schema, or may
+use Taichi itself, of which there is one in a process.  What writes or checks layers, or computes
+with Taichi, then runs in a process of its own.  What is left in this process is what was there
+before: no signal handlers, no log settings, no environment variables, nothing of Taichi replaced.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from gf_usd.core.errors import UsageError
+from gf_usd.system.taichi_runtime import borrowed, is_taken
+
+# Taichi, and USD's registry of schemas, are the process's: calls of several threads take turns.
+_TURN = threading.RLock()
+TAKEN = "Taichi runs for another part of this program already"
+
+
+@contextmanager
+def guest() -> Iterator[None]:
+    """Have its turn, and leave Taichi as it was."""
+    with _TURN, borrowed():
+        yield
+
+
+def why_away(*, schema: bool = True) -> str:
+    """Why something cannot be done in this process, in words; "" where it can.
+
+    schema : it applies or checks the APIs of gaussianFlesh.
+    """
+    if is_taken():
+        return TAKEN
+    if schema:
+        from gf_usd.system import usd_schema
+
+        if usd_schema.LATE is not None:
+            return "USD had read its schema definitions before gf-usd was loaded"
+    return ""
+
+
+def here_or_away(
+    task: str,
+    options: Mapping[str, Any],
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    schema: bool = True,
+) -> tuple[Any, str]:
+    """What a function returns, and why it ran in a process of its own; "" where it ran in this one.
+
+    task : the function, as "module:name"; it takes `progress` where that is given.
+    """
+    with guest():
+        why = why_away(schema=schema)
+        if not why:
+            module, name = task.split(":")
+            more = {} if progress is None else {"progress": progress}
+            return getattr(import_module(module), name)(**options, **more), ""
+    from gf_usd.api.host.own_process import call
+
+    return call(task, options, progress), why
+
+
+def require_here(what: str) -> None:
+    """Raise UsageError where something that hands over its solver cannot be in this process."""
+    if is_taken():
+        raise UsageError(
+            f"{TAKEN}, and there is one in a process: {what} would end what it computes",
+            "call it in a process of its own (multiprocessing with the method spawn), or before"
+            " the other part starts Taichi; gf_usd.bake starts a process by itself",
+        )

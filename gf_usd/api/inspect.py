@@ -1,0 +1,45 @@
+"""`gf_usd.inspect`: what would be baked, and what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.api.call import takes
+from gf_usd.api.host.guest import guest, require_here
+from gf_usd.prepare.options.table import BakeOptions
+
+if TYPE_CHECKING:
+    from gf_usd.pipeline.inspect import Inspection
+
+# Keywords of a bake that change nothing of what would be filled or what it would cost.
+LATER = ("output", "overwrite", "resume", "slice", "strict", "max_hours", "progress")
+
+
+@takes(BakeOptions)
+def inspect(path: Path, **options: Any) -> Inspection:
+    """What `bake` would make of an asset with the same keywords, and what is wrong with it.
+
+    >>> seen = gf_usd.inspect("duck.usda", particles=300)
+    >>> seen.refusal is None, seen.warnings
+    (True, ())
+
+    It takes the keywords of `bake`; those that concern only the writing, such as output, change
+    nothing here.  A refusal is part of the result where the file could be read at all.
+
+    Returns
+    -------
+    Inspection : `plan` with particles, materials and settings, `cost`, `warnings`, `notes`,
+        `refusal`, and `diagnoses` of the meshes; `as_json()` is what ``gf-usd inspect --json``
+        prints.
+
+    Raises
+    ------
+    UsageError : the options make no sense, or another part of the program uses Taichi.
+    InputError : the file cannot be read, or holds nothing that could be made soft.
+    """
+    from gf_usd.pipeline.inspect import inspect as inspect_asset
+
+    require_here("inspect")
+    with guest():
+        return inspect_asset(path, **{k: v for k, v in options.items() if k not in LATER})

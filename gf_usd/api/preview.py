@@ -1,0 +1,201 @@
+"""`gf_usd.preview`: a stage as a picture, a contact sheet or a film."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.drawing.options import Options, read_options, time_codes
+from gf_usd.api.host.guest import here_or_away
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options import values
+
+Show = Literal["mesh", "splats", "gaussians", "ellipsoids", "points", "both"]
+SHOWN = ("mesh", "splats", "gaussians", "ellipsoids", "points", "both")
+UNWRITTEN = Path("picture.png")  # stands for a target where there is none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preview:
+    """What was drawn.  A notebook shows pictures by themselves."""
+
+    path: Path | None  # the file; None: none was asked for
+    pixels: NDArray[np.uint8] | None  # (H, W, 3) sRGB of a picture or a sheet; None: a film
+    size: tuple[int, int]  # (width, height) [pixels]
+    frames: int = 1  # of a film
+    fps: float | None = None  # of a film
+    notes: tuple[str, ...] = ()  # what was assumed, in words
+
+    def _repr_png_(self) -> bytes | None:
+        if self.pixels is None:
+            return None
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(self.pixels).save(file, format="PNG")
+        return file.getvalue()
+
+
+def preview(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    frame: float | None = None,
+    frames: tuple[float | None, float | None]
+    | tuple[float | None, float | None, float]
+    | None = None,
+    show: Show | None = None,
+    size: tuple[int, int] | None = None,
+    sheet: int | None = None,
+    columns: int | None = None,
+    fps: float | None = None,
+    camera: str | None = None,
+    color: Literal["strain", "stress"] | None = None,
+    range: tuple[float, float] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Preview:
+    """Draw a stage on the CPU and without a window.
+
+    >>> gf_usd.preview(result.root, size=(160, 120)).pixels.shape
+    (120, 160, 3)
+
+    Parameters
+    ----------
+    path : a bake, or any other USD stage.
+    output : picture (.png) or film (.mp4, .gif); a file of that name is replaced.  None: the
+        picture is returned and nothing is written.
+    frame : time code of a single picture; None: the first of the stage.
+    frames : (first, last) or (first, last, step), time codes of a film or a sheet, the last one
+        included, None where it is open; None: the whole motion.
+    show : mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation), points
+        or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points there is.
+    size : (width, height) [pixels]; of one tile for a sheet.
+    sheet : number of frames of a contact sheet, evenly spread; columns : of the sheet.
+    fps : frames per second of the film; None: real time.
+    camera : path of a camera in the stage; None: one that is fitted to the whole motion.
+    color : strain (largest |stretch - 1|) or stress (von Mises); None: the asset's own colors.
+    range : (low, high) of the colors, a pure number for strain, [Pa] for stress.
+    progress : called after each frame of a film with (frames done, frames in all).
+
+    Returns
+    -------
+    Preview : the file, or the pixels.
+
+    Raises
+    ------
+    UsageError : times outside the motion, an impossible size, or a folder that cannot be written.
+    InputError : the stage cannot be read, or does not hold what is to be shown.
+    """
+    with keywords(
+        "frame", "frames", "show", "size", "sheet", "columns", "fps", "camera", "color", "range"
+    ):
+        target = None if output is None else Path(values.path("output", output))
+        for name, value in (("frame", frame), ("fps", fps)):
+            if value is not None:
+                values.real(name, value)
+        for name, value in (("sheet", sheet), ("columns", columns)):
+            if value is not None:
+                values.whole(name, value)
+        if show is not None and show not in SHOWN:
+            raise UsageError(f"show is {show!r}", f"give one of {', '.join(SHOWN)}")
+        if color not in (None, "strain", "stress"):
+            raise UsageError(f"color is {color!r}", "give 'strain', 'stress', or leave it out")
+        options = read_options(
+            target or UNWRITTEN,
+            size=None if size is None else _joined("size", size, "x", (2,)),
+            frame=frame,
+            frames=None if frames is None else _joined("frames", frames, ":", (2, 3)),
+            sheet=sheet,
+            columns=columns,
+            fps=fps,
+            color=color,
+            limits=None if range is None else _joined("range", range, ":", (2,)),
+        )
+        asked = {
+            "path": asset_path(path), "options": options, "show": show, "camera": camera,
+            "color": color, "write": target is not None,
+        }  # fmt: skip
+        task = "gf_usd.api.preview:draw"
+        return here_or_away(task, asked, progress, schema=False)[0]
+
+
+def _joined(name: str, value: Any, sign: str, counts: tuple[int, ...]) -> str:
+    """Numbers as the command line has them, with a sign between."""
+    wanted = f"{' or '.join(map(str, counts))} numbers, such as ({', '.join('1' * counts[0])})"
+    parts = values.items(name, value, wanted)
+    sound = all(part is None or values.is_number(part) for part in parts)
+    if len(parts) not in counts or not sound:
+        raise values.refuse(name, value, wanted)
+    return sign.join("" if part is None else values.digits(part) for part in parts)
+
+
+def draw(
+    path: Path,
+    options: Options,
+    *,
+    show: str | None = None,
+    camera: str | None = None,
+    color: str | None = None,
+    write: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Preview:
+    """Draw what was asked for; see `preview`.
+
+    write : write the file of the options; False: a picture or a sheet is only returned.
+    """
+    from gf_usd.api.drawing import pictures as drawing
+    from gf_usd.readers.pictures.scene import PictureStage
+    from gf_usd.view.film import require_folder
+    from gf_usd.view.render.render import write_png
+
+    if write:
+        require_folder(options.target)
+    notes: list[str] = []
+    if options.target.suffix.lower() == ".mp4" and (options.size[0] % 2 or options.size[1] % 2):
+        width, height = (n + n % 2 for n in options.size)
+        options = replace(options, size=(width, height))
+        notes.append(f"H.264 wants even sizes: {width}x{height}")
+    source = PictureStage(path, show, camera=camera, color=color)
+    motion = source.motion
+    if options.film:
+        codes = _time_codes(source, options, path)
+        paint = drawing.Drawing(source, options.size, options.limits)
+        rate = drawing.film_rate(codes, motion.time_codes_per_second, options)
+        if options.target.suffix.lower() == ".gif":
+            total = len(codes)
+            codes, rate = drawing.thin_for_gif(codes, rate)
+            if len(codes) < total:
+                notes.append(f"a gif shows at most 50 frames a second: {rate:g} are kept")
+        drawing.write_film(paint, codes, rate, options, progress or (lambda done, total: None))
+        return Preview(
+            path=options.target, pixels=None, size=options.size, frames=len(codes), fps=rate,
+            notes=(*notes, *paint.notes),
+        )  # fmt: skip
+    if options.sheet is not None:
+        codes = _time_codes(source, options, path)
+        paint = drawing.Drawing(source, options.size, options.limits)
+        pixels = drawing.write_sheet(paint, codes, options)
+    else:
+        source.require_time(options.frame)
+        paint = drawing.Drawing(source, options.size, options.limits)
+        pixels = paint(options.frame)
+    if write:
+        write_png(options.target, pixels)
+    return Preview(
+        path=options.target if write else None, pixels=pixels,
+        size=(pixels.shape[1], pixels.shape[0]), notes=(*notes, *paint.notes),
+    )  # fmt: skip
+
+
+def _time_codes(source: Any, options: Options, path: Path) -> list[float]:
+    motion = source.motion
+    step = motion.time_codes_per_second / motion.frames_per_second
+    return time_codes(options.span, motion.time_codes, step, path)

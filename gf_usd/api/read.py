@@ -1,0 +1,185 @@
+"""`gf_usd.read`: a bake as arrays of NumPy, read frame by frame when they are asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.api.call import asset_path, keywords
+
+if TYPE_CHECKING:
+    from gf_usd.readers.usd_bake.result import BakedArrays
+
+Array = NDArray[np.float64]
+
+
+class BakeFrame:
+    """One frame of a bake, in SI and in the world frame of the stage; each array is read once."""
+
+    def __init__(self, arrays: BakedArrays, index: int) -> None:
+        self._arrays = arrays
+        self.index = index  # 0 for the first
+        self.time_code = arrays.time_codes[index]
+
+    @property
+    def time(self) -> float:
+        """[s] of playback since the first frame."""
+        arrays = self._arrays
+        return (self.time_code - arrays.time_codes[0]) / arrays.time_codes_per_second
+
+    @cached_property
+    def positions(self) -> Array:
+        """(N, 3) [m] of the particles."""
+        return self._arrays.positions(self.time_code)
+
+    @cached_property
+    def velocities(self) -> Array:
+        """(N, 3) [m/s of playback] of the particles."""
+        return self._arrays.velocities(self.time_code)
+
+    @cached_property
+    def covariances(self) -> Array | None:
+        """(N, 3, 3) [m^2] of the Gaussians; None where the bake wrote no Gaussians."""
+        return self._arrays.covariances(self.time_code)
+
+    @cached_property
+    def F(self) -> Array | None:
+        """(N, 3, 3) deformation gradients; None unless baked with deformation_gradients=True."""
+        return self._arrays.gradients(self.time_code)
+
+    @cached_property
+    def stress(self) -> Array | None:
+        """(N,) [Pa] von Mises; None unless baked with stress=True."""
+        return self._arrays.stress(self.time_code)
+
+    @cached_property
+    def internal(self) -> Mapping[str, Array]:
+        """(N,) of each internal variable, such as plastic_strain; empty unless internal=True."""
+        return self._arrays.internal(self.time_code)
+
+    @cached_property
+    def meshes(self) -> Mapping[str, Array]:
+        """(V, 3) [m] points of each mesh that the bake moves, by prim path."""
+        arrays = self._arrays
+        return {path: arrays.mesh_points(path, self.time_code) for path in arrays.mesh_paths}
+
+
+class Bake(Sequence[BakeFrame]):
+    """A bake that was opened: a sequence of its frames, with what holds for all of them.
+
+    Nothing but the stage is read until it is asked for.  A frame keeps the arrays that were asked
+    of it as long as it is held; the bake keeps none of them.
+    """
+
+    def __init__(self, arrays: BakedArrays) -> None:
+        self._arrays = arrays
+        self.path = arrays.path
+        self.variant = arrays.variant
+        self.variants = arrays.variants  # of the file
+        self.time_codes = np.array(arrays.time_codes)  # (T,)
+        self.fps = arrays.time_codes_per_second  # time codes per second of playback
+        self.up = arrays.up  # (3,) unit
+        self.meters_per_unit = arrays.units.meters_per_unit  # of the file; arrays are in meters
+
+    def __len__(self) -> int:
+        return len(self.time_codes)
+
+    @overload
+    def __getitem__(self, index: int) -> BakeFrame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[BakeFrame]: ...
+
+    def __getitem__(self, index: int | slice) -> BakeFrame | list[BakeFrame]:
+        if isinstance(index, slice):
+            return [self[one] for one in range(*index.indices(len(self)))]
+        at = index + len(self) if index < 0 else index
+        if not 0 <= at < len(self):
+            raise IndexError(f"{self.path.name} has {len(self)} frames, and no frame {index}")
+        return BakeFrame(self._arrays, at)
+
+    def __iter__(self) -> Iterator[BakeFrame]:
+        return (self[index] for index in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"Bake({str(self.path)!r}, variant={self.variant!r}, frames={len(self)})"
+
+    @cached_property
+    def rest(self) -> Mapping[str, Array]:
+        """What does not change of the particles.
+
+        positions (N, 3) [m], where the body is unstressed, before it was lifted to fall; volumes
+        (N,) [m^3], masses (N,) [kg], materials (N,) into `materials`; and where the body is
+        heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
+        """
+        return self._arrays.rest()
+
+    @property
+    def particles(self) -> int:
+        """N, the number of particles."""
+        return len(self.rest["positions"])
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The settings of the bake, as the file has them."""
+        found = self._arrays.about.get("settings")
+        return found if isinstance(found, dict) else {}
+
+    @cached_property
+    def health(self) -> Mapping[str, NDArray[Any]]:
+        """What the solver measured, (T,) or (T, 3) each, in SI; the names of `Health`'s fields.
+
+        kinetic, elastic, potential, contact [J], center [m], momentum [kg m/s], min_J, max_stretch,
+        inverted, penetration [m], substeps and others.
+        """
+        from gf_usd.layers.tracks.health import FLOW, FRAME, sizes
+
+        si = sizes(self._arrays.units)
+        found = {}
+        for name, samples in self._arrays.health().items():
+            if name in FRAME | FLOW:
+                _, field, unit = (FRAME | FLOW)[name]
+                values = np.array(samples)
+                found[field] = values * si[unit] if unit else values
+        return found
+
+    @cached_property
+    def report(self) -> Mapping[str, Any]:
+        """The report next to the file (docs/guide.md); empty where there is none."""
+        from gf_usd.view.report.record import load_report
+
+        return load_report(self.path)[0]
+
+    def faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(P,) numbers of corners and (C,) indices into the points of a mesh, by its prim path."""
+        return self._arrays.mesh_faces(path)
+
+
+def read(path: str | os.PathLike[str], *, variant: str | None = None) -> Bake:
+    """Open a bake to read its particles, meshes and health as arrays of NumPy.
+
+    >>> bake = gf_usd.read(result.root)
+    >>> len(bake), bake.health["kinetic"].shape
+    (4, (4,))
+    >>> bake[-1].positions.shape == bake.rest["positions"].shape
+    True
+
+    Parameters
+    ----------
+    path : root layer of a bake, or a flattened one.
+    variant : which of its materials; None: the one that is selected in the file.
+
+    Raises
+    ------
+    InputError : no such file, not USD, damaged, or no bake.
+    UsageError : the file has no such variant.
+    """
+    from gf_usd.readers.usd_bake.result import BakedArrays
+
+    with keywords(look="variant"):
+        return Bake(BakedArrays(asset_path(path), variant))

@@ -1,0 +1,93 @@
+"""`gf_usd.report`: a bake as one page for a browser."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.host.guest import here_or_away
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options import values
+
+MOST_VERTICES = 20_000
+MOST_FRAMES = 240
+
+
+def report(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    variant: str | None = None,
+    max_vertices: int = MOST_VERTICES,
+    max_frames: int = MOST_FRAMES,
+) -> Path:
+    """Write one page that plays the motion in a browser, offline, with what was measured.
+
+    >>> gf_usd.report(result.root, "page.html").name
+    'page.html'
+
+    Parameters
+    ----------
+    path : root layer of a bake, or any moving USD file.
+    output : the HTML file; None: NAME.html in the current folder.
+    variant : only this one; None: all, with a switch between them.
+    max_vertices : mesh vertices to keep at most, and as many Gaussians.
+    max_frames : frames to keep at most.
+
+    Returns
+    -------
+    Path : the page.
+
+    Raises
+    ------
+    UsageError : no such variant, the page is an input, or its folder does not exist.
+    InputError : the file cannot be read, or nothing in it moves.
+    BakeError : the disk refuses.
+    """
+    with keywords("max_vertices", "max_frames", look="variant"):
+        source = asset_path(path)
+        target = Path(values.path("output", output)) if output else Path(f"{source.stem}.html")
+        vertices = values.whole("max_vertices", max_vertices)
+        frames = values.whole("max_frames", max_frames)
+        for name, count, least in (("vertices", vertices, 100), ("frames", frames, 2)):
+            if count < least:
+                raise UsageError(f"max_{name} is {count}", f"give {least} or more")
+        asked = {
+            "path": source, "target": target, "look": variant, "vertices": vertices,
+            "frames": frames,
+        }  # fmt: skip
+        here_or_away("gf_usd.api.report:write", asked, schema=False)
+        return target
+
+
+def write(path: Path, target: Path, look: str | None, vertices: int, frames: int) -> None:
+    """Write the page of a bake, all its looks or one; see `report`."""
+    # pxr and taichi take a second to import, which --help must not wait for
+    from gf_usd.readers.pictures.recording import BakedMotion
+    from gf_usd.system.atomic_files import publish_text
+    from gf_usd.view.report.record import load_report, report_path
+    from gf_usd.view.report.report import Limits, build_report
+
+    require_target(target, (path, report_path(path)))
+    first = BakedMotion(path, look)
+    # the look that is selected in the file comes first
+    names = [first.look, *(n for n in first.looks if n != first.look)] if look is None else [look]
+    sources = [first, *(BakedMotion(path, name) for name in names[1:])]
+    page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
+    publish_text(target, page)
+
+
+def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
+    """Raise UsageError where a page cannot be written, or would replace what it is made of."""
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(
+            f"{target} does not end in .html.", "report writes a web page: -o report.html"
+        )
+    for source in inputs:
+        if target.resolve() == source.resolve():
+            raise UsageError(f"{target} is the input itself.", "choose another -o")
+    if not target.parent.is_dir():
+        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
+    if target.is_dir():
+        raise UsageError(f"{target} is a folder.", "name the page: -o report.html")

@@ -1,0 +1,301 @@
+"""`gf_usd.simulate`: a scene, one frame at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gf_usd.api.call import keywords
+from gf_usd.api.host.guest import TAKEN, guest, require_here
+from gf_usd.api.scene import Scene
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Health
+from gf_usd.prepare.options import values
+
+if TYPE_CHECKING:
+    from gf_usd.core.frames import Frame, Particles, Settings
+    from gf_usd.core.materials import Material
+
+Array = NDArray[np.float64]
+FRAMES = 48
+FPS = 24.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationFrame:
+    """One frame of a simulation, in SI and in the world frame of the scene."""
+
+    index: int  # 0 for the start
+    time: float  # [s]
+    positions: Array  # (N, 3) [m] of the particles
+    velocities: Array  # (N, 3) [m/s] of the particles
+    F: Array  # (N, 3, 3) deformation gradients of the particles
+    meshes: Mapping[str, Array]  # (V, 3) [m] points of each body's surface, by its name
+    health: Health  # energies, momentum, strains and contact
+    stress: Array | None  # (N,) [Pa] von Mises; None unless asked for
+
+
+class Simulation(Iterator[SimulationFrame]):
+    """A scene in motion; iterate over it, or call `next`.
+
+    Between two frames `push`, `accelerate` and `set_velocities` act on the bodies, and `save` and
+    `load` go back and forth in time.  `close` frees what it holds; so does the end of a ``with``
+    block.  All simulations of a process share one Taichi, so that all have the same device and
+    threads.
+    """
+
+    def __init__(self, scene: Scene, frames: int, options: Mapping[str, Any]) -> None:
+        from gf_usd.pipeline.scene import plan_scene, start_scene
+        from gf_usd.system.taichi_runtime import epoch
+
+        fps = options["fps"]
+        spec = scene.spec([k / fps for k in range(frames)], {**options, "frames": frames})
+        self._plan = plan_scene(spec)
+        self._solver: Any = start_scene(self._plan)
+        self._epoch = epoch()
+        self._frames = frames
+        self._index = -1  # of the last frame
+        self._last: Health | None = None
+        self._disturbed = False  # since the last frame
+        self.bodies = scene.bodies
+        self.notes = self._plan.notes  # what was assumed, in words
+
+    @property
+    def particles(self) -> Particles:
+        """The particles at rest: X (N, 3) [m], V0 (N,) [m^3], material (N,), body and others."""
+        return self._plan.particles
+
+    @property
+    def body_of_particles(self) -> NDArray[np.int64]:
+        """(N,) index into `bodies` of each particle."""
+        return np.array(self._plan.particles.surface, np.int64)
+
+    @property
+    def masses(self) -> Array:
+        """(N,) [kg] of the particles."""
+        table = self._plan.variants[0].table
+        density = np.array([material.density for material in table])
+        return density[np.asarray(self._plan.particles.material)] * self._plan.particles.V0
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """What the materials of the particles index."""
+        return self._plan.variants[0].table
+
+    @property
+    def settings(self) -> Settings:
+        """Everything that decides the motion."""
+        return self._plan.settings
+
+    @property
+    def substeps(self) -> int:
+        """Time steps of the next frame."""
+        return self._running().substeps
+
+    def __iter__(self) -> Simulation:
+        return self
+
+    def __next__(self) -> SimulationFrame:
+        """The next frame; the first is the start.
+
+        Raises SolverError where it cannot be had, and StopIteration after the last.
+        """
+        if self._solver is None or self._index + 1 >= self._frames:
+            raise StopIteration
+        solver = self._running()
+        with keywords(), guest():
+            if self._last is None:
+                frame = solver.read(0)
+            else:
+                # what was changed since is not judged as if the solver had done it
+                last = solver.read(self._index).health if self._disturbed else self._last
+                frame = solver.next(self._index + 1, last)
+        self._index, self._last, self._disturbed = frame.index, frame.health, False
+        return self._made(frame)
+
+    def _made(self, frame: Frame) -> SimulationFrame:
+        return SimulationFrame(
+            index=frame.index,
+            time=frame.time,
+            positions=np.asarray(frame.particles.x, float),
+            velocities=np.asarray(frame.particles.v, float),
+            F=np.asarray(frame.particles.F, float),
+            meshes={
+                path.removeprefix("/"): np.asarray(pose.x, float)
+                for path, pose in frame.embedded.items()
+            },
+            health=frame.health,
+            stress=None if frame.stress is None else np.asarray(frame.stress, float),
+        )
+
+    def push(self, forces: ArrayLike) -> None:
+        """Apply forces (N, 3) [N] to the particles during the frames to come; 0 ends them."""
+        solver = self._running()
+        wanted = self._rows("forces", forces)
+        with guest():
+            solver.push(solver.body.mass.acceleration(solver.body.rows.W.T @ wanted))
+        self._disturbed = True
+
+    def accelerate(self, acceleration: ArrayLike | Callable[[Array], ArrayLike]) -> None:
+        """Add an acceleration to gravity during the frames to come; 0 ends it.
+
+        acceleration : (3,) [m/s^2], or a function of rest positions (n, 3) [m] to (n, 3).
+        """
+        solver = self._running()
+        field = _field("acceleration", acceleration, solver.body.stencil.free_X)
+        with guest():
+            solver.push(field)
+        self._disturbed = True
+
+    def set_velocities(self, velocities: ArrayLike | Callable[[Array], ArrayLike]) -> None:
+        """Set the motion from which the next frame starts; what is pinned keeps its own.
+
+        velocities : (3,) [m/s], or a function of positions (n, 3) [m] to (n, 3).
+        """
+        solver = self._running()
+        with guest():
+            solver.throw(_field("velocities", velocities, solver.state.view().x))
+        self._disturbed = True
+
+    def save(self) -> dict[str, Any]:
+        """The state after the last frame, for `load` of a simulation of the same scene."""
+        if self._last is None:
+            raise UsageError("the simulation has not begun", "ask for its first frame: next(it)")
+        with guest():
+            return {**self._running().save(), "index": self._index, "health": self._last}
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `save` returned: the next frame is the one after it, to the bit."""
+        if "index" not in state or "health" not in state:
+            raise UsageError("the state was not made by save()", "give what save() returned")
+        with guest():
+            self._running().load(state)
+        self._index, self._last, self._disturbed = state["index"], state["health"], False
+
+    def close(self) -> None:
+        """Free the solver; the simulation ends."""
+        self._solver = None
+
+    def __enter__(self) -> Simulation:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _running(self) -> Any:
+        from gf_usd.system.taichi_runtime import epoch, is_taken
+
+        if self._solver is None:
+            raise UsageError("the simulation is closed", "start another: gf_usd.simulate(scene)")
+        if is_taken():
+            self._solver = None
+            raise UsageError(
+                f"{TAKEN}, which ended the simulation",
+                "let one of the two run in a process of its own",
+            )
+        if epoch() != self._epoch:
+            self._solver = None
+            raise UsageError(
+                "Taichi was started anew since, with another device or number of threads, which"
+                " ended the simulation",
+                "give all simulations and bakes of a process the same device and threads",
+            )
+        return self._solver
+
+    def _rows(self, name: str, given: ArrayLike) -> Array:
+        rows = np.asarray(given, float)
+        count = len(self._plan.particles)
+        if rows.shape != (count, 3) or not np.isfinite(rows).all():
+            raise UsageError(
+                f"{name} are an array of shape {rows.shape}, or not finite",
+                f"give finite numbers of shape ({count}, 3), one row a particle",
+            )
+        return rows
+
+
+def _field(name: str, given: Any, at: Array) -> Array:
+    """(n, 3) of a vector or a function at points (n, 3)."""
+    found = np.asarray(given(at.copy()) if callable(given) else given, float)
+    if found.shape not in ((3,), at.shape, ()) or not np.isfinite(found).all():
+        raise UsageError(
+            f"{name} has the shape {found.shape}, or is not finite",
+            f"give three numbers, or a function of (n, 3) that returns (n, 3): here {at.shape}",
+        )
+    return np.array(np.broadcast_to(found, at.shape))
+
+
+def simulate(
+    scene: Scene,
+    *,
+    frames: int = FRAMES,
+    fps: float = FPS,
+    particles: int | None = None,
+    spacing: float | None = None,
+    drag: float | None = None,
+    self_contact: bool | None = None,
+    filter_rate: float | None = None,
+    stress: bool = False,
+    shortcuts: bool = True,
+    device: str = "cpu",
+    threads: int | None = None,
+) -> Simulation:
+    """Simulate a scene, one frame at a time.
+
+    >>> simulation = gf_usd.simulate(scene, frames=3, particles=200)
+    >>> for frame in simulation:
+    ...     print(frame.index, f"{frame.time:.3f} s", frame.meshes["body0"].shape)
+    0 0.000 s (8, 3)
+    1 0.042 s (8, 3)
+    2 0.083 s (8, 3)
+
+    Nothing is written.  The loop may be left early; in ``with gf_usd.simulate(scene) as running:``
+    the memory is free at the end of the block.
+
+    Parameters
+    ----------
+    scene : the bodies, obstacles and pins.
+    frames : number of frames, the start included; fps : frames per second.
+    particles : approximate number; spacing : their mean distance [m] in its place.
+    drag : on velocity [1/s].
+    self_contact : let bodies collide with themselves; None: those that are not nearly convex.
+    filter_rate : of the APIC filter [1/T].
+    stress : compute the von Mises stress of every particle.
+    shortcuts : no substeps where all bodies fly freely or sleep.
+    device : "cpu" or "cuda"; threads : CPU threads, None: all.
+
+    Raises
+    ------
+    UsageError : the scene or an option makes no sense.
+    InputError : a body cannot be filled.
+    SolverError : raised by an iteration, where the solver cannot go on.
+    """
+    if not isinstance(scene, Scene):
+        raise values.refuse("scene", scene, "a gf_usd.Scene; gf_usd.bake takes files")
+    options = {
+        "fps": values.real("fps", fps),
+        "particles": None if particles is None else values.whole("particles", particles),
+        "spacing": None if spacing is None else values.real("spacing", spacing),
+        "drag": None if drag is None else values.real("drag", drag),
+        "self_contact": self_contact,
+        "filter_rate": filter_rate,
+        "stress": values.switch("stress", stress),
+        "no_shortcuts": not values.switch("shortcuts", shortcuts),
+        "device": device,
+        "threads": None if threads is None else values.whole("threads", threads),
+    }
+    count = values.whole("frames", frames)
+    if count < 1 or not options["fps"] > 0.0:
+        raise UsageError(f"frames is {count} and fps is {options['fps']:g}", "give numbers above 0")
+    require_here("simulate")
+    with keywords(), guest():
+        return Simulation(scene, count, options)

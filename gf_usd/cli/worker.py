@@ -1,0 +1,95 @@
+"""gf-usd worker: the process behind `system.workers`, which runs one bake after the other."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import resource
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from gf_usd.cli import exit
+from gf_usd.system.file_locks import INHERITED
+from gf_usd.system.memory_and_disk import system_file
+from gf_usd.system.workers import receive, send
+
+SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
+MOST_JOBS = 100  # commands of one process
+MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
+
+
+def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
+    """Run requests until the other end is closed; returns the exit status.
+
+    command : runs ``gf-usd`` with arguments and returns the exit status.
+    """
+    quiet = os.open(os.devnull, os.O_RDWR)
+    with socket.socket(fileno=descriptor) as end:
+        jobs = 0
+        while (asked := receive(end)) is not None:
+            jobs += 1
+            request, (stderr, *others) = asked
+            reply = _run(request["arguments"], stderr, others, quiet, command)
+            reply["last"] = (
+                reply["status"] not in SOUND or jobs == MOST_JOBS or _resident() > MOST_MEMORY
+            )
+            send(end, reply)
+            if reply["last"]:
+                return reply["status"]
+    return 0
+
+
+def _run(
+    arguments: Sequence[str],
+    stderr: int,
+    others: Sequence[int],
+    quiet: int,
+    command: Callable[[Sequence[str]], int],
+) -> dict[str, Any]:
+    """One command with its stderr, events and locks."""
+    events, *locks = others
+    before = _cpu_seconds()
+    _forget_peak()
+    os.dup2(stderr, 2)
+    os.close(stderr)
+    os.environ[INHERITED] = ",".join(map(str, locks))
+    exit.watch(())
+    # the command takes the descriptor for its own, and closes it
+    status = command([*arguments, "--events", str(os.dup(events))])
+    gc.collect()
+    sys.stderr.flush()
+    for descriptor in others:
+        os.close(descriptor)
+    os.dup2(quiet, 2)
+    return {"status": status, "cpu_seconds": _cpu_seconds() - before, "memory": _peak()}
+
+
+def _cpu_seconds() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def _forget_peak() -> None:
+    """Have the kernel measure the peak of memory from here on; only Linux can."""
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+        file.write("5")
+
+
+def _peak() -> int:
+    """[bytes] the most that was in use since `_forget_peak`, or since the process began."""
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return _status("VmHWM") or own * (1 if sys.platform == "darwin" else 1024)
+
+
+def _resident() -> int:
+    """[bytes] in use now, or the most that ever were."""
+    return _status("VmRSS") or _peak()
+
+
+def _status(name: str) -> int:
+    """[bytes] of a line of /proc/self/status; 0 where the system has none."""
+    rows = (line.split() for line in system_file("/proc/self/status").splitlines())
+    return next((1024 * int(row[1]) for row in rows if row and row[0] == f"{name}:"), 0)

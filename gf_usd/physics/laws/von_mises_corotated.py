@@ -1,0 +1,14 @@
+"""Von Mises plasticity over the corotated law: see `radial_flow`."""
+
+import taichi as ti
+
+from gf_usd.physics.laws.corotated import moduli, pk1, psi, stored
+from gf_usd.physics.laws.radial_flow import flow_along_strain
+
+__all__ = ["flow", "moduli", "pk1", "psi", "stored"]
+
+
+@ti.func
+def flow(F, q, a, dt, converged):
+    """See `radial_flow`."""
+    return flow_along_strain(pk1, F, q, a, dt, converged)

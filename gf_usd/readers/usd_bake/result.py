@@ -1,0 +1,238 @@
+"""The particles, meshes and health of a bake as arrays, one time code at a time.
+
+All in SI and in the world frame of the stage; quaternions (w, x, y, z).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.matrices import gaussian_axes
+from gf_usd.core.units import StageUnits
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.extent import sample_times
+from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
+from gf_usd.readers.pictures.recording import VARIANTS, looks_of, select_look, world_points
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import Placement, open_stage, reading, stage_facts
+
+Array = NDArray[np.float64]
+NAMESPACE = "gaussianFlesh:"
+HEALTH = "gaussianFlesh:health:"
+# attribute -> (key, unit of `_size`), of what does not change
+REST = {
+    "restVolumes": ("volumes", "volume"),
+    "masses": ("masses", "mass"),
+    "youngsModulus": ("youngs_modulus", "pressure"),
+    "poissonsRatio": ("poissons_ratio", ""),
+    "densities": ("densities", "density"),
+}
+STRESS, GRADIENTS, VELOCITIES = "vonMisesStress", "deformationGradients", "velocities"
+
+
+class BakedArrays:
+    """A bake opened to read one variant.
+
+    Parameters
+    ----------
+    path : its root layer, or a flattened bake.
+    variant : None: the one that is selected in the file.
+
+    Raises
+    ------
+    InputError : no such file, not USD, damaged, or no bake.
+    UsageError : the file has no such variant.
+    """
+
+    def __init__(self, path: Path, variant: str | None = None) -> None:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise InputError(f"{path} {what}", "give the root layer that gf_usd.bake returned")
+        self.path = path
+        with reading(path):
+            self._stage = open_stage(path)
+            facts = stage_facts(self._stage, path, Notes(), meters_per_unit=None, up_axis=None)
+            self.units: StageUnits = facts.units
+            self.up = facts.up
+            self.variants = looks_of(self._stage)
+            self.variant = select_look(self._stage, path, variant)
+            self._find()
+        self.time_codes_per_second = float(self._stage.GetTimeCodesPerSecond())
+
+    def _find(self) -> None:
+        prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
+        clouds = sorted(
+            (prim for prim in prims if is_ours(prim)),
+            key=lambda prim: str(prim.GetTypeName()) != SPLAT_TYPE,
+        )
+        self._cloud = clouds[0] if clouds else Usd.Prim()
+        self._meshes = {str(p.GetPath()): p for p in prims if p.IsA(UsdGeom.Mesh)}
+        self._health = [
+            attribute
+            for prim in prims
+            if prim.HasAttribute(f"{HEALTH}kineticEnergy")
+            for attribute in prim.GetPropertiesInNamespace(HEALTH.rstrip(":"))
+            if attribute.GetTimeSamples()
+        ]
+        if not clouds and not self._health:
+            raise InputError(
+                f"{self.path}: nothing in it was baked by gf-usd",
+                "give the root layer that gf_usd.bake returned",
+            )
+        if self._cloud:
+            relation = self._cloud.GetRelationship(f"{NAMESPACE}sourceMeshes")
+            named = {str(target) for target in relation.GetForwardedTargets()}
+            self._meshes = {p: prim for p, prim in self._meshes.items() if not named or p in named}
+        moving = [self._cloud] if self._cloud else list(self._meshes.values())
+        self.time_codes = tuple(sample_times(moving))
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        """What the bake says of this variant in the root layer: settings, materials, command."""
+        data = self._stage.GetRootLayer().customLayerData.get(VARIANTS)
+        looks = data.get("looks") if isinstance(data, dict) else None
+        mine = looks.get(self.variant) if isinstance(looks, dict) else None
+        return mine if isinstance(mine, dict) else {}
+
+    @property
+    def mesh_paths(self) -> tuple[str, ...]:
+        """Paths of the meshes that the bake moves."""
+        return tuple(self._meshes)
+
+    def mesh_faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(P,) numbers of corners, and (C,) indices into the points, of a mesh."""
+        mesh = UsdGeom.Mesh(self._meshes[path])
+        counts, indices = (
+            mesh.GetFaceVertexCountsAttr().Get(),
+            mesh.GetFaceVertexIndicesAttr().Get(),
+        )
+        return np.array(counts, np.int64), np.array(indices, np.int64)
+
+    def rest(self) -> dict[str, Array]:
+        """What does not change of the particles: positions (N, 3) [m], volumes (N,) and others."""
+        cloud = self._particles()
+        with reading(self.path):
+            place = self._place(Usd.TimeCode(self.time_codes[0]))
+            points = self._vectors(f"{NAMESPACE}restPositions", Usd.TimeCode.Default())
+            out = {"positions": place.points(points) * self.units.length}
+            indices = cloud.GetAttribute(f"{NAMESPACE}materialIndices").Get()
+            out["materials"] = np.zeros(len(points)) if indices is None else np.array(indices)
+            for name, (key, unit) in REST.items():
+                values = cloud.GetAttribute(f"{NAMESPACE}{name}").Get()
+                if values is not None:
+                    out[key] = np.array(values, float) * self._size(unit)
+        return out
+
+    def positions(self, code: float) -> Array:
+        """(N, 3) [m] of the particles."""
+        name = "positions" if self._splats else "points"
+        time = Usd.TimeCode(code)
+        return self._place(time).points(self._vectors(name, time)) * self.units.length
+
+    def velocities(self, code: float) -> Array:
+        """(N, 3) [m/s of playback] of the particles."""
+        name = f"{NAMESPACE}{VELOCITIES}" if self._splats else "velocities"
+        time = Usd.TimeCode(code)
+        turn = self._place(time).matrix[:3, :3]
+        return self._vectors(name, time) @ turn * self.units.length
+
+    def covariances(self, code: float) -> Array | None:
+        """(N, 3, 3) [m^2] Sigma = A A^T of the Gaussians; None where the bake wrote none."""
+        if not self._splats:
+            return None
+        time = Usd.TimeCode(code)
+        quaternions = self._vectors("orientations", time, 4)[
+            :, [3, 0, 1, 2]
+        ]  # USD's order in NumPy
+        local = gaussian_axes(quaternions, self._vectors("scales", time))
+        axes = self._place(time).matrix[:3, :3].T * self.units.length @ local
+        return axes @ axes.transpose(0, 2, 1)
+
+    def gradients(self, code: float) -> Array | None:
+        """(N, 3, 3) deformation gradients dx_i / dX_j; None where the bake wrote none."""
+        return self._values(GRADIENTS, code)
+
+    def stress(self, code: float) -> Array | None:
+        """(N,) [Pa] von Mises; None where the bake wrote none."""
+        values = self._values(STRESS, code)
+        return None if values is None else values * self.units.pressure
+
+    def internal(self, code: float) -> dict[str, Array]:
+        """(N,) of each internal variable of the laws that the bake wrote, by its name."""
+        if not self._splats:
+            return {}
+        found = {}
+        for attribute in self._cloud.GetPropertiesInNamespace(NAMESPACE.rstrip(":")):
+            name = attribute.GetName().removeprefix(NAMESPACE)
+            if name in (STRESS, GRADIENTS, VELOCITIES) or not isinstance(attribute, Usd.Attribute):
+                continue
+            if attribute.GetNumTimeSamples():
+                values = self._values(name, code)
+                if values is not None:
+                    found[snake(name)] = values
+        return found
+
+    def mesh_points(self, path: str, code: float) -> Array:
+        """(V, 3) [m] of a mesh."""
+        time = Usd.TimeCode(code)
+        with reading(self.path):
+            xforms = UsdGeom.XformCache(time)
+            skins = Skins(time, xforms, Notes())
+            return world_points(self._meshes[path], time, xforms, skins) * self.units.length
+
+    def health(self) -> dict[str, list[Any]]:
+        """Samples of each attribute of the health, over the time codes, in stage units."""
+        codes = [Usd.TimeCode(code) for code in self.time_codes]
+        return {
+            attribute.GetName().removeprefix(HEALTH): [attribute.Get(code) for code in codes]
+            for attribute in self._health
+        }
+
+    @property
+    def _splats(self) -> bool:
+        return bool(self._cloud) and str(self._cloud.GetTypeName()) == SPLAT_TYPE
+
+    def _particles(self) -> Usd.Prim:
+        if not self._cloud:
+            raise InputError(
+                f"{self.path}: the particles were not written",
+                "bake again without --only, or with gaussians or points in it",
+            )
+        return self._cloud
+
+    def _place(self, time: Usd.TimeCode) -> Placement:
+        matrix = UsdGeom.XformCache(time).GetLocalToWorldTransform(self._particles())
+        return Placement.of(matrix)
+
+    def _size(self, unit: str) -> float:
+        return getattr(self.units, unit) if unit else 1.0
+
+    def _vectors(self, name: str, time: Usd.TimeCode, width: int = 3) -> Array:
+        """(N, width) of an attribute, or of its twin in half precision."""
+        for spelled in (name, f"{name}h"):
+            attribute = self._particles().GetAttribute(spelled)
+            values = attribute.Get(time) if attribute else None
+            if values is not None and len(values):
+                return np.asarray(values, np.float64).reshape(-1, width)
+        raise InputError(
+            f"{self.path}: <{self._cloud.GetPath()}> has no {name} at {time}",
+            "gf-usd check says more; bake the asset again",
+        )
+
+    def _values(self, name: str, code: float) -> Array | None:
+        attribute = self._particles().GetAttribute(f"{NAMESPACE}{name}")
+        values = attribute.Get(Usd.TimeCode(code)) if attribute else None
+        return None if values is None or not len(values) else np.array(values, np.float64)
+
+
+def snake(name: str) -> str:
+    """plasticStrain -> plastic_strain."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

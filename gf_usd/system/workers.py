@@ -1,0 +1,190 @@
+"""Warm processes: each runs one command of gf-usd after the other.
+
+Imports, kernels and caches stay loaded between commands, which is most of what a small bake costs.
+A worker is a process in a session of its own: a command that hangs, crashes or grows too large ends
+its worker, and the next command gets a new one.
+
+A request and its reply are a length (4 bytes, network order) and so many bytes of JSON, over a
+socket.  With a request come file descriptors: stderr, then that of the events, then those of locks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from gf_usd.system.processes import Children, Ended, Process, tail_of
+
+LENGTH = struct.Struct("!I")
+MOST = 16  # descriptors of a request
+AVAILABLE = os.name == "posix"
+WORKER = (sys.executable, "-m", "gf_usd", "worker")
+
+
+def send(end: socket.socket, message: dict[str, Any], descriptors: Sequence[int] = ()) -> None:
+    """Send a message, and file descriptors with it."""
+    body = json.dumps(message).encode()
+    socket.send_fds(end, [LENGTH.pack(len(body))], list(descriptors))
+    end.sendall(body)
+
+
+def receive(end: socket.socket) -> tuple[dict[str, Any], list[int]] | None:
+    """The next message and its descriptors; None where the other end is closed."""
+    try:
+        head, descriptors, _, _ = socket.recv_fds(end, LENGTH.size, MOST)
+        head += _exactly(end, LENGTH.size - len(head)) if head else b""
+        body = _exactly(end, LENGTH.unpack(head)[0]) if len(head) == LENGTH.size else b""
+    except ConnectionResetError:
+        return None
+    for descriptor in descriptors:
+        os.set_inheritable(descriptor, False)
+    return (json.loads(body), descriptors) if body else None
+
+
+def _exactly(end: socket.socket, count: int) -> bytes:
+    """So many bytes, or fewer where the other end is closed."""
+    out = b""
+    while len(out) < count and (more := end.recv(count - len(out))):
+        out += more
+    return out
+
+
+class Worker(Process):
+    """One warm process.
+
+    Parameters
+    ----------
+    command : what starts it; the number of its socket is added.
+    err : stderr until its first request.
+    """
+
+    def __init__(self, command: Sequence[str], err: int) -> None:
+        self._end, other = socket.socketpair()
+        with other:
+            number = other.fileno()
+            super().__init__([*command, str(number)], inherit=[number], err=err)
+        self._cpu_seconds = 0.0  # of the commands before
+        self.spent = False  # it has ended, or is to get no more commands
+
+    def run(
+        self,
+        request: dict[str, Any],
+        descriptors: Sequence[int],
+        stderr: tuple[int, int],
+        on_line: Callable[[str], None],
+        timeout: float | None,
+    ) -> Ended:
+        """Run one command to its end.
+
+        stderr : a pipe, of which both ends are closed in the end.
+        """
+        began = time.monotonic()
+        reader, writer = stderr
+        with self._timed(timeout):
+            # a worker that is gone already says so by its missing reply
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                send(self._end, request, [writer, *descriptors])
+            os.close(writer)
+            with os.fdopen(reader, "rb") as lines:
+                tail = tail_of(lines, on_line)
+            answer = receive(self._end)
+        if answer is not None and not answer[0]["last"]:
+            reply = answer[0]
+            status, cpu_seconds, memory = reply["status"], reply["cpu_seconds"], reply["memory"]
+            self._cpu_seconds += cpu_seconds
+        else:
+            self.spent = True
+            status, cpu_seconds, memory = self.reap()
+            cpu_seconds -= self._cpu_seconds
+            status = status if answer is None else answer[0]["status"]
+            self._end.close()
+        return Ended(
+            status=status, out="", err=tail, seconds=time.monotonic() - began,
+            cpu_seconds=cpu_seconds, peak_memory=memory, timed_out=self._timed_out,
+            stopped=self._stopped and not self._timed_out,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Let it end, and wait for that."""
+        if not self.spent:
+            self.spent = True
+            self._end.close()
+            self.reap()
+
+
+class Workers:
+    """As many warm workers as there are commands at once.
+
+    Parameters
+    ----------
+    children : its `stop` ends the workers that run a command.
+    command : what starts a worker, which calls `cli.worker.serve`.
+    """
+
+    def __init__(self, children: Children, command: Sequence[str] = WORKER) -> None:
+        self._children, self._command = children, command
+        self._idle: list[Worker] = []
+        self._lock = threading.Lock()
+
+    def run(
+        self,
+        arguments: Sequence[str],
+        on_line: Callable[[str], None],
+        *,
+        events: int,
+        timeout: float | None = None,
+        inherit: Sequence[int] = (),
+    ) -> Ended | None:
+        """Run ``gf-usd`` with these arguments; None where nothing is to be started any more.
+
+        events : file descriptor to which it writes its events (`--events`).
+        inherit : descriptors of locks that it holds while it runs.
+        """
+        stderr = os.pipe()
+
+        def start() -> Worker:
+            with self._lock:
+                if self._idle:
+                    return self._idle.pop()
+            return Worker(self._command, err=stderr[1])
+
+        with self._children.running(start) as worker:
+            if worker is None:
+                for descriptor in stderr:
+                    os.close(descriptor)
+                return None
+            ended = worker.run(
+                {"arguments": list(arguments)}, [events, *inherit], stderr, on_line, timeout
+            )
+        if not worker.spent:
+            with self._lock:
+                self._idle.append(worker)
+        return ended
+
+    def close(self) -> None:
+        """End the workers, none of which runs a command."""
+        with self._lock:
+            idle, self._idle = self._idle, []
+        for worker in idle:
+            worker.close()
+
+
+@contextlib.contextmanager
+def warm_workers(children: Children, wanted: bool) -> Iterator[Workers | None]:
+    """Workers for a block; None where they are not wanted, or the system passes no descriptors."""
+    if not wanted or not AVAILABLE:
+        yield None
+        return
+    workers = Workers(children)
+    try:
+        yield workers
+    finally:
+        workers.close()

@@ -1,0 +1,208 @@
+"""gf_usd as a guest of another program, which is a process of its own in every test here."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FEW = "output='out/', particles=60, frames=3, overwrite=True"
+START = """
+import gf_usd
+SPHERE = {sphere!r}
+bake = lambda **more: gf_usd.bake(SPHERE, {few}, **more)
+"""
+
+
+def run(folder: Path, code: str) -> str:
+    """What a program prints that may use bake()."""
+    start = START.format(sphere=str(ROOT / "samples" / "sphere.usda"), few=FEW)
+    done = subprocess.run(
+        [sys.executable, "-c", start + code], cwd=folder, capture_output=True, text=True,
+        check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+LATE = """
+from pxr import Usd, UsdGeom
+UsdGeom.Xform.Define(Usd.Stage.CreateInMemory(), '/A')
+seen = []
+"""
+
+
+def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
+    said = run(
+        tmp_path,
+        LATE
+        + """
+result = bake(progress=lambda done, total: seen.append((done, total)), material=gf_usd.Material(
+    name='soft', law='neoHookean', density=1e3, youngs_modulus=1e5, poissons_ratio=.3))
+print(type(result).__name__, result.root, result.bakes[0].material.name, seen)
+print([note for note in result.notes if 'own' in note])
+read = gf_usd.read(result.root)
+print(gf_usd.check(result.root).ok, len(read), len(read.health))
+print(gf_usd.inspect(SPHERE, particles=60).refusal)
+""",
+    )
+    first, notes, *rest = said.splitlines()
+    assert first == "BakeResult out/sphere.soft.usda soft [(1, 3), (2, 3), (3, 3)]"
+    assert "a process of its own: USD had read its schema definitions before" in notes
+    assert rest[0].startswith("True 3 2")
+    assert rest[1:] == ["None"]
+
+
+@pytest.mark.slow
+def test_errors_of_a_bake_in_another_process_are_the_same(tmp_path: Path) -> None:
+    code = """
+def told(**more):
+    try:
+        bake(**more)
+    except gf_usd.GfUsdError as error:
+        print(type(error).__name__, '|', error.message, '|', error.hint, '|', more, end=' ')
+        print(sorted(set(vars(error)) - {'message', 'hint'}))
+told(spacing=0.1)
+told(max_hours=1e-9)
+told(clip_frames=1, slice=1)
+"""
+    away, here = run(tmp_path, LATE + code), run(tmp_path, code)
+    assert away == here
+    assert "UsageError | particles 60 and spacing 0.1 were both given" in away
+    assert "Unfinished" in away.splitlines()[-1]
+    assert away.endswith("['done', 'frames', 'variant']")
+
+
+@pytest.mark.slow
+def test_a_program_that_uses_taichi_keeps_it(tmp_path: Path) -> None:
+    said = run(
+        tmp_path,
+        """
+import taichi as ti
+ti.init(arch=ti.cpu, log_level=ti.ERROR)
+mine = ti.field(float, 3)
+mine.fill(7.0)
+result = bake()
+print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+for call in (lambda: gf_usd.inspect(SPHERE), lambda: gf_usd.simulate(gf_usd.Scene())):
+    try:
+        call()
+    except gf_usd.UsageError as error:
+        print(error.message)
+print(gf_usd.preview(result.root, size=(32, 24)).pixels.shape, mine.to_numpy())
+""",
+    ).splitlines()
+    assert said[2:5] == [  # behind Taichi's own words
+        "True [7. 7. 7.]",
+        "Taichi runs for another part of this program already, and there is one in a process:"
+        " inspect would end what it computes",
+        "Taichi runs for another part of this program already, and there is one in a process:"
+        " simulate would end what it computes",
+    ]
+    assert said[5] == "(24, 32, 3) [7. 7. 7.]"
+
+
+@pytest.mark.slow
+def test_a_program_that_starts_taichi_after_us_keeps_it(tmp_path: Path) -> None:
+    said = run(
+        tmp_path,
+        """
+bake()
+import taichi as ti
+ti.init(arch=ti.cpu, log_level=ti.ERROR)
+mine = ti.field(float, 3)
+mine.fill(7.0)
+result = bake()
+print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+""",
+    )
+    assert said.splitlines()[-1] == "True [7. 7. 7.]"
+
+
+def test_nothing_stays_replaced(tmp_path: Path) -> None:
+    said = run(
+        tmp_path,
+        """
+import gc, inspect, logging, os, signal, sys, threading, types
+import numpy as np
+import taichi as ti
+import taichi.lang.ast.ast_transformer, taichi.lang.kernel_impl
+
+COUNTERS = {'pytaichi', '_root_fb', '_instance_count', 'function_counter', 'counter'}
+
+def parts():
+    found = {}
+    for name, module in list(sys.modules.items()):
+        if name.split('.')[0] not in ('taichi', 'inspect', 'ast', 'textwrap', 'linecache'):
+            continue
+        for key, value in list(vars(module).items()):
+            found[name, key] = id(value)
+            if isinstance(value, type):
+                found |= {(name, key, k): id(v) for k, v in list(vars(value).items())}
+    return found
+
+def process():
+    return (
+        {number: signal.getsignal(number) for number in signal.valid_signals()},
+        dict(os.environ), sys.excepthook, sys.stdout, sys.stderr, np.geterr(),
+        list(logging.root.handlers), logging.root.level, gc.get_threshold(), gc.isenabled(),
+        threading.active_count(), os.getcwd(), inspect.getsourcelines, np.linalg.norm,
+    )
+
+before, known = process(), parts()
+result = bake()
+gf_usd.preview(result.root, size=(32, 24))
+after, now = process(), parts()
+print([i for i, (a, b) in enumerate(zip(before, after)) if a != b])
+print([key for key in known if key in now and now[key] != known[key] and key[-1] not in COUNTERS])
+""",
+    )
+    assert said.splitlines()[-2:] == ["[]", "[]"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late", ["", LATE], ids=["here", "away"])
+def test_it_may_be_called_from_a_thread_and_interrupted(tmp_path: Path, late: str) -> None:
+    said = run(
+        tmp_path,
+        late
+        + """
+import threading
+def stop(done, total):
+    raise KeyboardInterrupt
+try:
+    bake(progress=stop)
+except KeyboardInterrupt:
+    print('interrupted')
+def work(name):
+    results.append(gf_usd.bake(SPHERE, output=f'{name}/', particles=60, frames=3).frames)
+results = []
+threads = [threading.Thread(target=work, args=(name,)) for name in ('a', 'b')]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print(results, bake().frames)
+""",
+    )
+    assert said.splitlines() == ["interrupted", "[3, 3] 3"]
+
+
+def test_what_a_crash_of_the_other_process_says(tmp_path: Path) -> None:
+    said = run(
+        tmp_path,
+        """
+from gf_usd.api.host.own_process import call
+for task in ('os:abort', 'gf_usd.api.host.guest:nothing'):
+    try:
+        call(task, {})
+    except gf_usd.BakeError as error:
+        print(error.message)
+""",
+    ).splitlines()
+    assert said[0].startswith("the process that did the work ended by signal 6")
+    assert "with status 1: AttributeError: module 'gf_usd.api.host.guest'" in said[1]

@@ -1,0 +1,236 @@
+"""`gf_usd.Scene` and `gf_usd.simulate` against closed forms and conservation laws."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+import gf_usd
+
+Array = NDArray[np.float64]
+G = 9.81
+FPS = 24.0
+FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def block(low: Any, high: Any) -> Array:
+    """Corners of a box, for FACES."""
+    ends = np.array([low, high], float)
+    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+
+UNIT = block((0, 1, 0), (1, 2, 1))
+# single precision of nodes a few meters from the origin, summed over some hundred steps
+ROUNDING = 2e-5
+
+
+def alone(**options: Any) -> gf_usd.Scene:
+    scene = gf_usd.Scene(**options)
+    scene.add_body(UNIT, FACES, material="jelly", name="block")
+    return scene
+
+
+def test_a_throw_is_a_parabola() -> None:
+    scene = gf_usd.Scene()
+    scene.add_body(UNIT, FACES, velocity=(1.0, 2.0, 0.0))
+    frames = list(gf_usd.simulate(scene, frames=5, particles=100))
+    start = frames[0].positions
+    for frame in frames:
+        t = frame.index / FPS
+        way = np.array([1.0, 2.0, 0.0]) * t + np.array([0.0, -0.5 * G * t * t, 0.0])
+        assert frame.time == pytest.approx(t)
+        assert np.allclose(frame.positions - start, way, atol=ROUNDING)
+        assert np.allclose(frame.meshes["body0"], UNIT + way, atol=ROUNDING)
+
+
+def test_gravity_and_floor_stand_on_any_axis() -> None:
+    points = UNIT[:, [2, 0, 1]]  # its height along z
+    scene = gf_usd.Scene(up="Z", floor=1.0, gravity=G)
+    scene.add_body(points, FACES, material="jelly")
+    frames = list(gf_usd.simulate(scene, frames=4, particles=100))
+    # it begins on the floor, sinks in by its own weight, and does not move sideways
+    assert frames[-1].health.penetration < 0.1
+    assert frames[-1].positions[:, 2].mean() > 1.3
+    assert abs(frames[-1].health.momentum[0]) < 1e-3 * frames[-1].health.mass
+
+
+def test_forces_on_particles_give_their_momentum() -> None:
+    simulation = gf_usd.simulate(alone(gravity=0.0), frames=5, particles=100)
+    first = next(simulation)
+    forces = np.random.default_rng(1).normal(size=first.positions.shape)  # [N]
+    simulation.push(forces)
+    pushed = [next(simulation) for _ in range(2)]
+    for frame in pushed:
+        wanted = forces.sum(0) * frame.index / FPS
+        assert np.allclose(frame.health.momentum, wanted, atol=ROUNDING * np.abs(forces).sum())
+    simulation.push(np.zeros_like(forces))
+    after = next(simulation)
+    assert np.allclose(after.health.momentum, pushed[-1].health.momentum, atol=1e-3)
+
+
+def test_an_acceleration_can_carry_the_weight() -> None:
+    with gf_usd.simulate(alone(), frames=4, particles=100) as simulation:
+        first = next(simulation)
+        simulation.accelerate((0.0, G, 0.0))
+        for frame in simulation:
+            assert frame.health.substeps > 0  # no closed form under a force
+            assert np.allclose(frame.positions, first.positions, atol=ROUNDING)
+
+
+def test_velocities_can_be_set_between_frames() -> None:
+    simulation = gf_usd.simulate(alone(gravity=0.0), frames=4, particles=100)
+    first = next(simulation)
+    middle = first.positions.mean(0)
+    spin = np.array([0.0, 0.5, 0.0])  # [rad/s]
+    simulation.set_velocities(lambda x: np.cross(spin, x - middle))
+    frame = next(simulation)
+    # a cube: I = m a^2 / 6 about every axis, of which the particles have what they stand for
+    arms = first.positions - middle
+    masses = simulation.masses
+    wanted = (masses[:, None] * np.cross(arms, np.cross(spin, arms))).sum(0)
+    L = np.array(frame.health.angular_momentum)
+    assert np.allclose(L, wanted, atol=0.02 * np.linalg.norm(wanted))
+    assert np.allclose(frame.health.momentum, 0.0, atol=1e-3 * frame.health.mass)
+
+
+def test_a_saved_state_goes_on_to_the_bit() -> None:
+    scene = gf_usd.Scene(floor=0.9)
+    scene.add_body(UNIT, FACES, material="jelly", velocity=(0.0, -1.0, 0.0))
+    simulation = gf_usd.simulate(scene, frames=8, particles=100)
+    for _ in range(5):
+        next(simulation)
+    saved = simulation.save()
+    once = next(simulation)
+    next(simulation)
+    simulation.load(saved)
+    again = next(simulation)
+    assert again.index == once.index
+    assert np.array_equal(again.positions, once.positions)
+    assert np.array_equal(again.F, once.F)
+
+
+def test_what_is_pinned_follows_its_motion() -> None:
+    scene = gf_usd.Scene(gravity=0.0)
+    scene.add_body(block((0, 0, 0), (3, 1, 1)), FACES, material="metal", name="bar")
+    up = np.eye(4)[None].repeat(4, axis=0)
+    up[:, 1, 3] = 0.01 * np.arange(4)  # [m] a frame
+    scene.pin((-0.1, -0.1, -0.1), (0.5, 1.1, 1.1), motion=up)
+    frames = list(gf_usd.simulate(scene, frames=4, particles=200))
+    held = frames[0].positions[:, 0] < 0.5
+    rise = frames[-1].positions - frames[0].positions
+    assert held.any()
+    assert np.allclose(rise[held], (0.0, 0.03, 0.0), atol=ROUNDING)
+    assert frames[-1].health.work > 0.0
+
+
+def test_a_moving_obstacle_pushes_a_body() -> None:
+    scene = alone(gravity=0.0)
+
+    def motion(time: float) -> Array:
+        matrix = np.eye(4)
+        matrix[0, 3] = 2.0 * time  # [m]
+        return matrix
+
+    scene.add_obstacle(block((-1.05, 0.5, -0.5), (-0.05, 2.5, 1.5)), FACES, motion=motion)
+    frames = list(gf_usd.simulate(scene, frames=8, particles=100))
+    assert frames[-1].health.momentum[0] > 0.1 * frames[-1].health.mass
+    assert frames[-1].meshes["block"][:, 0].min() > 2.0 * frames[-1].time - 0.05 - 0.1
+
+
+def test_bodies_have_their_own_materials_and_particles() -> None:
+    stiff = gf_usd.Material(
+        name="stiff", law="neoHookean", density=500.0, youngs_modulus=1e5, poissons_ratio=0.3
+    )
+    scene = gf_usd.Scene()
+    scene.add_body(UNIT, FACES, material=stiff, name="one")
+    scene.add_body(trimesh.creation.icosphere(2, radius=0.5), material="jelly", name="two")
+    simulation = gf_usd.simulate(scene, frames=1, particles=200, stress=True)
+    (frame,) = simulation
+    of = simulation.body_of_particles
+    assert [simulation.bodies[k] for k in np.unique(of)] == ["one", "two"]
+    # jelly has 1000 kg/m^3; the polyhedron's volume is the mesh's own
+    two = trimesh.creation.icosphere(2, radius=0.5).volume * 1000.0
+    masses = simulation.masses
+    assert masses[of == 0].sum() == pytest.approx(500.0, rel=1e-3)
+    assert masses[of == 1].sum() == pytest.approx(two, rel=1e-3)
+    assert frame.stress is not None
+    assert set(frame.meshes) == {"one", "two"}
+
+
+def test_leaving_early_and_closing() -> None:
+    with gf_usd.simulate(alone(), frames=10, particles=100) as simulation:
+        for frame in simulation:
+            if frame.index == 1:
+                break
+    assert list(simulation) == []
+    with pytest.raises(gf_usd.UsageError, match="the simulation is closed"):
+        simulation.push(np.zeros((100, 3)))
+
+
+def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
+    one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
+    next(one)
+    other = gf_usd.simulate(alone(), frames=3, particles=100, threads=2)
+    with pytest.raises(gf_usd.UsageError, match="Taichi was started anew"):
+        next(one)
+    assert next(other).index == 0
+
+
+MISUSES: list[tuple[Any, str]] = [
+    (lambda s: gf_usd.Scene(up="X"), "up is 'X'"),
+    (lambda s: gf_usd.Scene(gravity=(0, 1)), "gravity is (0, 1), of type tuple"),
+    (lambda s: gf_usd.Scene(floor="0"), "floor is '0', of type str"),
+    (lambda s: s.add_body(UNIT), "has points and no faces"),
+    (lambda s: s.add_body(UNIT[:, :2], FACES), "points are an array of shape (8, 2)"),
+    (lambda s: s.add_body(UNIT * np.nan, FACES), "8 of 8 points are not finite"),
+    (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face has the point 8, and there are 8"),
+    (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest of 2 corners"),
+    (lambda s: s.add_body(UNIT, [[0.0, 1.0, 2.0]]), "a face is [0.0, 1.0, 2.0]"),
+    (lambda s: s.add_body(UNIT, FACES, material="ruber"), "there is no material 'ruber'"),
+    (lambda s: s.add_body(UNIT, FACES, name="block"), "has a block already"),
+    (lambda s: s.add_body(UNIT, FACES, name="a b"), "name is 'a b'"),
+    (lambda s: s.add_body(UNIT, FACES, velocity=3.0), "velocity is 3.0, of type float"),
+    (lambda s: s.add_obstacle(UNIT, FACES, friction=-1.0), "friction is -1"),
+    (lambda s: s.pin((0, 0, 0), (0, 1, 1)), "has no volume"),
+    (lambda s: s.pin((0, 0, 0), (1, 1, 1), axes=(False, False, False)), "axes is"),
+    (lambda s: gf_usd.simulate("duck.usda"), "scene is 'duck.usda', of type str"),
+    (lambda s: gf_usd.simulate(gf_usd.Scene()), "the scene has no body"),
+    (lambda s: gf_usd.simulate(s, frames=0), "frames is 0"),
+    (lambda s: gf_usd.simulate(s, particles=100, spacing=0.1), "particles 100 and spacing 0.1"),
+    (lambda s: gf_usd.simulate(s, device="tpu"), "there is no device 'tpu'"),
+    (lambda s: (s.pin((5, 5, 5), (6, 6, 6)), gf_usd.simulate(s)), "pin0 touches no body"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), MISUSES, ids=[message for _, message in MISUSES])
+def test_a_scene_that_makes_no_sense_is_refused(call: Any, message: str) -> None:
+    with pytest.raises(gf_usd.GfUsdError) as caught:
+        call(alone())
+    assert message in caught.value.message
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        (np.eye(4), "its motion is an array of shape (4, 4)"),
+        (np.eye(4)[None], "its motion has 1 frames of 3"),
+        (lambda time: np.eye(3), "its motion is an array of shape (3, 3, 3)"),
+        (np.full((3, 4, 4), np.nan), "its motion is not finite"),
+    ],
+)
+def test_a_motion_that_is_none_is_refused(motion: Any, message: str) -> None:
+    scene = alone()
+    scene.add_obstacle(UNIT, FACES, motion=motion)
+    with pytest.raises(gf_usd.UsageError) as caught:
+        gf_usd.simulate(scene, frames=3)
+    assert message in caught.value.message
+
+
+def test_a_body_that_begins_below_the_floor_is_refused() -> None:
+    with pytest.raises(gf_usd.UsageError, match=r"a body begins 0\.5 m below the floor"):
+        gf_usd.simulate(alone(floor=1.5), particles=100)

@@ -1,0 +1,87 @@
+"""Patches of a surface: which may meet, and how soon, against every pair of samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from two_legs import SPACING, legs, sampled
+
+from gf_usd.physics.contact.broad_phase import Patches, closing
+
+GAP = 1.5  # [m] between the legs at rest
+
+
+def made():
+    """The patches of two legs, and their samples."""
+    _, samples = sampled(legs(GAP))
+    return Patches(samples.X, samples.normal, SPACING, see=4.0, thick=4.0), samples
+
+
+def test_pairs_of_patches_are_all_pairs_of_samples():
+    patches, _ = made()
+    of = patches._of
+    pairs = np.array([0, 3, 17])
+    i, j, start = patches.samples(pairs)
+    for k, pair in enumerate(pairs):
+        mine = slice(start[k], start[k + 1] if k + 1 < len(pairs) else len(i))
+        a, b = np.flatnonzero(of == patches._a[pair]), np.flatnonzero(of == patches._b[pair])
+        expected = {(x, y) for x in a.tolist() for y in b.tolist()}
+        assert set(zip(i[mine].tolist(), j[mine].tolist())) == expected
+        assert len(i[mine]) == len(expected), "each once"
+
+
+def test_a_distance_shrinks_by_no_more_than_the_bound():
+    random = np.random.default_rng(0)
+    away, relative = random.normal(size=(50, 3)), random.normal(size=(50, 3))
+    distance = np.linalg.norm(away, axis=1)
+    bound = closing(away, distance, relative)
+    step = 1e-6
+    rate = (distance - np.linalg.norm(away + step * relative, axis=1)) / step
+    assert (rate <= bound + 1e-5).all()
+    # ... of which half the relative speed is for a change of it.
+    speed = np.linalg.norm(relative, axis=1)
+    np.testing.assert_allclose(bound, np.maximum(rate, 0.0) + 0.5 * speed, atol=1e-5)
+
+
+def test_patches_that_are_apart_wait_until_they_may_meet():
+    patches, samples = made()
+    x = samples.X
+    right = x[:, 0] > 0.4 + 0.5 * GAP
+    v = np.where(right[:, None], [[-1.0, 0.0, 0.0]], 0.0)
+    judged = patches.judge(x, v)
+    assert not judged.near.any()
+    assert 0.0 < judged.until.min() < GAP, "the legs meet after 1.5 s"
+    # The bound holds for each pair: no sample of it is nearer by then, at twice that speed even.
+    pairs = patches.few(judged, np.inf, 10**9)
+    i, j, start = patches.samples(pairs)
+    t = np.repeat(judged.until[pairs], np.diff(np.append(start, len(i))))
+    later = x[j] - x[i] + t[:, None] * (v[j] - v[i])
+    assert (np.linalg.norm(later, axis=1) >= 2.0 * SPACING - 1e-9).all()
+    assert len(patches.few(judged, 0.5 * float(judged.until.min()), 10**9)) == 0
+
+
+def test_what_moves_as_one_never_meets():
+    patches, samples = made()
+    v = np.tile([3.0, -2.0, 1.0], (len(samples.X), 1))
+    judged = patches.judge(samples.X, v)
+    assert judged.until.min() > 1e6
+    assert judged.fold > 1e6
+
+
+def test_a_fold_is_looked_at_before_it_closes():
+    """A strip that is bent about its middle until its halves meet."""
+    n = np.arange(60) * 0.1 * SPACING * 10.0
+    X = np.stack([np.repeat(n, 8), np.tile(np.arange(8) * SPACING, 60), np.zeros(480)], 1)
+    up = np.tile([0.0, 0.0, 1.0], (480, 1))
+    patches = Patches(X, up, SPACING, see=4.0, thick=4.0)
+    middle = 0.5 * n[-1]
+
+    def bent(angle: float) -> np.ndarray:
+        away = np.maximum(X[:, 0] - middle, 0.0)
+        over = np.minimum(X[:, 0], middle) + away * np.cos(angle)
+        return np.stack([over, X[:, 1], away * np.sin(angle)], 1)
+
+    assert not patches.judge(bent(0.0), np.zeros_like(X)).near.any()
+    assert patches.judge(bent(2.0), np.zeros_like(X)).near.any(), "of pi, at which they meet"
+    step = 1e-6
+    turning = (bent(0.3 + step) - bent(0.3)) / step  # a radian a second
+    assert patches.judge(bent(0.3), turning).fold < np.pi - 0.3
