@@ -19,7 +19,8 @@ def check(
 ) -> None:
     """Run UsdValidation and our own rules over a file; each finding says what to do.
 
-    Exit status 1 if there is an error, 0 otherwise: warnings do not count.
+    Exit status 1 if there is an error, 0 otherwise: warnings do not count, nor do the errors that
+    a bake has from its source, which are listed apart.
     """
     from gf_usd.system.sandbox import attempt, parse_limits
 
@@ -32,6 +33,8 @@ def check(
             "prims": result.prims,
             "layers": result.layers,
             "findings": [asdict(f) for f in result.findings],
+            "inherited": [asdict(f) for f in result.inherited],
+            "usd_warnings": list(result.warned),
             "skipped": [asdict(s) for s in result.skipped],
         }
         typer.echo(json.dumps(out, indent=1))
@@ -39,10 +42,16 @@ def check(
         for finding in result.findings:
             typer.echo(f"{finding.severity}: {finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
+        for finding in result.inherited:
+            typer.echo(f"in the source, too: {finding.rule} <{finding.prim_path}>")
+            typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
         for skip in result.skipped:
             typer.echo(f"not judged: {skip.rule} <{skip.prim_path}>: {skip.reason}")
+        for line in result.warned:
+            typer.echo(f"note: {line}")
+        theirs = f", {len(result.inherited)} errors of the source" if result.inherited else ""
         typer.echo(
-            f"{file}: {result.errors} errors, {result.warnings} warnings"
+            f"{file}: {result.errors} errors, {result.warnings} warnings{theirs}"
             f" ({result.rules} rules, {result.prims} prims, {result.layers} layers)"
         )
     if not result.ok:

@@ -111,6 +111,7 @@ class Asset:
     splats: tuple[Splats, ...] = ()  # captured Gaussians, not yet given a surface
 
 
+LATEST = 1e9  # time code: beyond, double precision leaves less than a millionth of one
 FIRST = 1.0  # the time code of the first frame where neither the source nor the user says one
 USD_RATE = 24.0  # what USD takes for the time codes per second of a file that says none
 

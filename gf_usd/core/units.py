@@ -15,6 +15,8 @@ from gf_usd.core.errors import UsageError
 
 LEAST, MOST = 1e-30, 1e30  # of a length: its cube and the ratio of two stay numbers
 
+STRONGEST = 1e9  # [m/s^2] of gravity: a stronger one has no step
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageUnits:

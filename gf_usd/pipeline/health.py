@@ -113,9 +113,17 @@ class HealthLog:
             "stress_capped_particle_frames": sum(f.stress_capped for f in h),
             "stress_capped_share": sum(f.stress_capped for f in h) / many,
             "friction_capped": sum(f.friction_capped for f in h),
+            "falls": self._falls,
+            "shift_max_m": max(math.dist(f.center, h[0].center) for f in h),
             **self._energies(),
             **self._momenta(),
         }
+
+    @property
+    def _falls(self) -> bool:
+        """Whether gravity takes the body to a floor or an obstacle."""
+        to_floor = self._settings.floor is not None or self._obstacles
+        return to_floor and not self._held and any(self._settings.gravity)
 
     def per_frame(self) -> list[dict[str, Any]]:
         """Every frame's health as plain values, with what a sum over its energies says."""
@@ -147,6 +155,7 @@ class HealthLog:
             "energy_start_J": total[0],
             "energy_end_J": total[-1],
             "energy_max_J": max(total),
+            "kinetic_max_J": max(f.kinetic for f in h),
             "energy_scale_J": self._scale,
             "energy_gain_max_J": gain,
             "energy_gain_max_share": gain / self._scale if self._scale else 0.0,
@@ -301,6 +310,7 @@ RESTING = (
 )
 # Of m v: float32 loses digits where a substep adds less to a velocity than its last digit holds.
 DRIFT = 0.01
+STILL = 1e-9  # of the energy scale: a body that never had more motion than this did not move
 ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
 
 
@@ -324,6 +334,13 @@ def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
         if (said := rule(health)) is not None:
             found.append(HealthWarning(about=about, message=said[0], hint=said[1]))
     return tuple(found)
+
+
+def plan_warnings(odd: str) -> tuple[HealthWarning, ...]:
+    """That of a body whose size is not plausible in a unit that nobody wrote down."""
+    if not odd:
+        return ()
+    return (HealthWarning(about="size", message=odd, hint="give the unit with --meters-per-unit"),)
 
 
 Said = tuple[str, str] | None
@@ -463,7 +480,29 @@ def _drift(h: HealthSummary) -> Said:
     )
 
 
+def _untouched(h: HealthSummary) -> Said:
+    met = h["first_contact_frame"] is not None
+    if not h["falls"] or met or h["frames"] < 2 or _still(h) is not None:
+        return None
+    return (
+        f"nothing was touched in {h['frames']} frames: the body moved {h['shift_max_m']:.3g} m and"
+        " is still in the air",
+        "take more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
+    )
+
+
+def _still(h: HealthSummary) -> Said:
+    if h["frames"] < 2 or h["kinetic_max_J"] > STILL * h["energy_scale_J"]:
+        return None
+    return (
+        f"nothing moves in {h['frames']} frames",
+        "give the body something to do: a height (--drop), gravity, pins or colliders that move",
+    )
+
+
 RULES: dict[str, Callable[[HealthSummary], Said]] = {
+    "untouched": _untouched,
+    "still": _still,
     "energy": _energy,
     "inside-out": _inverted,
     "redone": _rollbacks,

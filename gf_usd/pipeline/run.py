@@ -28,7 +28,7 @@ from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.forecast import Forecast
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
-from gf_usd.pipeline.health import HealthLog, health_warnings
+from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
@@ -37,6 +37,7 @@ from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
 
 if TYPE_CHECKING:
+    from gf_usd.layers.usd_warnings import Warned
     from gf_usd.layers.variants import BakedVariant
     from gf_usd.physics.frame_loop import Solver
     from gf_usd.readers.mesh.to_usd import MeshSource
@@ -53,6 +54,7 @@ class Prepared:
     plan: Plan
     converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
     resume: Resume = field(default_factory=Resume)
+    warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
 
     @cached_property
     def solvers(self) -> Solvers:
@@ -82,14 +84,21 @@ def prepare(
     path: str | Path, *, overwrite: bool = False, resume: bool = False, **options: Any
 ) -> Prepared:
     """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`."""
-    plan, converted = prepare_plan(path, overwrite=overwrite, resume=resume, draw=draw, **options)
+    from gf_usd.layers.usd_warnings import gathered
+
+    with gathered() as warned:
+        plan, converted = prepare_plan(
+            path, overwrite=overwrite, resume=resume, draw=draw, **options
+        )
+    plan = replace(plan, notes=(*plan.notes, *warned.lines()))
+    told = frozenset(warned.said)
     if not resume:
-        return Prepared(plan=plan, converted=converted)
+        return Prepared(plan=plan, converted=converted, warned=told)
     clips = bool(plan.choices.clip_frames)
     identify = partial(_identity, plan)
     found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
     plan = replace(plan, notes=(*plan.notes, *found.notes))
-    return Prepared(plan=plan, converted=converted, resume=found)
+    return Prepared(plan=plan, converted=converted, resume=found, warned=told)
 
 
 def _identity(plan: Plan, variant: Variant) -> dict[str, str]:
@@ -150,11 +159,13 @@ def run(
         copies=2 if plan.outputs.flat else 1,
     )
     sequences = [files.lock for each in plan.sequences for files in each]
-    with output_lock(plan.outputs.root, sequences, plan.seen):
+    from gf_usd.layers.usd_warnings import gathered
+
+    with output_lock(plan.outputs.root, sequences, plan.seen), gathered() as warned:
         forecast = Forecast(
             prepared.cost, sampled(settings).frames, max_hours, again=_again(plan), remark=remark
         )
-        return _run_locked(prepared, progress, checkpoints, forecast)
+        return _run_locked(prepared, progress, checkpoints, forecast, warned)
 
 
 def _again(plan: Plan) -> str:
@@ -173,6 +184,7 @@ def _run_locked(
     progress: Progress | None,
     checkpoints: CheckpointWriter,
     forecast: Forecast,
+    warned: Warned,
 ) -> BakeResult:
     from gf_usd.layers.check.run import review
 
@@ -215,6 +227,7 @@ def _run_locked(
     input_hash(plan.asset.facts.path)
     notes += delivery.publish(baked, earlier)
     findings = review(files.root, plan.source)
+    notes += warned.lines(prepared.warned)
     seconds = time.perf_counter() - began
     report = report_json(describe(plan), plan.settings, results, seconds, notes, findings)
     publish_text(files.report, json.dumps(report, indent=1) + "\n")
@@ -326,7 +339,7 @@ def _run_variant(
         clips=summary.clips,
         health=health,
         per_frame=log.per_frame(),
-        warnings=health_warnings(health),
+        warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
     )
     baked = BakedVariant(
         name=variant.name,

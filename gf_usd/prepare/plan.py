@@ -60,6 +60,7 @@ class Plan:
     embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
+    odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material

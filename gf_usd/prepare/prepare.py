@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core import materials
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import StageSpec
@@ -95,6 +95,7 @@ def prepare(
     odd = implausible_size(asset)
     plan = replace(
         plan, command=command, notes=(*plan.notes, odd) if odd else plan.notes,
+        odd=odd if asset.facts.unit_from == ASSUMED else "",
         sequences=targets.sequences, seen=targets.seen, seen_source=seen_source,
     )  # fmt: skip
     return plan, found.converted

@@ -24,7 +24,7 @@ from gf_usd.verify.cases import (
     sampling,
     sides,
 )
-from gf_usd.verify.cases.contact import collisions, hertz, slope
+from gf_usd.verify.cases.contact import arms, collisions, hertz, slope
 from gf_usd.verify.cases.elastic import (
     bar,
     cantilever,
@@ -53,6 +53,7 @@ CASES: tuple[Case, ...] = (
     *slope.CASES,
     *hertz.CASES,
     *collisions.CASES,
+    *arms.CASES,
     *drop.CASES,
     *plastic.CASES,
     *sides.CASES,

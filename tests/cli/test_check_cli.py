@@ -23,7 +23,10 @@ def Mesh "Shard"
     int[] faceVertexIndices = [0, 1, 3]
 }
 """
-KEYS = ["file", "ok", "rules", "prims", "layers", "findings", "skipped"]
+KEYS = [
+    *("file", "ok", "rules", "prims", "layers"),
+    *("findings", "inherited", "usd_warnings", "skipped"),
+]
 
 
 @pytest.fixture

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solids import CUBE_TRIANGLES, asset, cube, solid, sphere, surface
+from solids import CUBE_TRIANGLES, asset, cube, needle, solid, sphere, surface
 
 from gf_usd.core.errors import InputError
+from gf_usd.core.mesh import signed_volume
 from gf_usd.geometry.solid import OPEN_FRACTION, PROBES, build_solid, hole_fraction
 
 # A volume is counted on some 200 000 lattice points; those that cells cut by the surface hold are
@@ -173,11 +174,19 @@ def test_every_surface_is_named_where_none_can_be_filled():
 
 
 def test_walls_thinner_than_any_probe_are_refused_in_words():
-    # Two plates of a millimeter, 10 km apart: of 200 000 points spread evenly over their box about
-    # .04 lie in them.
-    plates = [cube(low=(0.0, 1e4 * k, 0.0), edge=(1.0, 1e-3, 1.0), path=f"/P{k}") for k in (0, 1)]
-    assert PROBES * 2.0 * 1e-3 / 1e4 < 0.05
+    # Two needles of a tenth of a millimeter along the diagonals of a box of a meter: of 200 000
+    # points spread evenly over it about .005 lie in them.
+    needles = [needle(1.0, 1e-4, path="/A"), needle(1.0, 1e-4, mirrored=True, path="/B")]
+    volume = sum(abs(signed_volume(n.points, n.triangles)) for n in needles)
+    assert PROBES * volume < 0.05
     with pytest.raises(InputError, match="points probed lies inside") as caught:
-        build_solid(asset(*plates))
+        build_solid(asset(*needles))
     assert "2 surfaces" in caught.value.message
     assert "thinner than a hundredth" in caught.value.hint
+
+
+def test_bodies_apart_have_the_exact_volume_of_their_sum():
+    # Of a box of a kilometer around them probes would not meet one.
+    balls = [sphere(0.1, center=(1e3 * k, 0.0, 0.0), path=f"/B{k}") for k in range(3)]
+    exact = sum(signed_volume(b.points, b.triangles) for b in balls)
+    assert build_solid(asset(*balls)).volume == pytest.approx(exact, rel=1e-9)

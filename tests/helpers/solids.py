@@ -74,6 +74,16 @@ def sphere(
     return surface(np.asarray(center) + mesh.vertices, np.asarray(mesh.faces), **more)
 
 
+def needle(length: float, width: float, *, mirrored: bool = False, **more: Any) -> Surface:
+    """A long thin tetrahedron along a diagonal of its box, from a corner; lengths in m."""
+    points = length * np.array([[0.0] * 3, [1.0] * 3, [1.0] * 3, [1.0] * 3])
+    points[1:] += width * np.diag([1.0, 1.0, 3.0])
+    if mirrored:
+        points[:, 0] = length - points[:, 0]
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    return surface(points, faces[:, ::-1] if mirrored else faces, **more)
+
+
 def asset(*surfaces: Surface) -> Asset:
     """Surfaces as a reader would hand them over."""
     return Asset(facts=facts(), surfaces=surfaces)

@@ -154,6 +154,8 @@ def test_totals_and_extremes() -> None:
         "resting_penetration_m": 0.02,
         "resting_penetration_spacings": pytest.approx(0.2),
         "first_contact_frame": 1,
+        "falls": True,
+        "shift_max_m": 0.0,
         "min_J": 0.4,
         "max_J": 1.4,
         "min_stretch": 0.3,
@@ -170,6 +172,7 @@ def test_totals_and_extremes() -> None:
         "energy_start_J": 10.0,
         "energy_end_J": 5.0,
         "energy_max_J": 20.0,
+        "kinetic_max_J": 20.0,
         "energy_scale_J": 20.0,
         # 20 J after 10 J, 4 J of which the pins did
         "energy_gain_max_J": 6.0,

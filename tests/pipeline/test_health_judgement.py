@@ -23,7 +23,7 @@ def summary(*frames: Health, **changes: Any) -> dict[str, Any]:
     )
     for frame in (Health(mass=1.0, elastic=10.0), *frames):
         log.add(frame)
-    return {**log.summary(), **changes}
+    return {**log.summary(), "falls": False, "kinetic_max_J": 10.0, **changes}
 
 
 FLYING = {"momentum_drift": 0.0, "angular_momentum_drift": 0.0}  # of frames that do not move
@@ -35,6 +35,16 @@ def many(count: int, **changes: Any) -> list[Health]:
 
 # rule -> (just sound, just not, a piece of the words with the number)
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "untouched": (
+        summary(*many(3), **FLYING, falls=True, first_contact_frame=3),
+        summary(*many(3), **FLYING, falls=True, shift_max_m=0.25),
+        "nothing was touched in 4 frames: the body moved 0.25 m",
+    ),
+    "still": (
+        summary(*many(3), **FLYING, kinetic_max_J=2e-8),
+        summary(*many(3), **FLYING, kinetic_max_J=0.0, falls=True),
+        "nothing moves in 4 frames",
+    ),
     "energy": (
         summary(Health(elastic=10.009)),
         summary(Health(elastic=10.2)),

@@ -19,13 +19,14 @@ open, probes inside are counted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import igl
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import shells, signed_volume
 from gf_usd.geometry.sampling.pieces import POINTS, WEIGHTS, cut
 from gf_usd.geometry.solid import INSIDE, Solid, spread_evenly
@@ -46,7 +47,7 @@ ROUNDING = 1e-9  # [cells] of volume: sums of pieces are no more exact
 NOTHING = 1e-12  # [cells] of volume: no content
 PROBES = (64, 512)  # points in a cell, where the inside is counted: least and most
 MOST_PROBES = 200_000  # in all cells
-SLAB = 1 << 20  # cells at once: bounds memory
+MOST_CELLS = 50_000_000  # as many as particles: more are a mistake in the size
 BATCH = 1 << 18  # probes at once
 
 
@@ -125,113 +126,134 @@ class _SurfaceContent:
     doubtful: NDArray[np.bool_]  # (n,) moments are those of a winding number that is not 0 or 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Cut:
-    """A surface cut into pieces."""
-
-    at: Ints  # (n, 3) cell of each piece
-    integrals: Floats  # (n, 16), see `_integrals`
-    vector: Floats  # (n, 3) [cells^2] area vectors
-    shell: Ints  # (n,) connected part of the surface each belongs to
-    facing: Floats  # (S,) 1 where a part faces outward, -1 inward
-    closed: bool
-
-    def __getitem__(self, rows: Ints) -> _Cut:
-        return replace(
-            self, at=self.at[rows], integrals=self.integrals[rows], vector=self.vector[rows],
-            shell=self.shell[rows],
-        )  # fmt: skip
-
-
 def _of_surface(solid: Solid, index: int, grid: Grid) -> _SurfaceContent:
-    """Cells of one surface, some layers of columns at a time."""
+    """Cells of one surface: those it cuts, and from these the ones between them."""
     points, triangles = solid.outward(index)
     pieces = cut(grid.to_cells(points)[triangles])
     at = np.floor(pieces.corners.mean(1)).astype(np.int64)
     at = np.clip(at, 0, grid.count - 1)  # what rounding puts beyond counts to the last cell
-    vector, shell = pieces.area_vectors, shells(triangles)
-    made = _Cut(
-        at=at,
-        integrals=_integrals(pieces.corners - (at + 0.5)[:, None, :], vector[:, 2]),
-        vector=vector,
-        shell=shell[pieces.source],
-        facing=np.array(
-            [np.sign(signed_volume(points, triangles[shell == k])) for k in range(shell.max() + 1)]
-        ),
-        closed=_is_closed(triangles),
-    )
-    low, high = at.min(0), at.max(0) + 1
-    layers = max(1, SLAB // int(np.prod((high - low)[1:])))
-    area = np.zeros((high - low)[1:])  # of the solid in the face between two slabs
-    out: list[_SurfaceContent] = []
-    for first in range(int(low[0]), int(high[0]), layers):
-        box_low = np.array([first, low[1], low[2]])
-        box = np.minimum([first + layers, high[1], high[2]], high) - box_low
-        mine = np.flatnonzero((at[:, 0] >= first) & (at[:, 0] < first + layers))
-        content, area = _of_box(solid, index, grid, box_low, box, made[mine], area)
-        out.append(content)
-    names = ("full", "part", "moments", "faces", "doubtful")
-    return _SurfaceContent(
-        **{name: np.concatenate([getattr(one, name) for one in out]) for name in names}
-    )
-
-
-def _of_box(
-    solid: Solid, index: int, grid: Grid, low: Ints, box: Ints, pieces: _Cut, area: Floats
-) -> tuple[_SurfaceContent, Floats]:
-    """Cells of a box of whole columns, and the area of the solid in its far face across x."""
-    place = np.ravel_multi_index((pieces.at - low).T, tuple(box))
-    cells = int(np.prod(box))
-
-    def dense(values: Floats) -> Floats:
-        return np.bincount(place, values, minlength=cells).reshape(box)
-
-    def below(values: Floats) -> Floats:
-        """Sum over the cells under each one."""
-        return np.cumsum(values, axis=2) - values
-
-    touched, first = np.unique(place, return_index=True)
-    over = [below(dense(pieces.integrals[:, 10 + k])).ravel() for k in range(len(PLANE))]
-    w = np.empty((cells, 10))
-    for k, (a, b, c) in enumerate(POWERS):
-        w[:, k] = dense(pieces.integrals[:, k]).ravel()
-        if c != 1:  # an odd function of z over a whole cell: nothing
-            w[:, k] += over[PLANE.index((a, b))] * (1.0 if c == 0 else 1.0 / 12.0)
-    faces = np.empty((2, 3, *box))
-    for axis in range(3):
-        own = -dense(pieces.vector[:, axis])
-        upper = np.cumsum(own, axis=axis) + (area if axis == 0 else 0.0)
-        faces[:, axis] = upper - own, upper
-    is_cut = np.zeros(cells, bool)
-    is_cut[touched] = True
-    key = grid.key(low + np.stack(np.unravel_index(np.arange(cells), tuple(box)), -1))
-    rest = key[~is_cut]
-    if pieces.closed:
-        inside = np.round(w[~is_cut, 0]) != 0.0
-    else:
-        inside = _winding_near(solid, index, grid.to_world(grid.ijk(rest) + 0.5)) > INSIDE
-    doubtful = np.full(len(touched), not pieces.closed)
-    lowest = np.full(cells, len(pieces.facing))
-    np.minimum.at(lowest, place, pieces.shell)
-    highest = np.zeros(cells, np.int64)
-    np.maximum.at(highest, place, pieces.shell)
-    doubtful |= (highest > lowest)[touched]
-    moments = w[touched]
-    if pieces.closed:
-        facing = pieces.facing[pieces.shell[first]]
-        one_shell, wrong = _where_nonzero(moments, facing)
-        moments = np.where(doubtful[:, None], moments, one_shell)
+    vector = pieces.area_vectors
+    integrals = _integrals(pieces.corners - (at + 0.5)[:, None, :], vector[:, 2])
+    key, first, place = np.unique(grid.key(at), return_index=True, return_inverse=True)
+    place = place.reshape(-1)
+    w, gaps = _along_columns(grid, key, _summed(place, integrals, len(key)))
+    faces = _face_areas(grid.ijk(key), -_summed(place, vector, len(key)))
+    closed = _is_closed(triangles)
+    shell = shells(triangles)
+    of = shell[pieces.source]  # connected part of the surface that each piece belongs to
+    lowest = np.full(len(key), len(pieces.source))
+    np.minimum.at(lowest, place, of)
+    highest = np.zeros(len(key), np.int64)
+    np.maximum.at(highest, place, of)
+    doubtful = np.full(len(key), not closed) | (highest > lowest)
+    if closed:
+        facing = np.sign(
+            [signed_volume(points, triangles[shell == k]) for k in range(shell.max() + 1)]
+        )
+        one_shell, wrong = _where_nonzero(w, facing[of[first]])
+        moments = np.where(doubtful[:, None], w, one_shell)
         doubtful |= wrong
+        full = _between(gaps, grid)
     else:
-        moments[:] = np.nan
-    content = _SurfaceContent(
-        full=rest[inside],
-        part=key[touched],
-        moments=moments,
-        faces=np.moveaxis(faces.reshape(2, 3, cells)[:, :, touched], 2, 0),
-        doubtful=doubtful,
-    )
-    return content, faces[1, 0, -1]
+        moments = np.full_like(w, np.nan)
+        full = _reached(solid, index, grid, key)
+    return _SurfaceContent(full=full, part=key, moments=moments, faces=faces, doubtful=doubtful)
+
+
+def _summed(place: Ints, values: Floats, count: int) -> Floats:
+    """(count, k) sums of values (n, k) that share a place (n,)."""
+    return np.stack([np.bincount(place, v, minlength=count) for v in values.T], 1)
+
+
+def _below(line: Ints, values: Floats) -> Floats:
+    """(n, k) of rows sorted along lines: the sum of the values (n, k) before each in its line."""
+    total = np.cumsum(values, axis=0)
+    first = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
+    before = np.repeat(total[first] - values[first], np.diff(first, append=len(line)), axis=0)
+    return total - values - before
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Gaps:
+    """Cells of columns between two that the surface cuts."""
+
+    start: Ints  # (n,) key of the cut cell under each
+    length: Ints  # (n,) cells
+    w: Floats  # (n,) winding number
+
+
+def _along_columns(grid: Grid, key: Ints, own: Floats) -> tuple[Floats, _Gaps]:
+    """Moments (n, 10) of the winding number in cut cells, and the cells between them.
+
+    key : (n,) of the cells, ascending, so that those of a column follow each other upward;
+    own : (n, 16) sums of `_integrals`.
+    """
+    column = key // grid.count[2]
+    below = _below(column, own[:, 10:])
+    w = own[:, :10].copy()
+    for k, (a, b, c) in enumerate(POWERS):
+        if c != 1:  # an odd function of z over a whole cell: nothing
+            w[:, k] += below[:, PLANE.index((a, b))] * (1.0 if c == 0 else 1.0 / 12.0)
+    length = np.where(np.diff(column) == 0, np.diff(key) - 1, 0)
+    rows = np.flatnonzero(length > 0)
+    return w, _Gaps(start=key[rows], length=length[rows], w=(below + own[:, 10:])[rows, 0])
+
+
+def _between(gaps: _Gaps, grid: Grid) -> Ints:
+    """Keys of the cells between the cut ones that a closed surface encloses.
+
+    Raises InputError where they are more than particles can be.
+    """
+    rows = np.flatnonzero(np.round(gaps.w) != 0.0)
+    length = gaps.length[rows]
+    _refuse_too_many(int(length.sum()), grid.h)
+    start = np.cumsum(length) - length
+    return np.repeat(gaps.start[rows] + 1 - start, length) + np.arange(int(length.sum()))
+
+
+def _reached(solid: Solid, index: int, grid: Grid, key: Ints) -> Ints:
+    """Keys of the cells whose middle an open surface encloses, and that it does not cut.
+
+    The winding number is harmonic off the surface, so each region where it exceeds a bound reaches
+    the surface (the maximum principle): the search starts at the cut cells (n,) and goes on from
+    the cells inside, so that the cells tested are those of the body and the ones around it.
+    """
+    known, front, found = key, key, [np.zeros(0, np.int64)]
+    steps = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+    while len(front):
+        near = (grid.ijk(front)[:, None, :] + steps).reshape(-1, 3)
+        near = near[((near >= 0) & (near < grid.count)).all(1)]
+        new = np.setdiff1d(grid.key(near), known)
+        middle = grid.to_world(grid.ijk(new) + 0.5)
+        front = new[_winding_near(solid, index, middle) > INSIDE]
+        found.append(front)
+        known = np.union1d(known, new)
+        _refuse_too_many(len(known), grid.h)
+    return np.concatenate(found)
+
+
+def _refuse_too_many(cells: int, h: float) -> None:
+    if cells > MOST_CELLS:
+        raise InputError(
+            f"the body reaches more than {MOST_CELLS} cells of {h:.3g} m",
+            "lower --particles or raise --spacing",
+        )
+
+
+def _face_areas(ijk: Ints, own: Floats) -> Floats:
+    """(n, 2, 3) [cells^2] area of the solid in the lower and upper face of cut cells, by axis.
+
+    ijk : (n, 3); own : (n, 3) by how much the area grows from the lower face to the upper one.
+    """
+    faces = np.empty((len(ijk), 2, 3))
+    for axis in range(3):
+        others = [ijk[:, d] for d in range(3) if d != axis]
+        order = np.lexsort((ijk[:, axis], *others))
+        _, line = np.unique(np.stack(others, 1)[order], axis=0, return_inverse=True)
+        mine = own[order, axis : axis + 1]
+        lower = _below(line.reshape(-1), mine)
+        faces[order, 0, axis], faces[order, 1, axis] = lower[:, 0], (lower + mine)[:, 0]
+    return faces
 
 
 def _where_nonzero(w: Floats, facing: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -198,28 +198,16 @@ def merge_slivers(
     n = len(content.ijk)
     moments = content.moments.copy()
     low, high = np.full((n, 3), -0.5), np.full((n, 3), 0.5)
-    key = grid.key(content.ijk)
-    by_key = np.argsort(key)
     into = np.arange(n)
-
-    def row_of(ijk: Ints) -> int:
-        """Row of a cell, or of its image in this half; -1 where there is none."""
-        ijk = np.where(mirrored & (ijk < grid.count // 2), grid.count - 1 - ijk, ijk)
-        if (ijk < 0).any() or (ijk >= grid.count).any():
-            return -1
-        at = int(np.searchsorted(key[by_key], grid.key(ijk)))
-        found = at < n and key[by_key[at]] == grid.key(ijk)
-        return int(by_key[at]) if found else -1
-
     few = np.flatnonzero(moments[:, 0] < SLIVER)
-    for row in few[np.argsort(moments[few, 0], kind="stable")]:
+    few = few[np.argsort(moments[few, 0], kind="stable")]
+    area = np.where(own_image[few][:, None, :], 0.0, content.faces[few]).reshape(-1, 6)
+    sides = np.argsort(-area, axis=1, kind="stable")
+    near = _neighbors(content.ijk, few, grid, mirrored)
+    near[area <= 0.0] = -1
+    for row, rows in zip(few, np.take_along_axis(near, sides, 1).tolist()):
         if moments[row, 0] >= SLIVER:
             continue
-        area = np.where(own_image[row], 0.0, content.faces[row])
-        sides = [divmod(int(k), 3) for k in np.argsort(-area.ravel(), kind="stable")]
-        sides = [(side, axis) for side, axis in sides if area[side, axis] > 0.0]
-        steps = [(2 * side - 1) * np.eye(3, dtype=np.int64)[axis] for side, axis in sides]
-        rows = [row_of(content.ijk[row] + step) for step in steps]
         alive = [t for t in rows if t >= 0 and t != row and into[t] == t]
         gone = [int(into[t]) for t in rows if t >= 0 and into[t] not in (t, row)]
         target = next(iter(alive + [t for t in gone if into[t] == t]), row)
@@ -238,3 +226,17 @@ def merge_slivers(
         into[row] = target
     kept = np.flatnonzero(into == np.arange(n))
     return kept, moments[kept], (low[kept], high[kept])
+
+
+def _neighbors(ijk: Ints, rows: Ints, grid: Grid, mirrored: Flags) -> NDArray[np.int64]:
+    """(m, 6) row of the cell, or of its image in this half, below and above each axis; -1: none."""
+    axes = np.eye(3, dtype=np.int64)
+    near = ijk[rows][:, None, :] + np.concatenate([-axes, axes])
+    near = np.where(mirrored & (near < grid.count // 2), grid.count - 1 - near, near)
+    beyond = ((near < 0) | (near >= grid.count)).any(2)
+    key = grid.key(ijk)
+    by_key = np.argsort(key)
+    wanted = grid.key(near)
+    at = np.minimum(np.searchsorted(key, wanted, sorter=by_key), len(key) - 1)
+    found = by_key[at]
+    return np.where(beyond | (key[found] != wanted), -1, found)

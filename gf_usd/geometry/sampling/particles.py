@@ -31,6 +31,7 @@ MOST_PARTICLES = 50_000_000
 # World to the frame of the grid: signed permutations, which lose no digit.
 TURNS = {"Y": np.eye(3), "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
 CELL_PER_LATTICE = 2  # edges of a cell and of the cubes of its eight particles
+MOST_KEYS = 2.0**60  # cells of a box, also of the nodes around, that 64 bits can number
 ALIGNED = 1e-6  # [cells] by which a solid may reach out of its cells
 
 
@@ -158,7 +159,14 @@ def _of_body(solid: Solid, a: float, turn: Floats) -> tuple[Filling, Floats]:
     """
     low, high = _box(solid, turn)
     h = CELL_PER_LATTICE * a
-    count = np.maximum(1, np.ceil((high - low) / h - ALIGNED).astype(np.int64))
+    reach = np.ceil((high - low) / h - ALIGNED)
+    if np.prod(np.maximum(1.0, reach)) > MOST_KEYS:
+        raise InputError(
+            f"the body is {(high - low).max() / h:.3g} cells of {h:.3g} m long and fills too little"
+            " of its box",
+            "give it thickness, or lower --particles or raise --spacing",
+        )
+    count = np.maximum(1, reach.astype(np.int64))
     corner = 0.5 * (low + high - h * count)
     return fill_cells(solid, Grid(corner=corner, h=h, count=count, turn=turn)), corner @ turn
 

@@ -53,40 +53,51 @@ def cut(corners: Floats) -> Pieces:
 
 
 def cut_along(corners: Floats, source: Ints, axis: int) -> tuple[Floats, Ints]:
-    """Cut at every integer of one axis: halving the planes that a triangle spans, until none."""
-    done: list[tuple[Floats, Ints]] = []
-    while True:
-        z = corners[:, :, axis]
-        low, high = np.floor(z.min(1)), np.ceil(z.max(1))
-        spans = high - low > 1.0
-        done.append((corners[~spans], source[~spans]))
-        if not spans.any():
-            return np.concatenate([c for c, _ in done]), np.concatenate([s for _, s in done])
-        corners, source = corners[spans], source[spans]
-        plane = np.floor(0.5 * (low + high))[spans]
-        parts = _split(corners, plane, axis)
-        corners, source = np.concatenate(parts), np.tile(source, len(parts))
+    """Cut at every integer of one axis, into three pieces at most for each slab in between."""
+    z = corners[:, :, axis]
+    first = np.floor(z.min(1))
+    slabs = np.ceil(z.max(1)) - first
+    whole = slabs <= 1.0
+    count = slabs[~whole].astype(np.int64)
+    rows = np.repeat(np.flatnonzero(~whole), count)
+    slab = first[rows] + np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
+    pieces = _in_slab(corners[rows], slab, axis)
+    return (
+        np.concatenate([corners[whole], *pieces]),
+        np.concatenate([source[whole], *[source[rows]] * len(pieces)]),
+    )
 
 
-def _split(corners: Floats, plane: Floats, axis: int) -> tuple[Floats, Floats, Floats]:
-    """Each triangle as three, none across its plane; some may be flat.
+def _in_slab(corners: Floats, slab: Floats, axis: int) -> tuple[Floats, Floats, Floats]:
+    """What lies of each triangle between the planes slab and slab + 1, as three; some may be flat.
 
-    The corner that is alone on its side is cut off; the rest is a quadrilateral.
+    The lowest and the highest corner are the ends of one edge and of the chain of the other two,
+    whose corner in the middle may lie in the slab: a polygon of five corners.
     """
-    off = corners[:, :, axis] - plane[:, None]
-    below = off < 0.0
-    alone = np.where((below.sum(1) == 1)[:, None], below, ~below)
-    first = alone.argmax(1)
-    turned = (first[:, None] + np.arange(3)) % 3
+    order = np.argsort(corners[:, :, axis], axis=1, kind="stable")
     rows = np.arange(len(corners))[:, None]
-    v, d = corners[rows, turned], off[rows, turned]
-    a, b, c = np.moveaxis(v, 1, 0)
+    low, middle, high = np.moveaxis(corners[rows, order], 1, 0)
+    bottom = np.maximum(slab, low[:, axis])
+    top = np.minimum(slab + 1.0, high[:, axis])
 
-    def crossing(end: Floats, at: Floats) -> Floats:
-        t = d[:, 0] / (d[:, 0] - at)
-        point = a + t[:, None] * (end - a)
+    def on_edge(start: Floats, end: Floats, plane: Floats) -> Floats:
+        rise = end[:, axis] - start[:, axis]
+        t = (plane - start[:, axis]) / np.where(rise > 0.0, rise, 1.0)
+        point = start + np.clip(t, 0.0, 1.0)[:, None] * (end - start)
         point[:, axis] = plane
         return point
 
-    ab, ac = crossing(b, d[:, 1]), crossing(c, d[:, 2])
-    return np.stack([a, ab, ac], 1), np.stack([ab, b, c], 1), np.stack([ab, c, ac], 1)
+    def on_chain(plane: Floats) -> Floats:
+        under = (plane < middle[:, axis])[:, None]
+        return on_edge(np.where(under, low, middle), np.where(under, middle, high), plane)
+
+    a, b = on_edge(low, high, bottom), on_chain(bottom)
+    c, d = on_chain(top), on_edge(low, high, top)
+    # Where it lies in another slab, the corner in the middle is put on the chain.
+    m = np.where((middle[:, axis] < bottom)[:, None], b, middle)
+    m = np.where((middle[:, axis] > top)[:, None], c, m)
+    pieces = np.stack([np.stack([a, b, m], 1), np.stack([a, m, c], 1), np.stack([a, c, d], 1)])
+    # In the order low, middle, high the corners run the other way round where it is an odd one.
+    odd = (order[:, 1] - order[:, 0]) % 3 != 1
+    pieces[:, odd] = pieces[:, odd, ::-1]
+    return pieces[0], pieces[1], pieces[2]

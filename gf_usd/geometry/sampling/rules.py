@@ -94,16 +94,18 @@ def moment_points(
     best = np.where(full, 0, WORST)
     chosen = np.zeros(len(moments), np.int64)
     many = moments[:, 0] > MANY
-    groups = ((many, MANY_FIRST), (~many, FEW_FIRST))
+    groups = ((many, MANY_FIRST, MANY_IMAGES), (~many, FEW_FIRST, FEW_IMAGES))
     tried = 1
     # Twice as many rules at a time: the test of points has a cost of its own each time.
     first = 0
-    while first < len(FEW_FIRST):
-        trials = [
-            (number, rule, np.flatnonzero(group & (best > 0) & _keeps(rule, own_image)))
-            for group, rules in groups
-            for number, rule in enumerate(rules[first : first + tried], first)
-        ]
+    while first < len(FEW_FIRST) and (best > 0).any():
+        trials = []
+        for group, rules, images in groups:
+            left = group & (best > 0)
+            for number in range(first, min(first + tried, len(rules))):
+                # A cell that is its own image across some axes has points that are so too.
+                keeps = ~(own_image & ~images[number]).any(1)
+                trials.append((number, rules[number], np.flatnonzero(left & keeps)))
         places = [mean[r, None] + np.einsum("nab,kb->nka", root[r], v) for _, v, r in trials]
         owner = np.concatenate([np.repeat(r, len(v)) for _, v, r in trials])
         within = inside(owner, np.concatenate([place.reshape(-1, 3) for place in places]))
@@ -119,7 +121,7 @@ def moment_points(
             chosen[rows[better]] = number
         first, tried = first + tried, 2 * tried
     parts = []
-    for group, rules in groups:
+    for group, rules, _ in groups:
         for number in np.unique(chosen[group]):
             rule = rules[number]
             mine = np.flatnonzero(group & (chosen == number))
@@ -157,11 +159,6 @@ def mean_and_root(moments: Floats) -> tuple[Floats, Floats]:
     return mean, np.einsum("nab,nb,ncb->nac", vectors, root, vectors)
 
 
-def _keeps(rule: Floats, own_image: Flags) -> Flags:
-    """(n,) whether a rule is its own image across all axes (n, 3) that a cell is."""
-    return np.asarray(~(own_image & ~_images(rule)).any(1))
-
-
 def _images(rule: Floats) -> Flags:
     """(3,) axes across which a rule is its own mirror image."""
     out = np.zeros(3, bool)
@@ -170,3 +167,6 @@ def _images(rule: Floats) -> Flags:
         apart = np.linalg.norm(rule[:, None] - mirrored[None], axis=2).min(1)
         out[axis] = (apart < 1e-12).all()
     return out
+
+
+FEW_IMAGES, MANY_IMAGES = ([_images(rule) for rule in rules] for rules in (FEW_FIRST, MANY_FIRST))

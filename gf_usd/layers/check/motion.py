@@ -12,9 +12,15 @@ although it can exceed ``v4`` at every single point.  A window counts where most
 it moves smoothly: in the others it does so by chance, and a small body that rings at twice the rate
 of the samples then looks as if it moved at a part of its speed (seen on a duck of 10 cm at 24 a
 second: 0.6).  The median over the windows, each weighed by its smooth places, is the verdict, if
-the windows agree on which side of 1 it lies.  A wrong unit stretches them all alike; bounces at a
-third of the rate of the samples stretch each window in another way (seen on the same duck, stiff:
-0.29 to 1.41).
+the windows agree on it.  A wrong unit stretches them all alike; bounces at a third of the rate of
+the samples stretch each window in another way (seen on the same duck, stiff: 0.29 to 1.41).
+
+Positions and velocities are compared as they are in the world: in the space of a prim that a
+transform shears, a vibration that nobody sees can be the larger part of the motion.
+
+What trembles close to the rate of the samples, or to a multiple of it, looks as if it moved slowly
+and smoothly.  Its velocities carry it out of its range within a sample; so would those in some
+wrong units, which are told by their factor.
 
 The rule that bounds bound.
 """
@@ -61,14 +67,18 @@ WINDOW = 5
 MIDDLE = WINDOW // 2
 # Of more windows than this the verdict of so many, all along the motion, is the same.
 MOST = 64
-# A factor is wrong where windows of this share of the smooth places lie on its side of 1.
+# A factor is wrong where windows of this share of the smooth places agree with it.
 AGREE = 0.9
+SCATTER = 0.5  # of the factor's distance from 1: windows within it agree
+# Factors of wrong units of time and length, beside the rate of the stage itself.
+UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
+UNIT_SCATTER = 0.01
 
 Vectors = NDArray[np.floating]
 
 
 class Sample(NamedTuple):
-    """Positions at one time."""
+    """Positions at one time, in the space of the prim."""
 
     code: float
     x: Vectors  # (3 n,) float64, by columns
@@ -84,6 +94,16 @@ class Tally:
     frozen: int = 0  # of these, where the positions stand still and the velocities do not
     factors: list[float] = field(default_factory=list)  # a of each window
     weights: list[int] = field(default_factory=list)  # and its smooth places
+    low: Vectors | None = None  # (3, n) of the places of all windows
+    high: Vectors | None = None
+    travel: float = 0.0  # of a point in a sample at its velocity: the largest mean of a window
+
+    def reach(self, x: Vectors, v: Vectors, step: float) -> None:
+        """Note where the points of a window are, (WINDOW, 3, n), and how far v carries them."""
+        low, high = x.min(0), x.max(0)
+        self.low = low if self.low is None else np.minimum(self.low, low)
+        self.high = high if self.high is None else np.maximum(self.high, high)
+        self.travel = max(self.travel, step * float(np.sqrt((v * v).sum(0)).mean()))
 
     def add(self, v: Vectors, v2: Vectors, v4: Vectors, floor: float, noise: float) -> None:
         """Count the points of one window; v, v2 and v4 are (3, n).
@@ -112,9 +132,18 @@ class Tally:
 
     @property
     def agreed(self) -> float:
-        """Share of the smooth places whose window lies on the factor's side of 1."""
-        side = np.sign(np.array(self.factors) - 1.0) == np.sign(self.factor - 1.0)
-        return float(np.array(self.weights)[side].sum() / sum(self.weights))
+        """Share of the smooth places whose window agrees with the factor."""
+        off = np.abs(np.array(self.factors) - self.factor)
+        alike = off <= SCATTER * abs(self.factor - 1.0)
+        return float(np.array(self.weights)[alike].sum() / sum(self.weights))
+
+    def trembles(self, rate: float) -> bool:
+        """Whether its velocities carry the body out of its range in a sample, in no wrong unit."""
+        if self.low is None or self.high is None:
+            return False
+        span = float(np.sqrt(((self.high - self.low) ** 2).sum(0)).mean())
+        known = np.abs(self.factor / np.array([*UNITS, rate]) - 1.0) <= UNIT_SCATTER
+        return self.travel > span and not known.any()
 
     @property
     def factor(self) -> float:
@@ -163,6 +192,11 @@ def velocities(stage: Usd.Stage) -> Iterator[Verdict]:
                 f"{name}: {min(tally.factors):.2g} to {max(tally.factors):.2g} times the motion, "
                 "from moment to moment: it is too fast for the samples"
             )
+        elif abs(tally.factor - 1.0) > WRONG and tally.trembles(rate):
+            yield speak.skip(
+                f"{name} is {tally.factor:.3g} times the motion, and would carry a point farther in"
+                " a sample than it ever goes: it trembles too fast for the samples"
+            )
         elif abs(tally.factor - 1.0) > WRONG:
             yield speak.error(
                 f"{name} is {tally.factor:.3g} times the motion of {position.GetName()} per second "
@@ -186,23 +220,38 @@ def tally_of(position: Usd.Attribute, velocity: Usd.Attribute, rate: float) -> T
             continue
         window.append(Sample(code, columns(x).astype(np.float64).ravel(), np.finfo(x.dtype).eps))
         if len(window) == WINDOW and number in judged:
-            _judge(tally, window, vectors(velocity, Usd.TimeCode(window[MIDDLE].code)), rate)
+            middle = window[MIDDLE].code
+            to_world = _to_world(position.GetPrim(), middle)
+            _judge(tally, window, vectors(velocity, Usd.TimeCode(middle)), rate, to_world)
     return tally
 
 
-def _judge(tally: Tally, window: deque[Sample], v: Vectors | None, rate: float) -> None:
-    codes, x = [sample.code for sample in window], window[MIDDLE].x.reshape(3, -1)
-    if v is None or len(v) != x.shape[1]:
+def _judge(
+    tally: Tally, window: deque[Sample], v: Vectors | None, rate: float, to_world: Vectors
+) -> None:
+    """Count the places of a window; to_world (3, 3) is for columns."""
+    codes = [sample.code for sample in window]
+    local = np.array([sample.x for sample in window]).reshape(WINDOW, 3, -1)
+    if v is None or len(v) != local.shape[2]:
         return
-    size = float(np.linalg.norm(x.max(1) - x.min(1)))
-    reach = float(np.abs(x).max())
-    if not np.isfinite(size + reach) or not np.isfinite(v).all():
+    if not np.isfinite(local).all() or not np.isfinite(v).all():
         return
+    reach = float(np.abs(local[MIDDLE]).max() * np.linalg.norm(to_world, 2))
+    x, v = to_world @ local, to_world @ columns(v).astype(np.float64)
+    size = float(np.linalg.norm(x[MIDDLE].max(1) - x[MIDDLE].min(1)))
     step = (codes[-1] - codes[0]) / (rate * (WINDOW - 1))
     noise = 100.0 * window[MIDDLE].rounding * reach / step
     weights = rate * _derivatives(tuple(code - codes[MIDDLE] for code in codes))
-    v2, v4 = (weights @ np.array([sample.x for sample in window])).reshape(2, 3, -1)
-    tally.add(columns(v), v2, v4, max(STILL * size / step, noise), noise)
+    v2, v4 = (weights @ x.reshape(WINDOW, -1)).reshape(2, 3, -1)
+    tally.reach(x, v, step)
+    tally.add(v, v2, v4, max(STILL * size / step, noise), noise)
+
+
+def _to_world(prim: Usd.Prim, code: float) -> Vectors:
+    """(3, 3) linear part of the prim's transform, for columns; of no use where it is not finite."""
+    matrix = UsdGeom.XformCache(Usd.TimeCode(code)).GetLocalToWorldTransform(prim)
+    linear = np.array(matrix, np.float64)[:3, :3].T
+    return linear if np.isfinite(linear).all() and linear.any() else np.eye(3)
 
 
 @cache

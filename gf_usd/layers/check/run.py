@@ -8,17 +8,19 @@ The check that every bake ends with: faults of the result that its source does n
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pxr import Tf, Usd
 
 from gf_usd.core.errors import InputError
+from gf_usd.core.frames import SOURCE_VARIANT
 from gf_usd.layers.check.base import RULES, Finding, Rule, Skip, reason, unreadable
 from gf_usd.layers.check.read import prims
 from gf_usd.layers.check.structure import TIME_CODES
 from gf_usd.layers.check.validators import run_validators
 from gf_usd.layers.stage import VARIANT_SET
+from gf_usd.layers.usd_warnings import gathered
 from gf_usd.system import usd_schema  # noqa: F401  (the rules ask USD for the schema's definitions)
 
 UNSAFE = "not run: the time codes of a layer stand still, reading its samples would never end"
@@ -32,6 +34,8 @@ class CheckResult:
     path: str
     findings: tuple[Finding, ...]  # errors first
     skipped: tuple[Skip, ...]  # what could not be judged, and why
+    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source has, too
+    warned: tuple[str, ...] = ()  # USD's own warnings, counted
     layers: int
     prims: int
     rules: int  # rules of ours that ran
@@ -53,6 +57,8 @@ class CheckResult:
 def check_file(path: str | Path) -> CheckResult:
     """Judge a file by USD's validators and by every rule of ours.
 
+    Of a bake with variants the faults of its source are listed apart.
+
     Raises
     ------
     InputError : there is no such file, or USD cannot open it.
@@ -65,14 +71,44 @@ def check_file(path: str | Path) -> CheckResult:
             f"{file} is not USD, as far as its name says.",
             "give a file that ends in usd, usda, usdc or usdz",
         )
-    try:
-        stage = Usd.Stage.Open(str(file), Usd.Stage.LoadAll)
-    except Tf.ErrorException as error:
-        raise InputError(
-            f"{file} cannot be opened as USD: {reason(error)}",
-            "write the file again; what it claims to be and what it holds differ",
-        ) from error
-    return check_stage(stage)
+    with gathered() as warned:
+        try:
+            stage = Usd.Stage.Open(str(file), Usd.Stage.LoadAll)
+        except Tf.ErrorException as error:
+            raise InputError(
+                f"{file} cannot be opened as USD: {reason(error)}",
+                "write the file again; what it claims to be and what it holds differ",
+            ) from error
+        result = _less_source(check_stage(stage), stage)
+    return replace(result, warned=warned.lines())
+
+
+def _less_source(result: CheckResult, stage: Usd.Stage) -> CheckResult:
+    """What a bake is to blame for: errors that are also there with its source selected are apart.
+
+    A stage that is no bake, or that shows the source already, is returned as it is.
+    """
+    sets = [prim.GetVariantSet(VARIANT_SET) for prim in _looks(stage)]
+    if result.ok or not any(one.GetVariantSelection() != SOURCE_VARIANT for one in sets):
+        return result
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for one in sets:
+        one.SetVariantSelection(SOURCE_VARIANT)
+    known = {_key(found) for found in check_stage(stage).findings}
+    theirs = [f for f in result.findings if f.severity == "error" and _key(f) in known]
+    return replace(
+        result,
+        findings=tuple(f for f in result.findings if f not in theirs),
+        inherited=tuple(theirs),
+    )
+
+
+def _looks(stage: Usd.Stage) -> list[Usd.Prim]:
+    """The root prims of a bake that has variants."""
+    return [
+        prim for prim in stage.GetPseudoRoot().GetAllChildren()
+        if prim.GetVariantSets().HasVariantSet(VARIANT_SET)
+    ]  # fmt: skip
 
 
 def check_stage(stage: Usd.Stage) -> CheckResult:
@@ -123,8 +159,7 @@ def review(root: Path, source: Path) -> list[dict[str, str]]:
     """
     known = {_key(f) for f in check_file(source).findings}
     stage = Usd.Stage.Open(str(root), Usd.Stage.LoadAll)
-    prims = [p for p in stage.GetPseudoRoot().GetAllChildren()
-             if p.GetVariantSets().HasVariantSet(VARIANT_SET)]  # fmt: skip
+    prims = _looks(stage)
     # a flattened bake has no variants of looks: it is checked as it is
     sets = [p.GetVariantSet(VARIANT_SET) for p in prims]
     names = sorted({name for s in sets for name in s.GetVariantNames()}) or [""]

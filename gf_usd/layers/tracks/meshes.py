@@ -138,6 +138,8 @@ class MeshTrack:
         normals = self._surface.normals
         if normals is None:
             mine.Block()
+            if mesh.GetNormalsAttr().HasAuthoredValue():  # which the primvar hid
+                over.CreateAttribute("normals", Types.Normal3fArray, False).Block()
             self.notes.append(
                 f"<{self.path}>: its authored normals could not be carried along and are blocked"
             )

@@ -9,10 +9,9 @@ import math
 from dataclasses import dataclass
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.units import number
+from gf_usd.core.units import STRONGEST, number
 
 LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
-STRONGEST = 1e9  # [m/s^2]
 NONE = "none"
 AUTO = "auto"
 UPRIGHT = 0.1  # least part of a floor's normal along the up axis

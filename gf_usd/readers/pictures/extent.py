@@ -42,11 +42,22 @@ def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
 
 
 def _skeleton_times(root: Usd.Prim) -> set[float]:
+    """Samples of what poses the skeletons of a SkelRoot, wherever in the stage that is."""
     times: set[float] = set()
-    for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdSkel.Animation):
-            for attribute in prim.GetAttributes():
-                times.update(attribute.GetTimeSamples())
+    cache = UsdSkel.Cache()
+    skel_root = UsdSkel.Root(root)
+    cache.Populate(skel_root, Usd.TraverseInstanceProxies())
+    for binding in cache.ComputeSkelBindings(skel_root, Usd.TraverseInstanceProxies()):
+        skeleton = binding.GetSkeleton()
+        animation = cache.GetSkelQuery(skeleton).GetAnimQuery()
+        if animation:
+            times.update(animation.GetJointTransformTimeSamples())
+            times.update(animation.GetBlendShapeWeightTimeSamples())
+        above = skeleton.GetPrim()
+        while above and not above.IsPseudoRoot():
+            if xformable := UsdGeom.Xformable(above):
+                times.update(xformable.GetTimeSamples())
+            above = above.GetParent()
     return times
 
 

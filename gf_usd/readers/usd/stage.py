@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.asset import ASSUMED, FILE, OPTION, StageFacts
+from gf_usd.core.asset import ASSUMED, FILE, LATEST, OPTION, StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -115,7 +115,7 @@ def stage_facts(
 ) -> StageFacts:
     """Units, axis, times and root prims; `notes` gets what is assumed, and is not yet folded in.
 
-    Raises InputError for a unit or an axis that makes no sense.
+    Raises InputError for a unit, an axis or a time code that makes no sense.
     """
     root = stage.GetRootLayer()
     rate = next((_metadata(stage, key) for key in RATES if stage.HasAuthoredMetadata(key)), None)
@@ -136,8 +136,8 @@ def stage_facts(
         unit_from=unit_from,
         axis_from=axis_from,
         time_codes_per_second=None if rate is None else float(rate),
-        start_time_code=root.startTimeCode if root.HasStartTimeCode() else None,
-        end_time_code=root.endTimeCode if root.HasEndTimeCode() else None,
+        start_time_code=_time_code(root.HasStartTimeCode(), root.startTimeCode, path, "start"),
+        end_time_code=_time_code(root.HasEndTimeCode(), root.endTimeCode, path, "end"),
         root_prims=tuple(
             str(prim.GetPath())
             for prim in stage.GetPseudoRoot().GetAllChildren()
@@ -147,6 +147,19 @@ def stage_facts(
         animated=any(layer.ListAllTimeSamples() for layer in stage.GetUsedLayers()),
         says_physics=any(_is_physics(prim) for prim in _everything(stage)),
     )
+
+
+def _time_code(authored: bool, value: float, path: Path, which: str) -> float | None:
+    """An end of the stage's range; None where none is authored."""
+    if not authored:
+        return None
+    if not abs(value) <= LATEST:
+        raise InputError(
+            f"{path}: {which}TimeCode = {value:g}; it must be a number from {-LATEST:g} to"
+            f" {LATEST:g}",
+            f"author {which}TimeCode in the file, or leave it out",
+        )
+    return value
 
 
 def _everything(stage: Usd.Stage) -> Usd.PrimRange:

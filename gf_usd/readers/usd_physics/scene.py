@@ -17,6 +17,7 @@ from pxr import Sdf, Usd, UsdPhysics
 from gf_usd.core.asset import StageFacts, first_time_code
 from gf_usd.core.materials import G0
 from gf_usd.core.stage import StagePhysics, Triple
+from gf_usd.core.units import STRONGEST
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
@@ -181,7 +182,7 @@ def read_gravity(
     As UsdPhysics has it: without a direction it points down, and without a magnitude, or with a
     negative one, it is the earth's.  Of several scenes the first counts.
 
-    Raises InputError for a direction or a magnitude that is not a number.
+    Raises InputError for a direction or a magnitude that is not a number, or too large a one.
     """
     scenes = [prim for prim in prims if prim.IsA(UsdPhysics.Scene)]
     if not scenes:
@@ -198,6 +199,12 @@ def read_gravity(
         raise refuse(
             facts.path, scene, MAGNITUDE, value,
             "author a finite magnitude in stage units per second squared, or none for the earth's",
+        )  # fmt: skip
+    if magnitude * facts.units.length > STRONGEST:
+        raise refuse(
+            facts.path, scene, MAGNITUDE, value,
+            f"author up to {STRONGEST / facts.units.length:g} (1 unit is {facts.units.length:g} m),"
+            " or none for the earth's",
         )  # fmt: skip
     g = (G0 if magnitude < 0.0 else magnitude * facts.units.length) * down + 0.0
     return (float(g[0]), float(g[1]), float(g[2])), str(scene.GetPath())

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from mesh_moments import BODIES, of_mesh
-from solids import cube, joined, solid, sphere, turned, without
+from solids import cube, joined, needle, solid, sphere, turned, without
 
 from gf_usd.core.mesh import signed_volume
 from gf_usd.geometry.sampling.content import FULL, Grid, find_content
+from gf_usd.geometry.sampling.pieces import cut
 
 
 def grid_over(body, h, shift=(0.0, 0.0, 0.0)):
@@ -126,3 +129,42 @@ def test_a_surface_with_a_hole_or_a_turned_face_is_counted(spoil):
     # The face is a thousandth of the surface; cells on it are right to 1/sqrt(64 probes) at least.
     scatter = 0.2**3 * np.sqrt(found.counted) / np.sqrt(12.0 * 64.0)
     assert abs(0.2**3 * found.moments[:, 0].sum() - volume) < 3.0 * scatter + 2e-3 * volume
+
+
+def test_a_tube_open_at_both_ends_is_filled_from_its_wall():
+    # No piece of surface lies in the columns of the bore, whose cells are full by winding number.
+    h, edge, height = 0.11, 1.0, 4.0
+    box = cube(edge=(edge, edge, height))
+    z = box.points[box.triangles][:, :, 2]
+    body = solid(without(box, np.flatnonzero(np.ptp(z, axis=1) == 0.0)))
+    found = find_content(body, grid_over(body, h))
+    inner = {(i, j, k) for i, j, k in found.ijk.tolist() if 2 < k < 34 and 2 < i < 8 and 2 < j < 8}
+    assert len(inner) == 31 * 5 * 5
+    assert found.counted > 0
+    # Where w = 1/2 bulges out of the mouths: less than a half ball of the edge at each.
+    assert abs(h**3 * found.moments[:, 0].sum() - edge**2 * height) < 2.0 * 0.26 * edge**3
+
+
+def test_a_needle_is_cut_into_pieces_in_the_number_of_the_planes_it_crosses():
+    long = needle(2000.0, 0.3)
+    corners = long.points[long.triangles] + 0.123
+    pieces = cut(corners)
+    # Three triangles cross 2,000 planes of each axis in turn, and slabs leave three pieces at most.
+    assert len(pieces.source) < 3 * 3 * 3 * 3 * 2003
+    whole = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sums = np.stack([np.bincount(pieces.source, v) for v in pieces.area_vectors.T], 1)
+    np.testing.assert_allclose(sums, whole, rtol=1e-9, atol=1e-6)
+    low, high = np.floor(pieces.corners.min(1) + 1e-9), np.ceil(pieces.corners.max(1) - 1e-9)
+    assert (high - low <= 1.0).all()
+
+
+def test_a_needle_takes_memory_by_its_cells_and_not_by_those_of_its_box():
+    body = solid(needle(1.0, 1e-4))
+    h = 1.0 / 3000.0
+    tracemalloc.start()
+    found = find_content(body, grid_over(body, h))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert h**3 * found.moments[:, 0].sum() == pytest.approx(body.volume, rel=1e-9)
+    # The ten moments of each cell in one layer of the box alone would take more.
+    assert peak < 10 * 8 / h**2

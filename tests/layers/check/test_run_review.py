@@ -79,11 +79,18 @@ def test_looking_changes_no_file(tmp_path: Path) -> None:
 def test_a_fault_of_the_source_is_not_the_bake_s(tmp_path: Path) -> None:
     asset = replace(PLAIN, body=PLAIN.body + STARS).asset(tmp_path)
     root, _, _ = bake(asset, tmp_path)
-    for path in (asset.facts.path, root.path):
-        assert ("finite", "/stars") in {(f.rule, f.prim_path) for f in check_file(path).findings}
+    of_source = {(f.rule, f.prim_path) for f in check_file(asset.facts.path).findings}
+    assert ("finite", "/stars") in of_source
     assert review(root.path, asset.facts.path) == []
+    checked = check_file(root.path)
+    assert checked.ok
+    assert ("finite", "/stars") in {(f.rule, f.prim_path) for f in checked.inherited}
+    assert {(f.rule, f.prim_path) for f in checked.inherited} <= of_source
     # and does not hide another one of the same kind elsewhere
     spoil(tmp_path / "duck.rubber.cache.usdc")
     found = prims(review(root.path, asset.facts.path))
     assert ("finite", MESH) in found
     assert ("finite", "/stars") not in found
+    checked = check_file(root.path)
+    assert not checked.ok
+    assert ("finite", MESH) in {(f.rule, f.prim_path) for f in checked.findings}

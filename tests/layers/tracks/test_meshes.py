@@ -50,6 +50,21 @@ def test_normals_that_were_not_carried_are_blocked_and_noted(tmp_path: Path) -> 
     assert layer.GetAttributeAtPath("/duck/geo/body.normals").default == Sdf.ValueBlock()
 
 
+def test_of_two_kinds_of_normals_neither_is_left_at_rest(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    layer = Sdf.Layer.FindOrOpen(str(asset.facts.path))
+    mesh = layer.GetPrimAtPath("/duck/geo/body")
+    Sdf.AttributeSpec(mesh, "primvars:normals", Sdf.ValueTypeNames.Normal3fArray).default = [
+        (0, 1, 0)
+    ]
+    layer.Save()
+    body = replace(asset.surfaces[0], normals=None, normals_interpolation="")
+    write_cache(tmp_path / "c.usdc", replace(asset, surfaces=(body,)))
+    cache = Sdf.Layer.FindOrOpen(str(tmp_path / "c.usdc"))
+    for name in ("normals", "primvars:normals"):
+        assert cache.GetAttributeAtPath(f"/duck/geo/body.{name}").default == Sdf.ValueBlock()
+
+
 @pytest.mark.parametrize("binding", ["on the mesh", "on the SkelRoot"])
 def test_baked_skin_is_not_skinned_again(binding: str, tmp_path: Path) -> None:
     asset = SKINNED.asset(tmp_path)

@@ -175,6 +175,16 @@ def test_a_rate_that_is_no_number_is_refused(write, value):
     assert "set timeCodesPerSecond" in caught.value.hint
 
 
+@pytest.mark.parametrize("name", ["startTimeCode", "endTimeCode"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-1e300", "2e9"])
+def test_time_codes_that_no_frame_can_have_are_refused(write, name, value):
+    path = write(f"#usda 1.0\n(\n{name} = {value}\n)\n{BALL}")
+    with pytest.raises(InputError) as caught:
+        read_asset(path)
+    assert caught.value.message.startswith(f"{path}: {name} = {float(value):g};")
+    assert name in caught.value.hint
+
+
 def test_a_usd_error_may_quote_bytes_that_are_no_text(tmp_path):
     file = tmp_path / "a.usda"
     file.write_bytes(b'#usda 1.0\n(\n    defaultPrim = "\xff"\n)\n' + BALL.encode())

@@ -68,6 +68,7 @@ def test_of_several_scenes_the_first_counts_and_this_is_said(write: Write) -> No
     [
         ("float physics:gravityMagnitude = nan", "physics:gravityMagnitude is nan"),
         ("float physics:gravityMagnitude = inf", "physics:gravityMagnitude is inf"),
+        ("float physics:gravityMagnitude = 1e30", "physics:gravityMagnitude is 1e+30"),
         ("vector3f physics:gravityDirection = (nan, 0, 0)", "physics:gravityDirection is"),
     ],
 )
