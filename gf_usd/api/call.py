@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import wraps
@@ -105,12 +105,18 @@ def keywords(*own: str, **renamed: str) -> Iterator[None]:
     try:
         yield
     except GfUsdError as error:
-        error.message, error.hint = (
-            OPTION.sub(lambda found: known.get(found[0], found[0]), text)
-            for text in (error.message, error.hint)
-        )
+        error.message = in_keywords(error.message, known)
+        error.hint = in_keywords(error.hint, known)
         error.args = (error.message,)
         raise
+
+
+def in_keywords(text: str, known: Mapping[str, str] | None = None) -> str:
+    """A text with keywords in place of options of the command line; known : by their names there,
+    None: those of a bake.
+    """
+    words = _KEYWORDS if known is None else known
+    return OPTION.sub(lambda found: words.get(found[0], found[0]), text)
 
 
 def _spellings() -> dict[str, str]:

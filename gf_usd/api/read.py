@@ -24,7 +24,7 @@ class BakeFrame:
     def __init__(self, arrays: BakedArrays, index: int) -> None:
         self._arrays = arrays
         self.index = index  # 0 for the first
-        self.time_code = arrays.time_codes[index]
+        self.time_code = arrays.time_codes[index]  # of the stage
 
     @property
     def time(self) -> float:
@@ -78,10 +78,10 @@ class Bake(Sequence[BakeFrame]):
 
     def __init__(self, arrays: BakedArrays) -> None:
         self._arrays = arrays
-        self.path = arrays.path
-        self.variant = arrays.variant
+        self.path = arrays.path  # of the file
+        self.variant = arrays.variant  # that is read
         self.variants = arrays.variants  # of the file
-        self.time_codes = np.array(arrays.time_codes)  # (T,)
+        self.time_codes = np.array(arrays.time_codes)  # (T,) of the frames
         self.fps = arrays.time_codes_per_second  # time codes per second of playback
         self.up = arrays.up  # (3,) unit
         self.meters_per_unit = arrays.units.meters_per_unit  # of the file; arrays are in meters
@@ -114,8 +114,8 @@ class Bake(Sequence[BakeFrame]):
         """What does not change of the particles.
 
         positions (N, 3) [m], where the body is unstressed, before it was lifted to fall; volumes
-        (N,) [m^3], masses (N,) [kg], materials (N,) into `materials`; and where the body is
-        heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
+        (N,) [m^3], masses (N,) [kg], materials (N,), the index of each one's material; and where
+        the body is heterogeneous youngs_modulus [Pa], poissons_ratio, densities [kg/m^3].
         """
         return self._arrays.rest()
 

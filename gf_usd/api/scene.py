@@ -202,22 +202,6 @@ class Scene:
         )  # fmt: skip
         return name
 
-    def spec(self, times: Sequence[float], options: dict[str, Any]) -> SceneSpec:
-        """The scene with its motions at the times [s] of the frames."""
-        from gf_usd.pipeline.scene import SceneSpec
-
-        return SceneSpec(
-            surfaces=tuple(self._surfaces),
-            materials=dict(self._materials),
-            velocities=dict(self._velocities),
-            colliders=tuple(_collider(one, times) for one in self._obstacles),
-            pins=tuple((_region(one, times), one.axes) for one in self._pins),
-            gravity=self.gravity,
-            floor=self.floor,
-            up_axis=self.up,
-            options=options,
-        )
-
     def _name(self, name: str | None, kind: str) -> str:
         taken = {*self.bodies, *(one.name for one in (*self._obstacles, *self._pins))}
         if name is None:
@@ -227,6 +211,23 @@ class Scene:
         if name in taken:
             raise UsageError(f"the scene has a {name} already", "give it another name")
         return name
+
+
+def at_frames(scene: Scene, times: Sequence[float], options: dict[str, Any]) -> SceneSpec:
+    """A scene with its motions at the times [s] of the frames; options : fields of `Request`."""
+    from gf_usd.pipeline.scene import SceneSpec
+
+    return SceneSpec(
+        surfaces=tuple(scene._surfaces),
+        materials=dict(scene._materials),
+        velocities=dict(scene._velocities),
+        colliders=tuple(_collider(one, times) for one in scene._obstacles),
+        pins=tuple((_region(one, times), one.axes) for one in scene._pins),
+        gravity=scene.gravity,
+        floor=scene.floor,
+        up_axis=scene.up,
+        options=options,
+    )
 
 
 def _triple(name: str, value: Any) -> Triple:

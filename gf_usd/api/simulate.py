@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.api.call import keywords
 from gf_usd.api.host.guest import TAKEN, guest, require_here
-from gf_usd.api.scene import Scene
+from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Health
 from gf_usd.prepare.options import values
@@ -54,7 +54,8 @@ class Simulation(Iterator[SimulationFrame]):
         from gf_usd.system.taichi_runtime import epoch
 
         fps = options["fps"]
-        spec = scene.spec([k / fps for k in range(frames)], {**options, "frames": frames})
+        times = [k / fps for k in range(frames)]
+        spec = at_frames(scene, times, {**options, "frames": frames})
         self._plan = plan_scene(spec)
         self._solver: Any = start_scene(self._plan)
         self._epoch = epoch()

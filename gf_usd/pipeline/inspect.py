@@ -78,7 +78,7 @@ class Inspection:
         return ("filled", "") if reason is None else ("rides along", reason)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; see the top of this file."""
+        """Plain values; their keys stand at the top of gf_usd/pipeline/inspect.py."""
         facts = self.asset.facts
         return {
             "file": str(facts.path),

@@ -61,12 +61,12 @@ class VariantResult:
     """One material's bake."""
 
     look: str  # name of the variant
-    cache: Path
-    material: Material
-    frames: int
-    health: dict[str, Any] = field(repr=False)  # see `HealthLog.summary`
-    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)
-    warnings: tuple[HealthWarning, ...] = ()
+    cache: Path  # the layer that the frames are in
+    material: Material  # the one that most of the volume has
+    frames: int  # that were written
+    health: dict[str, Any] = field(repr=False)  # totals; docs/guide.md has the keys
+    per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)  # fields of `Health`
+    warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
@@ -85,13 +85,13 @@ class VariantResult:
 class BakeResult:
     """A finished bake."""
 
-    root: Path
-    report: Path
-    bakes: tuple[VariantResult, ...]
-    particles: int
-    seconds: float
-    settings: Settings
-    notes: tuple[str, ...] = ()
+    root: Path  # the layer to open
+    report: Path  # what was measured, as JSON
+    bakes: tuple[VariantResult, ...]  # one a material
+    particles: int  # their number
+    seconds: float  # [s] that it took
+    settings: Settings  # of the first material
+    notes: tuple[str, ...] = ()  # what was assumed, in words
     findings: tuple[dict[str, str], ...] = ()  # faults that `check` found and the source has not
     outputs: tuple[Path, ...] = ()  # every file, also those that bakes of a mesh file share
 
@@ -107,6 +107,7 @@ class BakeResult:
 
     @property
     def frames(self) -> int:
+        """The number of frames that were written."""
         return self.bakes[0].frames
 
     @property

@@ -34,7 +34,7 @@ def kinds(found: list[dict[str, Any]]) -> list[str]:
 
 
 def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, block: Path) -> None:
-    done = gf_usd("bake", block, *SMALL, "--events", "events.ndjson")
+    done = gf_usd("bake", block, *SMALL, "--floor", "none", "--events", "events.ndjson")
     assert done.status == 0
     found = events((here / "events.ndjson").read_text())
     assert kinds(found) == ["started", "plan", "frame", "finished"]

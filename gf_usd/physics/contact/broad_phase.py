@@ -134,7 +134,9 @@ class Patches:
         rows, columns = self._of[self._order], self._order
         mean = csr_matrix((1.0 / self._count[rows], (rows, columns)))
         n0 = mean @ normal
-        n0 /= np.maximum(np.linalg.norm(n0, axis=1, keepdims=True), 1e-12)
+        size = np.linalg.norm(n0, axis=1, keepdims=True)
+        # a sample where sides of a sheet meet may have no normal: any frame serves its patch
+        n0 = np.where(size > 1e-12, n0 / np.maximum(size, 1e-12), np.eye(3)[2])
         axis = np.eye(3)[np.abs(n0).argmin(1)]
         t1 = np.cross(n0, axis)
         t1 /= np.linalg.norm(t1, axis=1, keepdims=True)

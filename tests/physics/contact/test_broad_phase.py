@@ -85,3 +85,15 @@ def test_a_fold_is_looked_at_before_it_closes():
     step = 1e-6
     turning = (bent(0.3 + step) - bent(0.3)) / step  # a radian a second
     assert patches.judge(bent(0.3), turning).fold < np.pi - 0.3
+
+
+def test_a_sample_without_a_normal_is_judged_as_its_neighbors_are():
+    samples = sampled(legs(GAP))[1]
+    normal = samples.normal.copy()
+    normal[::7] = 0.0
+    patches = Patches(samples.X, normal, SPACING, see=4.0, thick=4.0)
+    right = samples.X[:, 0] > 0.4 + 0.5 * GAP
+    v = np.where(right[:, None], [[-1.0, 0.0, 0.0]], 0.0)
+    judged = patches.judge(samples.X, v)
+    assert np.isfinite(judged.rate).all()
+    assert judged.until.min() < GAP
