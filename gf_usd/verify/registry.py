@@ -23,7 +23,7 @@ from gf_usd.verify.cases import (
     sampling,
     sides,
 )
-from gf_usd.verify.cases.contact import collisions, hertz, slope
+from gf_usd.verify.cases.contact import arms, collisions, hertz, slope
 from gf_usd.verify.cases.elastic import (
     bar,
     cantilever,
@@ -31,6 +31,7 @@ from gf_usd.verify.cases.elastic import (
     locking,
     manufactured,
     slanted,
+    thin,
     vibration,
 )
 
@@ -43,6 +44,7 @@ CASES: tuple[Case, ...] = (
     *bar.VERTICAL_CASES,
     *cantilever.CASES,
     *limbs.CASES,
+    *thin.CASES,
     *locking.CASES,
     *manufactured.CASES,
     *finite.CASES,
@@ -52,6 +54,7 @@ CASES: tuple[Case, ...] = (
     *slope.CASES,
     *hertz.CASES,
     *collisions.CASES,
+    *arms.CASES,
     *drop.CASES,
     *plastic.CASES,
     *sides.CASES,

@@ -78,3 +78,36 @@ def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
     assert run(monkeypatch, folder)[0] == 1
     monkeypatch.setattr(bake_assets, "gf_usd", partial(refuse, left="left.usda"))
     assert run(monkeypatch, folder)[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("health", "said"),
+    [
+        ({"inverted_max": 2, "rollbacks": 0}, "2 particles inside out"),
+        ({"inverted_max": 0, "rollbacks": 3}, "3 frames redone"),
+    ],
+)
+def test_particles_inside_out_and_frames_redone_are_failures(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, health: dict[str, int], said: str
+) -> None:
+    asked = []
+
+    def unsound(*words: str) -> tuple[int, str, str]:
+        asked.append(words)
+        if words[0] == "check":
+            return 0, json.dumps({"findings": []}), ""
+        report = folder.parent / "report.json"
+        report.write_text(
+            json.dumps({"check": [], "bodies": [1], "riders": [], "bakes": [{"health": health}]})
+        )
+        end = {"event": "finished", "report": str(report), "root": "root.usda", "particles": 9}
+        return 0, json.dumps(end) + "\n", ""
+
+    monkeypatch.setattr(bake_assets, "gf_usd", unsound)
+    status, page = run(monkeypatch, folder, "--plain", "--material", "rubber", "--only", "block")
+    assert status == 1
+    assert page.count("| failed | ") == 1
+    assert said in page
+    bake = next(words for words in asked if words[0] == "bake")
+    assert "--frames" not in bake
+    assert bake[-2:] == ("--material", "rubber")

@@ -1,10 +1,13 @@
 """Bake every asset of a folder with few particles and frames, and list the results.
 
     python -m tools.acceptance.bake_assets FOLDER [--write FILE.md] [--particles N] [--frames N]
+    python -m tools.acceptance.bake_assets FOLDER --plain [--material NAME] [--only TEXT]...
 
 Every file but pictures and texts is baked by the program in a process of its own, and the result
 checked.  It is baked, or refused in words with a hint; anything else is a failure, and so is a file
-of the folder whose bytes changed.  Exit status 1 if there was a failure.
+of the folder whose bytes changed, a bake with particles inside out and one with a frame redone.
+With --plain the number of particles and of frames is what a bake chooses.  Exit status 1 if there
+was a failure.
 """
 
 from __future__ import annotations
@@ -106,8 +109,18 @@ def _checked(result: dict[str, Any]) -> tuple[str, str]:
         words += f", {embedded} not filled"
     if found and not ours:
         words += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"
-    sound = not ours and (status == 0 or found)
-    return ("baked", words) if sound else ("failed", f"check: {ours or found}")
+    if ours or (status != 0 and not found):
+        return "failed", f"check: {ours or found}"
+    worst = [_worst(one["health"]) for one in report["bakes"]]
+    if inverted := max(inverted for inverted, _ in worst):
+        return "failed", f"{words}; {inverted} particles inside out"
+    if redone := sum(redone for _, redone in worst):
+        return "failed", f"{words}; {redone} frames redone"
+    return "baked", words
+
+
+def _worst(health: dict[str, Any]) -> tuple[int, int]:
+    return int(health["inverted_max"]), int(health["rollbacks"])
 
 
 def _reason(error: dict[str, str], path: Path, folder: Path) -> str:
@@ -143,13 +156,21 @@ def main() -> int:
     parser.add_argument("--write", type=Path, help="replace the table in this Markdown file")
     parser.add_argument("--particles", type=int, default=600)
     parser.add_argument("--frames", type=int, default=3)
+    parser.add_argument("--plain", action="store_true", help="neither of the two")
+    parser.add_argument("--material", help="a preset in place of what the files say")
+    parser.add_argument("--only", action="append", default=[], help="files with this in their path")
     asked = parser.parse_args()
     folder: Path = asked.folder
-    options = ("--particles", str(asked.particles), "--frames", str(asked.frames))
+    few = ("--particles", str(asked.particles), "--frames", str(asked.frames))
+    options = () if asked.plain else few
+    if asked.material:
+        options = (*options, "--material", asked.material)
     before = digests(folder)
     outcomes = []
     with tempfile.TemporaryDirectory() as out:
         for path in assets(folder):
+            if asked.only and not any(text in str(path) for text in asked.only):
+                continue
             outcomes.append(bake(path, folder, Path(out), options))
             one = outcomes[-1]
             print(f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}", flush=True)

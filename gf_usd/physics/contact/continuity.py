@@ -2,9 +2,10 @@
 
 A detection changes points and normals although nothing moved, and so what the springs store.  The
 new planes of a pair (a body, and what it faces) are therefore moved along their normals, so that
-its samples are f times as deep as the true surface says, f^2 = E_old / E_true: the pair stores what
-it stored.  f differs from 1 by the few percent of such a jump, and is found anew at each detection
-from the true depths; it goes back to 1 by what a small budget of energy allows.
+its samples are f times as deep as the true surface says: with A and B the energy of the first and
+the second term of the springs under the true planes, f^2 A + f^4 B = E_old, and the pair stores
+what it stored.  f differs from 1 by the few percent of such a jump, and is found anew at each
+detection from the true depths; it goes back to 1 by what a small budget of energy allows.
 
 The springs of friction stay with a sample as long as it faces the same body or obstacle: they turn
 into the new plane, with their length.  Those of a sample that faces something else are released.
@@ -30,13 +31,15 @@ class Stored:
 
     planes: ContactPlanes
     depth: Floats  # (n,) [m]
-    stiffness: Floats  # (n,) [N/m]
+    stiffness: Floats  # (n,) [N/m] of a spring that is hardly pressed
+    hardening: float  # [1/m^2] 1 / a^2: see `kernels.pair_contact`
     pair: Ints  # (n,) number of the pair of bodies, or of body and obstacle; below 0: none
 
     @property
     def normal_energy(self) -> Floats:
-        """(n,) [J] k d^2 / 2."""
-        return 0.5 * self.stiffness * self.depth**2
+        """(n,) [J] k d^2 (1 + (d / a)^2 / 2) / 2."""
+        square = self.depth**2
+        return 0.5 * self.stiffness * square * (1.0 + 0.5 * self.hardening * square)
 
     @property
     def energy(self) -> float:
@@ -54,13 +57,16 @@ def continued(old: Stored, true: Stored, *, ease: float, budget: float) -> Store
     eased = replace(true, depth=np.minimum(true.depth, old.depth + ease))
     pairs = 1 + int(max(old.pair.max(initial=-1), true.pair.max(initial=-1)))
 
-    def summed(stored: Stored) -> Floats:
-        some = stored.pair >= 0
-        return np.bincount(stored.pair[some], stored.normal_energy[some], pairs)
+    def summed(pair: Ints, energy: Floats) -> Floats:
+        some = pair >= 0
+        return np.bincount(pair[some], energy[some], pairs)
 
-    had, has, aim = summed(old), summed(eased), summed(true)
+    had, aim = summed(old.pair, old.normal_energy), summed(true.pair, true.normal_energy)
     goal = had + np.clip(aim - had, -budget, budget)
-    scale = np.minimum(np.sqrt(goal / np.where(has > 0.0, has, 1.0)), MOST)
+    linear = 0.5 * eased.stiffness * eased.depth**2
+    a, b = summed(true.pair, linear), summed(true.pair, eased.normal_energy - linear)
+    root = a + np.sqrt(a * a + 4.0 * b * goal)
+    scale = np.minimum(np.sqrt(2.0 * goal / np.where(root > 0.0, root, 1.0)), MOST)
     depth = np.where(true.pair >= 0, np.append(scale, 0.0)[true.pair] * eased.depth, 0.0)
     planes = true.planes
     point = planes.point - (true.depth - depth)[:, None] * planes.normal

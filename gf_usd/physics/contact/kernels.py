@@ -22,7 +22,8 @@ obstacle, which moves it (point q, velocity v_q), or to a body, three of whose s
 
 With the plane's outward normal n, at depth d = (q - x_s) . n > 0,
 
-    f_n = max(0, k d - c (v_s - v_q) . n)        f_t as on the floor, k_t = k, xi turns with n
+    f_n = max(0, k d (1 + (d / a)^2) - c (v_s - v_q) . n)
+    f_t as on the floor, k_t = k, xi turns with n
     f_s += f,    f_k += -w_k f + alpha x r_k,    J alpha = -(x_s - sum_k w_k x_k) x f
 
 so that what one body loses another gains, momentum and angular momentum alike, to rounding.  A
@@ -40,6 +41,7 @@ from gf_usd.physics.contact.narrow_phase import (
     DRIFT,
     FORCE,
     FRICTION,
+    HARDENING,
     LINKS,
     NOBODY,
     NORMAL,
@@ -232,7 +234,8 @@ def pair_contact(body: ti.template(), s, dt):
         if d > 0.0:
             v = v - vq
             vn = v.dot(n)
-            fn = ti.max(0.0, body.pair[o + STIFFNESS] * d - body.pair[o + DAMPING] * vn)
+            harder = 1.0 + body.pair[o + HARDENING] * d * d
+            fn = ti.max(0.0, body.pair[o + STIFFNESS] * harder * d - body.pair[o + DAMPING] * vn)
             vt = v - vn * n
             xi = row(body.pair, o + SPRING) + dt * (vt + spin.cross(row(body.pair, o + SPRING)))
             xi, ft = friction(

@@ -22,7 +22,13 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Collider, Skin
 from gf_usd.physics.contact.carriers import Triples, cross, spin
-from gf_usd.physics.contact.distance import Closest, above_plane, closest, outside_where_unwound
+from gf_usd.physics.contact.distance import (
+    Closest,
+    above_plane,
+    closest,
+    outside_where_unwound,
+    shell,
+)
 from gf_usd.physics.contact.floor import FloorContact
 from gf_usd.physics.grid.reference import Rows
 
@@ -224,6 +230,7 @@ class BodySkin:
         gap, self._cover = kd_tree(X).query(center)
         reach = np.linalg.norm(corners - center[:, None], axis=2).max(1)
         self._reach = SLACK * (gap + reach)
+        self._shell = shell(skin.points, skin.triangles)
 
     def near(
         self, X: Floats, known: Floats, x: Floats, u: Floats, offset: Floats, reach: float
@@ -246,7 +253,11 @@ class BodySkin:
         doubtful = np.flatnonzero(seen.gap < known[seen.rows])
         if len(doubtful):
             whole = self.skin.points + offset + self._W @ u
-            seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
+            if self._shell is None:
+                seen = outside_where_unwound(seen, doubtful, X, whole, self.skin.triangles)
+            else:
+                points, faces = whole[self._shell[0]], self._shell[1]
+                seen = outside_where_unwound(seen, doubtful, X, points, faces, shell=True)
         rest = np.einsum("nk,nka->na", seen.weights, self.skin.points[used][local[seen.triangle]])
         return seen, rest
 
@@ -332,12 +343,13 @@ NOBODY = -1
 OBSTACLE = -2
 
 # A kernel takes few arrays: all numbers of a sample stand in one row of `pair`, ...
-ROW = 44
+ROW = 45
 REST, DRIFT, PLACE, RATE, FORCE = 0, 3, 6, 9, 12  # X, its rate by a pin, x, v, f
 POINT, NORMAL, VELOCITY = 15, 18, 21  # q (of a body's plane: from sum w x), n, v_q of an obstacle
 STIFFNESS, DAMPING, FRICTION = 24, 25, 26
 DEPTH, WORK = 27, 28  # deepest [m] and work of an obstacle [J] since they were cleared
 SPRING, WEIGHT, REACTION = 29, 32, 35  # xi; w_k and f_k of the three carriers
+HARDENING = 44  # [1/m^2] of the spring: f = k d (1 + HARDENING d^2)
 # ... and its whole numbers in one of `links`: the carriers; where its list starts; three entries of
 # all lists.
 LINKS = 7

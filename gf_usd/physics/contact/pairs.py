@@ -47,6 +47,10 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 # Springs that a sample may feel, over the one on the floor: its own, those of planes it carries,
 # and each of the two strained by both bodies.
 CROWD = 4.0
+# [spacings] a: at this depth a spring is twice as strong as without its second term.  Bodies that
+# are pressed together by more than they are stiff overlap by less so.
+HARD = 0.2
+SPARE = 1.5  # of CROWD: few samples are deep
 # Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
 # are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.
 BUDGET = 1e-4
@@ -85,9 +89,8 @@ class BodyContact:
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
         crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
-        # Substeps where something touches over those where nothing does; given ones stay.
-        rest = body.step
-        self._shorter = 1.0 if body.settings.substeps else rest.dt / rest.crowded(crowd).dt
+        self._crowd = crowd
+        self._hardening = (HARD * self._spacing) ** -2
         self.injected = 0.0  # [J] since `begin`
         self.released = 0  # most samples at once, since `begin`
         self._overlap = 0.0  # [m] deepest at a detection since `begin`
@@ -141,8 +144,9 @@ class BodyContact:
     def _stored(self, x: Floats, time: float) -> Stored:
         depth = self.planes.depth(x, time - self._detected)
         return Stored(
-            planes=self.planes, depth=depth, stiffness=self._k, pair=self._pairs(self.planes)
-        )
+            planes=self.planes, depth=depth, stiffness=self._k, hardening=self._hardening,
+            pair=self._pairs(self.planes),
+        )  # fmt: skip
 
     def _pairs(self, planes: ContactPlanes) -> Ints:
         """(n,) which body of each sample and what it faces, as one number; -1: nothing."""
@@ -225,6 +229,7 @@ class BodyContact:
             planes=search.planes,
             depth=search.planes.depth(x, 0.0),
             stiffness=values["stiffness"],
+            hardening=self._hardening,
             pair=self._pairs(search.planes),
         )
         if np.isfinite(self._gap).all():
@@ -242,7 +247,7 @@ class BodyContact:
         if free >= min(chunk, FEWEST):
             chunk = parts = min(chunk, int(min(free, left)))
         else:
-            parts = int(np.ceil(chunk * self._shorter))
+            parts = int(np.ceil(chunk * self._shorter(float(self.planes.depth(x, 0.0).max()))))
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
@@ -259,6 +264,15 @@ class BodyContact:
             return 0.0
         comes = faces & (closing > 0.0)
         return float((gap[comes] / (AHEAD * closing[comes])).min(initial=np.inf))
+
+    def _shorter(self, depth: float) -> float:
+        """Substeps where samples are as deep [m] over those where nothing touches; 1: given."""
+        if self._body.settings.substeps:
+            return 1.0
+        # A spring is 1 + 3 (d / a)^2 as stiff against more as against little.
+        stiffer = max(1.0, (1.0 + 3.0 * self._hardening * depth**2) / SPARE)
+        rest = self._body.step
+        return rest.dt / rest.crowded(self._crowd * stiffer).dt
 
     def _sliding(self, v: Floats) -> float:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""
@@ -399,11 +413,12 @@ class BodyContact:
         pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
         pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
         pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
-        pair[:, narrow_phase.REACTION :] = 0.0
+        pair[:, narrow_phase.REACTION : narrow_phase.HARDENING] = 0.0
         pair[:, narrow_phase.POINT : narrow_phase.STIFFNESS] = np.hstack(
             [point, f.normal, f.velocity]
         )
         damping = damping_coefficient(values["stiffness"], values["mass"], values["restitution"])
+        pair[:, narrow_phase.HARDENING] = self._hardening
         pair[:, narrow_phase.STIFFNESS : narrow_phase.DEPTH] = np.stack(
             [values["stiffness"], damping, values["friction"]], 1
         )

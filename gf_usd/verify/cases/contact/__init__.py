@@ -1,1 +1,1 @@
-"""Contact against closed forms: friction, Hertz's impact, collisions."""
+"""Contact: friction, Hertz's impact, collisions, a body that meets itself."""

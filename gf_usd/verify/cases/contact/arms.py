@@ -1,0 +1,87 @@
+"""Two arms of one body that close on each other: what passes, and what contact gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.stage import ContactSetup, Skin
+from gf_usd.geometry.sampling.contact_samples import sample_surface
+from gf_usd.geometry.sampling.particles import sample_solid
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import comb, look, settings, solid_of
+from gf_usd.verify.case import Case, Measure
+
+WIDTH, GAP, LENGTH = 0.5, 1.0, 3.0  # [m] of an arm, between the two, and how long they are
+LOOKS = ("rubber", "jelly")
+FRAMES = 20
+ROUNDING = 1e-5  # of what the two arms carry: float32 sums over some hundred substeps
+OVERLAP, GIVEN = 0.3, 1e-3  # [spacings], and of the kinetic energy at the start
+
+
+def closing(name: str, speed: float, particles: int, device: str) -> Iterator[Measure]:
+    """Arms of one look whose tips come at each other at a speed [m/s] each."""
+    surface = comb(2, WIDTH, GAP, LENGTH, WIDTH, WIDTH)
+    solid = solid_of(surface)
+    body = sample_solid(solid, particles=particles, spacing=None, seed=0)
+    middle = WIDTH + 0.5 * GAP
+
+    def close(X: Floats) -> Floats:
+        toward = np.sign(middle - X[:, 0]) * np.maximum(LENGTH - X[:, 1], 0.0)
+        return np.outer(speed / LENGTH * toward, [1.0, 0.0, 0.0])
+
+    skin = Skin(points=surface.points, triangles=surface.triangles)
+    solver = TotalLagrangian(
+        body, [look(name, body)], settings(device, frames=FRAMES),
+        samples=sample_surface(solid, body.spacing), velocity=close,
+        contact_setup=ContactSetup(skins=(skin,), self_contact=frozenset({0})),
+    )  # fmt: skip
+    seen = [frame.health for frame in solver.frames()]
+    of = f"{name}.{speed:g}.{particles}"
+    p = np.array([h.momentum for h in seen])
+    yield Measure(
+        name=f"momentum.{of}", value=float(np.abs(p - p[0]).max()) / (seen[0].mass * speed),
+        target=0.0, bound=ROUNDING, why="forces of a pair have no sum; float32",
+    )  # fmt: skip
+    yield Measure(
+        name=f"let-go.{of}", value=float(max(h.let_go for h in seen)), target=0.0, bound=0.0,
+        unit="samples", why="a sample knows on which side of what it faces it was",
+    )  # fmt: skip
+    given = np.cumsum([h.injected for h in seen])
+    yield Measure(
+        name=f"given.{of}", value=max(0.0, float(given.max())) / seen[0].kinetic, target=0.0,
+        bound=GIVEN, why="new planes store what the old ones did; a thousandth is asked for",
+    )  # fmt: skip
+    yield Measure(
+        name=f"overlap.{of}", value=max(h.overlap for h in seen) / body.spacing, target=0.0,
+        bound=OVERLAP, unit="spacings",
+        why="no outside truth: surfaces yield a little where bodies are pressed together, and less"
+        " than a third of a spacing is asked for",
+    )  # fmt: skip
+
+
+def arms(speeds: Sequence[float], counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
+    """Every look at every speed [m/s], with every number of particles."""
+
+    def run(device: str) -> Iterator[Measure]:
+        for count in counts:
+            for name in LOOKS:
+                for speed in speeds:
+                    yield from closing(name, speed, count, device)
+
+    return run
+
+
+CASES = (
+    Case(
+        name="arms",
+        what="Two arms of one body, 3 m long, close until they meet, their tips at 1.5, 3 and 6 m/s"
+        " each.  Momentum, samples that pass, the energy that contact gives, and how deep the arms"
+        " are in each other.",
+        source="conservation laws; the depth is what is asked for",
+        quick=arms((1.5, 6.0), (500,)),
+        full=arms((1.5, 3.0, 6.0), (500, 2000)),
+    ),
+)

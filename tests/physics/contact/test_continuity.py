@@ -1,0 +1,53 @@
+"""New planes store what the old ones did, with springs that harden."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.physics.contact.continuity import Stored, continued
+from gf_usd.physics.contact.narrow_phase import nothing
+
+N, A = 40, 0.4  # samples, and the depth [m] at which a spring is twice as strong
+
+
+def stored(depth, pair) -> Stored:
+    planes = replace(nothing(N), normal=np.tile([0.0, 1.0, 0.0], (N, 1)))
+    k = np.linspace(1.0, 3.0, N)
+    return Stored(planes=planes, depth=depth, stiffness=k, hardening=A**-2, pair=pair)
+
+
+def energies(one: Stored, pairs: int = 3):
+    return np.bincount(one.pair, one.normal_energy, pairs)
+
+
+def test_the_energy_is_that_of_the_force():
+    pair, d, step = np.zeros(N, int), np.linspace(0.0, 1.0, N), 1e-6
+    slope = (stored(d + step, pair).normal_energy - stored(d, pair).normal_energy) / step
+    np.testing.assert_allclose(slope, np.linspace(1.0, 3.0, N) * d * (1 + (d / A) ** 2), atol=1e-4)
+
+
+def test_each_pair_keeps_its_energy_whatever_the_true_depths_are():
+    random = np.random.default_rng(0)
+    pair = np.arange(N) % 3
+    old = stored(random.uniform(0.1, 0.6, N), pair)
+    true = stored(old.depth * random.uniform(0.8, 1.2, N), pair)
+    new = continued(old, true, ease=1.0, budget=0.0)
+    np.testing.assert_allclose(energies(new), energies(old), rtol=1e-12)
+    # All samples of a pair are moved alike, each along its normal.
+    scale = new.depth / true.depth
+    for k in range(3):
+        np.testing.assert_allclose(scale[pair == k], scale[k], rtol=1e-12)
+    np.testing.assert_allclose(new.planes.point[:, 1], new.depth - true.depth, atol=1e-15)
+
+
+def test_a_budget_takes_the_energy_to_the_true_one():
+    pair = np.arange(N) % 3
+    old, true = stored(np.full(N, 0.2), pair), stored(np.full(N, 0.3), pair)
+    gap = energies(true) - energies(old)
+    some = continued(old, true, ease=1.0, budget=0.5 * float(gap.min()))
+    np.testing.assert_allclose(energies(some) - energies(old), 0.5 * gap.min(), rtol=1e-9)
+    np.testing.assert_allclose(
+        energies(continued(old, true, ease=1.0, budget=1e9)), energies(true), rtol=1e-12
+    )
