@@ -32,6 +32,7 @@ from gf_usd.verify.cases.elastic import (
     locking,
     manufactured,
     slanted,
+    thin,
     vibration,
 )
 
@@ -44,6 +45,7 @@ CASES: tuple[Case, ...] = (
     *bar.VERTICAL_CASES,
     *cantilever.CASES,
     *limbs.CASES,
+    *thin.CASES,
     *locking.CASES,
     *manufactured.CASES,
     *finite.CASES,

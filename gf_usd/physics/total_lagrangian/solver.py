@@ -146,6 +146,7 @@ class TotalLagrangian(Solver):
         stats = FrameStats(
             work=state.work() + work,
             injected=injected + given,
+            planes=given,
             overlap=overlap,
             let_go=pairs.released if pairs else 0,
             clamped=int((limited["clamped"] | clipped).sum()),
