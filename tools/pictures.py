@@ -9,6 +9,7 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     displays.png one frame as mesh, Gaussians, ellipsoids and points
     strain.png   the squash, colored by strain
     drop.gif     the drop as a film, five times slower than real
+    walk.gif     the walk of the creature without and with flesh, one period
     ten-ducks.png  the pile of ducks in the rocking bowl, near its end
 """
 
@@ -25,8 +26,11 @@ from typing import Any
 
 from PIL import Image
 
+from tools.samples.side_by_side import repeat_cycle, side_by_side
+
 ROOT = Path(__file__).resolve().parent.parent
 DUCK = ROOT / "samples" / "duck.usda"
+CREATURE = ROOT / "samples" / "creature.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
 DIMENSIONLESS = ("rubber", "metal", "jelly")
@@ -52,6 +56,19 @@ def film(path: Path, folder: Path) -> None:
     stage = folder / "drop.usda"
     gf_usd("bake", DUCK, "--material", "rubber", *DROP, "-o", stage)
     gf_usd("preview", stage, "-o", path, "--size", FILM)
+    require(path, LARGEST_FILM)
+
+
+def walk(path: Path, folder: Path) -> None:
+    """The second of two cycles of the creature's walk, without flesh and with it."""
+    twice, both = folder / "twice.usda", folder / "both.usda"
+    cycle = repeat_cycle(CREATURE, twice, 2)
+    gf_usd("bake", twice, "--flesh", "--material", "jelly", "--only", "mesh", "-o", f"{folder}/")
+    baked = folder / "twice.jelly.usda"
+    side_by_side(twice, baked, both, apart=62.0, height=70.0, away=190.0)
+    frames = f"{cycle + 1}:{2 * cycle}"
+    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--frames", frames,
+           "--size", "560x340")  # fmt: skip
     require(path, LARGEST_FILM)
 
 
@@ -124,14 +141,17 @@ def strip(pictures: Sequence[Image.Image], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="folder")
-    parser.add_argument("--only", choices=("duck", "film", "pile"), nargs="*", help="which of them")
+    names = ("duck", "film", "pile", "walk")
+    parser.add_argument("--only", choices=names, nargs="*", help="which of them")
     said = parser.parse_args()
     out: Path = said.out
     out.mkdir(parents=True, exist_ok=True)
-    made = said.only or ("duck", "film", "pile")
+    made = said.only or names
     with tempfile.TemporaryDirectory() as temporary:
         if "pile" in made:
             pile(out / "ten-ducks.png", Path(temporary))
+        if "walk" in made:
+            walk(out / "walk.gif", Path(temporary))
         if "film" in made:
             film(out / "drop.gif", Path(temporary))
         if "duck" not in made:

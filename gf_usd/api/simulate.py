@@ -46,7 +46,8 @@ class Simulation(Iterator[SimulationFrame]):
     Between two frames `push`, `accelerate` and `set_velocities` act on the bodies, and `save` and
     `load` go back and forth in time.  `close` frees what it holds; so does the end of a ``with``
     block.  All simulations of a process share one Taichi, so that all have the same device and
-    threads.
+    threads.  Taichi keeps the memory of arrays that are gone (some 2 MB for 4,000 particles): a
+    loop that runs one scene many times saves its first state and loads it again.
     """
 
     def __init__(self, scene: Scene, frames: int, options: Mapping[str, Any]) -> None:

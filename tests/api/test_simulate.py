@@ -113,6 +113,19 @@ def test_a_saved_state_goes_on_to_the_bit() -> None:
     assert np.array_equal(again.F, once.F)
 
 
+def test_a_scene_is_run_again_from_its_first_state() -> None:
+    simulation = gf_usd.simulate(alone(gravity=0.0), frames=3, particles=100)
+    next(simulation)
+    start = simulation.save()
+    ends: list[float] = []
+    for speed in (1.0, -2.0, 1.0):
+        simulation.load(start)
+        simulation.set_velocities((speed, 0.0, 0.0))
+        ends.append([frame.health.center[0] for frame in simulation][-1])
+    assert ends[0] == ends[2]
+    assert np.allclose(ends[:2], [0.5 + 2.0 / FPS, 0.5 - 4.0 / FPS], atol=ROUNDING)
+
+
 def test_what_is_pinned_follows_its_motion() -> None:
     scene = gf_usd.Scene(gravity=0.0)
     scene.add_body(block((0, 0, 0), (3, 1, 1)), FACES, material="metal", name="bar")

@@ -117,7 +117,7 @@ def test_flesh_counts_once(bake, mesh, volume: float, alone: bool, said: str) ->
 def test_a_plane_is_refused_in_words_and_baked_with_repair(bake) -> None:
     with pytest.raises(InputError, match="the surface is open: 4 boundary edges") as refused:
         bake(plane(), repair=False)
-    assert "--repair" in refused.value.hint
+    assert "repair=True" in refused.value.hint
     root, report = bake(plane(), repair=True)
     assert "made 1 thin part" in " ".join(report["notes"])
     assert report["volume_m3"] == pytest.approx(1.0 * 0.97 / np.sqrt(200), rel=1e-6)

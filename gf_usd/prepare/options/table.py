@@ -298,11 +298,11 @@ def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name, value in asked.items():
         if name == PROGRESS:
-            if value is not None and not callable(value):
-                raise values.refuse(name, value, "a function of (frames done, frames in all)")
-            out[name] = value
+            out[name] = values.listener(name, value)
         elif name in OPTIONS:
             out[name] = OPTIONS[name].take(value)
+            if name not in PLANNED:  # `Request.check` judges the others
+                OPTIONS[name].check(out[name])
         else:
             raise UsageError(f"{function}() has no option {name!r}", _nearest(name))
     return out

@@ -6,6 +6,7 @@ A bake records the command that repeats it, so that every value has a text: ``dr
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
 import os
@@ -191,8 +192,11 @@ def words(name: str, value: Any) -> str:
     """Several words with commas between."""
     wanted = "a word, or a list of words"
     if isinstance(value, str):
-        return value
-    return ",".join(text(name, one, wanted) for one in items(name, value, wanted))
+        return text(name, value, wanted)
+    found = items(name, value, wanted)
+    if not found:
+        raise refuse(name, value, wanted)
+    return ",".join(text(name, one, wanted) for one in found)
 
 
 def pin(name: str, value: Any) -> str:
@@ -238,7 +242,7 @@ def labels(name: str, value: Any) -> tuple[str, ...]:
         return _texts(name, value, wanted)
     found: list[str] = []
     for label, presets in value.items():
-        if not isinstance(presets, Mapping):
+        if not isinstance(presets, Mapping) or not all(map(is_number, presets)):
             raise refuse(name, value, wanted)
         found += [
             f"{text(name, label, wanted)}={whole(name, number)}:{text(name, preset, wanted)}"
@@ -333,6 +337,22 @@ def sound_material(given: Any) -> Any:
                 f"{where}: {key} is {value:g}", f"give a number from {low:g} to {high:g}"
             )
     return given
+
+
+def listener(name: str, value: Any) -> Any:
+    """A function that can be told two numbers; None for nobody."""
+    if value is None:
+        return None
+    wanted = "a function of (frames done, frames in all)"
+    if not callable(value):
+        raise refuse(name, value, wanted)
+    try:
+        inspect.signature(value).bind(1, 2)
+    except TypeError:
+        raise refuse(name, value, wanted) from None
+    except ValueError:  # of a function in C, nothing is known
+        return value
+    return value
 
 
 def limits(name: str, value: Any) -> Any:
