@@ -193,10 +193,13 @@ def commented(made: type) -> dict[str, str]:
     (tree,) = ast.parse("\n".join(lines)).body
     found = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            name = node.target.id
-        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Attribute):
-            name = node.targets[0].attr
+        if not isinstance(node, ast.AnnAssign):
+            continue
+        target = node.target
+        if isinstance(target, ast.Name):
+            name = target.id
+        elif isinstance(target, ast.Attribute):
+            name = target.attr
         else:
             continue
         _, _, comment = lines[(node.end_lineno or 0) - 1].partition("  # ")

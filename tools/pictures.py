@@ -11,6 +11,10 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     drop.gif     the drop as a film, five times slower than real
     walk.gif     the walk of the creature without and with flesh, one period
     ten-ducks.png  the pile of ducks in the rocking bowl, near its end
+    can.gif      a tin can under a press, at half of real speed
+    plastic.png  the can before and after, and its plastic strain
+    clay.png     the duck of clay, dropped: before, at its first touch, as it stays
+    star.png     a star of foil, dropped: how it crumples
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from typing import Any
 
 from PIL import Image
 
+from tools.samples.crumple import DOWN, HOLD, UP, WAIT, write_can, write_star
 from tools.samples.side_by_side import repeat_cycle, side_by_side
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,10 +38,13 @@ DUCK = ROOT / "samples" / "duck.usda"
 CREATURE = ROOT / "samples" / "creature.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
+STAR, CLAY = (15, 17, 19, 23), (1, 5, 6, 23)  # time codes
+FPS_CAN = 12
 DIMENSIONLESS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
 LARGEST_FILM = 2_000_000
+KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star")
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
 # The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
 # twice.  Played at 24 frames a second, a fifth of real speed.
@@ -77,6 +85,37 @@ def pile(path: Path, folder: Path) -> None:
     gf_usd("bake", TEN_DUCKS, "-o", f"{folder}/", "--quiet")
     picture = draw(folder / "ten_ducks.authored.usda", PILE, (1400, 1000))
     strip([picture.crop((430, 440, 1030, 840))], path)
+
+
+def crushed(film: Path, path: Path, folder: Path) -> None:
+    """The can under its press: a film, and before, after and what is left of strain."""
+    write_can(folder / "can.usda")
+    last = WAIT + DOWN + HOLD + UP + 1
+    length = ("--frames", str(last), "--floor", "0", "--particles", "6000", "--internal")
+    stage = folder / "can.dented.usda"
+    gf_usd("bake", folder / "can.usda", "--material", "dented", *length, "-o", stage, "--quiet")
+    gf_usd("preview", stage, "-o", film, "--size", "320x356", "--fps", str(FPS_CAN))
+    require(film, LARGEST_FILM)
+    shown = [draw(stage, frame, (420, 480)) for frame in (1, WAIT + DOWN // 2, last)]
+    strain = draw(stage, last, (560, 480), "mesh", "--color", "plastic")
+    strip([*shown, strain], path)
+
+
+def dropped(path: Path, folder: Path) -> None:
+    """The duck of clay: before it falls, as it is hit, and as it stays."""
+    stage = folder / "duck.clay.usda"
+    gf_usd("bake", DUCK, "--material", "clay", "-o", stage, "--quiet")
+    strip([draw(stage, frame, (340, 400)) for frame in CLAY], path)
+
+
+def crumpled(path: Path, folder: Path) -> None:
+    """The star of foil, from its first touch on."""
+    write_star(folder / "star.usda")
+    stage = folder / "star.dented.usda"
+    asked = ("--particles", "4000", "--frames", "30", "--drop", "6r")
+    gf_usd("bake", folder / "star.usda", "--material", "dented", *asked, "-o", stage, "--quiet")
+    pictures = [draw(stage, frame, (560, 560)) for frame in STAR]
+    strip([p.crop((170, 235, 490, 500)) for p in pictures], path)
 
 
 def require(path: Path, largest: int) -> None:
@@ -141,12 +180,11 @@ def strip(pictures: Sequence[Image.Image], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images", help="folder")
-    names = ("duck", "film", "pile", "walk")
-    parser.add_argument("--only", choices=names, nargs="*", help="which of them")
+    parser.add_argument("--only", choices=KINDS, nargs="*", help="which of them")
     said = parser.parse_args()
     out: Path = said.out
     out.mkdir(parents=True, exist_ok=True)
-    made = said.only or names
+    made = said.only or KINDS
     with tempfile.TemporaryDirectory() as temporary:
         if "pile" in made:
             pile(out / "ten-ducks.png", Path(temporary))
@@ -154,6 +192,12 @@ def main() -> None:
             walk(out / "walk.gif", Path(temporary))
         if "film" in made:
             film(out / "drop.gif", Path(temporary))
+        if "can" in made:
+            crushed(out / "can.gif", out / "plastic.png", Path(temporary))
+        if "clay" in made:
+            dropped(out / "clay.png", Path(temporary))
+        if "star" in made:
+            crumpled(out / "star.png", Path(temporary))
         if "duck" not in made:
             return
         baked = {look: bake(look, Path(temporary)) for look in DIMENSIONLESS}

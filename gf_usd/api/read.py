@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -23,8 +24,8 @@ class BakeFrame:
 
     def __init__(self, arrays: BakedArrays, index: int) -> None:
         self._arrays = arrays
-        self.index = index  # 0 for the first
-        self.time_code = arrays.time_codes[index]  # of the stage
+        self.index: int = index  # 0 for the first
+        self.time_code: float = arrays.time_codes[index]  # of the stage
 
     @property
     def time(self) -> float:
@@ -78,13 +79,13 @@ class Bake(Sequence[BakeFrame]):
 
     def __init__(self, arrays: BakedArrays) -> None:
         self._arrays = arrays
-        self.path = arrays.path  # of the file
-        self.variant = arrays.variant  # that is read
-        self.variants = arrays.variants  # of the file
-        self.time_codes = np.array(arrays.time_codes)  # (T,) of the frames
-        self.fps = arrays.time_codes_per_second  # time codes per second of playback
-        self.up = arrays.up  # (3,) unit
-        self.meters_per_unit = arrays.units.meters_per_unit  # of the file; arrays are in meters
+        self.path: Path = arrays.path  # of the file
+        self.variant: str = arrays.variant  # that is read
+        self.variants: tuple[str, ...] = arrays.variants  # of the file
+        self.time_codes: Array = np.array(arrays.time_codes)  # (T,) of the frames
+        self.fps: float = arrays.time_codes_per_second  # time codes per second of playback
+        self.up: Array = arrays.up  # (3,) unit
+        self.meters_per_unit: float = arrays.units.meters_per_unit  # of the file; arrays: meters
 
     def __len__(self) -> int:
         return len(self.time_codes)

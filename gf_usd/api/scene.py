@@ -69,13 +69,11 @@ class Scene:
         if up not in UP:
             raise UsageError(f"up is {up!r}", "give 'Y' or 'Z'")
         self.up: str = up
-        self.floor = None if floor is None else values.real("floor", floor)
+        self.floor: float | None = None if floor is None else values.real("floor", floor)
         down = [0.0, 0.0, 0.0]
         if values.is_number(gravity):
             down[UP[up]] = -values.real("gravity", gravity)
-            self.gravity = _triple("gravity", down)
-        else:
-            self.gravity = _triple("gravity", gravity)
+        self.gravity: Triple = _triple("gravity", down if values.is_number(gravity) else gravity)
         self._surfaces: list[Surface] = []
         self._materials: dict[str, str | Material] = {}
         self._velocities: dict[str, tuple[Triple, Triple]] = {}

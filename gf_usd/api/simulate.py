@@ -64,8 +64,8 @@ class Simulation(Iterator[SimulationFrame]):
         self._index = -1  # of the last frame
         self._last: Health | None = None
         self._disturbed = False  # since the last frame
-        self.bodies = scene.bodies
-        self.notes = self._plan.notes  # what was assumed, in words
+        self.bodies: tuple[str, ...] = scene.bodies
+        self.notes: tuple[str, ...] = self._plan.notes  # what was assumed, in words
 
     @property
     def particles(self) -> Particles:

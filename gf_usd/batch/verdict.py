@@ -16,7 +16,7 @@ WORDS = 600  # characters of a message
 # of the health of a bake, what a table of many can show
 HEALTH = (
     "rollbacks", "inverted_particle_frames", "deepest_penetration_spacings",
-    "energy_gain_max_share", "restitution", "min_J", "max_J", "substeps",
+    "energy_gain_max_share", "restitution", "min_J", "max_J", "plastic_dissipation_J", "substeps",
 )  # fmt: skip
 INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
 # exit statuses of bake

@@ -18,8 +18,8 @@ class GfUsdError(Exception):
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
-        self.message = message
-        self.hint = hint
+        self.message: str = message
+        self.hint: str = hint
 
     def __str__(self) -> str:
         return f"{self.message}\n\nhint: {self.hint}"
@@ -57,7 +57,9 @@ class Unfinished(GfUsdError):
 
     def __init__(self, message: str, hint: str, *, variant: str, done: int, frames: int) -> None:
         super().__init__(message, hint)
-        self.variant, self.done, self.frames = variant, done, frames
+        self.variant: str = variant
+        self.done: int = done
+        self.frames: int = frames
 
 
 class SolverError(BakeError):
@@ -68,7 +70,8 @@ class SolverError(BakeError):
 
     def __init__(self, message: str, hint: str, *, frame: int, particle: int = -1) -> None:
         super().__init__(message, hint)
-        self.frame, self.particle = frame, particle
+        self.frame: int = frame
+        self.particle: int = particle
 
 
 class OutOfResources(SolverError):
@@ -85,4 +88,5 @@ class UnhealthyError(GfUsdError):
 
     def __init__(self, message: str, hint: str, *, warnings: tuple[Any, ...], result: Any) -> None:
         super().__init__(message, hint)
-        self.warnings, self.result = warnings, result
+        self.warnings: tuple[Any, ...] = warnings
+        self.result: Any = result

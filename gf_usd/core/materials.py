@@ -376,9 +376,9 @@ PHYSICAL: dict[str, Physical] = {
             name="polyurethane-foam", density=60.0, youngs_modulus=1.5e7, poissons_ratio=0.3,
             restitution=0.2, damping_time=5e-6, law="crushable",
             parameters={"yield_stress": 4e5, "hardening": 4e5, "cap_shape": 1.5},
-            source="a rigid foam of 60 kg/m^3: Gibson and Ashby, Cellular Solids, E = E_s (rho /"
-            " rho_s)^2 and plateau 0.3 sigma_s (rho / rho_s)^1.5 with E_s = 1.6 GPa, sigma_s = 127"
-            " MPa, rho_s = 1200 kg/m^3, to within a factor of two",
+            source="a rigid foam of closed cells, R = 60 / 1200 as dense as its solid: Gibson and"
+            " Ashby, Cellular Solids, E = E_s (f^2 R^2 + (1 - f) R) and plateau 0.3 sigma_s R^1.5"
+            " with E_s = 1.6 GPa, sigma_s = 127 MPa and f = 0.85 of the solid in the edges",
         ),
         Physical(
             name="aluminium", density=2700.0, youngs_modulus=68.9e9, poissons_ratio=0.33,

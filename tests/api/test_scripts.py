@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
+import os
+import re
 import subprocess
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
@@ -12,8 +15,11 @@ from typing import Any
 
 import pytest
 
+import gf_usd
+
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "samples" / "python"
+PUBLIC = [getattr(gf_usd, name) for name in gf_usd.__all__ if name != "__version__"]
 
 
 def script(name: str) -> Any:
@@ -51,6 +57,26 @@ def test_the_scene_is_struck() -> None:
 def test_the_throw_is_learned() -> None:
     learn = script("learn_a_throw")
     assert learn.main(particles=100, frames=12) == pytest.approx(learn.MARK, abs=learn.CLOSE)
+
+
+@pytest.mark.slow
+def test_the_types_of_all_public_names_are_known(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable,
+         "--verifytypes", "gf_usd", "--ignoreexternal"],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    symbols = json.loads(done.stdout)["typeCompleteness"]["symbols"]
+    files = {inspect.getsourcefile(made) for made in PUBLIC}
+    unknown = {
+        row["name"]: [fault["message"] for fault in row["diagnostics"]]
+        for row in symbols
+        if any(fault.get("file") in files for fault in row["diagnostics"])
+        and not re.match(r"_[^_]", row["name"].rpartition(".")[2])
+    }
+    assert len(symbols) > 1000
+    assert unknown == {}
 
 
 @pytest.mark.slow

@@ -34,6 +34,9 @@ def ended(status: int, err: str = "", **more: Any) -> Ended:
 
 
 def test_a_whole_result_is_done(tmp_path: Path) -> None:
+    flowed = {"rollbacks": 1, "min_J": 0.9, "plastic_dissipation_J": 2.5}
+    job_flows = {"finished": {**RESULT, "bakes": [{"frames": 8, "health": flowed}]}}
+    assert judge(job(tmp_path), ended(0), job_flows).outcome.health == flowed
     bake = judge(job(tmp_path), ended(0), FINISHED)
     assert bake.outcome.state == "done"
     assert bake.outcome.frames == 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +15,7 @@ from gf_usd.core.materials import (
     PHYSICAL,
     Fixed,
     Material,
+    Physical,
     check_law,
     find_preset,
     law_parameters,
@@ -148,3 +150,22 @@ def test_an_unknown_law_is_refused() -> None:
         check_law("stvk")
     assert caught.value.message == "there is no law 'stvk'"
     assert caught.value.hint == f"choose one of {', '.join(LAWS)}"
+
+
+@pytest.mark.parametrize("name", [n for n, p in presets().items() if LAWS[p.law].flows])
+def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "materials.md").read_text("utf-8")
+    (row,) = (line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
+    cells = [cell.strip() for cell in row.split("|")[1:-1]]
+    made = presets()[name]
+    own = [made.parameters.get(key, 0.0) for key in ("yield_stress", "hardening", "flow_viscosity")]
+    if isinstance(made, Physical):
+        numbers = [made.density, made.youngs_modulus, made.poissons_ratio, *own]
+        numbers.append(made.material(1.0).wave_speed)
+        shown = [float(cell.replace(",", "") or 0) for cell in cells[1:8]]
+        assert shown == pytest.approx(numbers, rel=5e-3)
+        assert f"- `{name}`: {made.source}." in " ".join(text.split())
+    else:
+        assert cells[1] == f"`{made.law}`"
+        assert [float(cell or 0) for cell in cells[2:5]] == own
+        assert cells[5] == made.note

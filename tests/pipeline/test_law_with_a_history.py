@@ -16,6 +16,7 @@ import gf_usd
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import of_materials, spread
 from gf_usd.core.materials import LAWS, Material, lame
+from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.layers.check.values import value_range
 from gf_usd.readers.usd_bake.material_file import read_material
 from gf_usd.verify.bodies import block
@@ -103,6 +104,14 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
     assert "yieldStress has a value outside [0, inf]: -1" in finding.message
 
 
+def sigma(prim: Usd.Prim, turns: str, scales: str, time: float | None) -> np.ndarray:
+    """(N, 3, 3) Q diag(s^2) Q^T of Gaussians."""
+    at = Usd.TimeCode.Default() if time is None else time
+    x, y, z, w = np.array(prim.GetAttribute(turns).Get(at)).T
+    Q = matrix_from_quaternion(np.stack([w, x, y, z], 1))
+    return (Q * np.array(prim.GetAttribute(scales).Get(at))[:, None, :] ** 2) @ Q.swapaxes(1, 2)
+
+
 def test_particles_have_values_of_their_own_and_defaults() -> None:
     body = block((0.0, 0.0, 0.0), (1, 1, 1), 1.0)
     said: dict[str, Any] = {"density": 1.0, "youngs_modulus": 1.0, "poissons_ratio": 0.3}
@@ -183,6 +192,11 @@ def test_what_a_law_remembers_is_written_on_request(
         assert resting.mean() > 0.1
         assert (elastic <= most + rounding)[:-1][resting].all()
         assert (np.abs(np.linalg.svd(F)[1] - 1.0).max(2) > 3.0 * elastic).mean() > 0.1
+        of = (sigma(prim, "gaussianFlesh:restOrientations", "gaussianFlesh:restScales", None),
+              sigma(prim, "orientations", "scales", times[-1]))  # fmt: skip
+        expected = F[-1] @ of[0] @ F[-1].swapaxes(1, 2)  # of the whole F, not of F_e
+        size = np.abs(expected).max((1, 2), keepdims=True)
+        np.testing.assert_allclose(of[1] / size, expected / size, rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.slow

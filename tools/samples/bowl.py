@@ -29,22 +29,30 @@ def profile() -> Floats:
 
 def bowl() -> tuple[Floats, Ints, Ints, Floats]:
     """points (V, 3) [m], Y up, the lowest at y = -WALL / 2; counts, indices, vertex normals."""
-    line = profile()
+    points, counts, indices = revolved(profile(), AROUND)
+    return points, counts, indices, vertex_normals(points, counts, indices)
+
+
+def revolved(line: Floats, around: int) -> tuple[Floats, Ints, Ints]:
+    """points (V, 3), counts, indices of a profile (K, 2) of radius and height, turned about Y.
+
+    It begins and ends on the axis; quads lie between, in `around` sectors.
+    """
     count = len(line)
-    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    around = np.stack([np.cos(angle), np.zeros(AROUND), np.sin(angle)], axis=1)
-    rings = line[1:-1, 0, None, None] * around + line[1:-1, 1, None, None] * [0.0, 1.0, 0.0]
+    angle = 2.0 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(angle), np.zeros(around), np.sin(angle)], axis=1)
+    rings = line[1:-1, 0, None, None] * circle + line[1:-1, 1, None, None] * [0.0, 1.0, 0.0]
     top, bottom = ([[0.0, line[end, 1], 0.0]] for end in (0, -1))
     points = np.concatenate([top, rings.reshape(-1, 3), bottom])
-    j = np.arange(AROUND)
-    ring = 1 + np.arange(count - 2)[:, None] * AROUND
-    here, after = ring + j, ring + (j + 1) % AROUND
+    j = np.arange(around)
+    ring = 1 + np.arange(count - 2)[:, None] * around
+    here, after = ring + j, ring + (j + 1) % around
     quads = np.stack([here[:-1], after[:-1], after[1:], here[1:]], axis=-1).reshape(-1, 4)
     first = np.stack([np.zeros_like(j), after[0], here[0]], axis=-1)
     last = np.stack([np.full_like(j, len(points) - 1), here[-1], after[-1]], axis=-1)
     indices = np.concatenate([first.ravel(), quads.ravel(), last.ravel()])
-    counts = np.concatenate([np.full(AROUND, 3), np.full(len(quads), 4), np.full(AROUND, 3)])
-    return points, counts, indices, vertex_normals(points, counts, indices)
+    counts = np.concatenate([np.full(around, 3), np.full(len(quads), 4), np.full(around, 3)])
+    return points, counts, indices
 
 
 def vertex_normals(points: Floats, counts: Ints, indices: Ints) -> Floats:

@@ -56,16 +56,16 @@ class BakedArrays:
         if not path.is_file():
             what = "is a folder" if path.is_dir() else "does not exist"
             raise InputError(f"{path} {what}", "give the root layer that gf_usd.bake returned")
-        self.path = path
+        self.path: Path = path
         with reading(path):
             self._stage = open_stage(path)
             facts = stage_facts(self._stage, path, Notes(), meters_per_unit=None, up_axis=None)
             self.units: StageUnits = facts.units
-            self.up = facts.up
-            self.variants = looks_of(self._stage)
-            self.variant = select_look(self._stage, path, variant)
+            self.up: Array = facts.up
+            self.variants: tuple[str, ...] = looks_of(self._stage)
+            self.variant: str = select_look(self._stage, path, variant)
             self._find()
-        self.time_codes_per_second = float(self._stage.GetTimeCodesPerSecond())
+        self.time_codes_per_second: float = float(self._stage.GetTimeCodesPerSecond())
 
     def _find(self) -> None:
         prims = list(Usd.PrimRange.Stage(self._stage, Usd.TraverseInstanceProxies()))
@@ -92,7 +92,7 @@ class BakedArrays:
             named = {str(target) for target in relation.GetForwardedTargets()}
             self._meshes = {p: prim for p, prim in self._meshes.items() if not named or p in named}
         moving = [self._cloud] if self._cloud else list(self._meshes.values())
-        self.time_codes = tuple(sample_times(moving))
+        self.time_codes: tuple[float, ...] = tuple(sample_times(moving))
 
     @property
     def about(self) -> Mapping[str, Any]:

@@ -61,6 +61,23 @@ def test_curvature_is_reproduced_to_second_order(body):
     np.testing.assert_allclose(out.F[:, 1, 0], 2.0 * X[:, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize(("kink", "cells"), [(0.0, 1.0), (0.5, 2.0)])
+def test_a_crease_is_as_wide_as_a_cell_or_two(kink, cells):
+    # u = |x - x0| at the nodes: the slope of quadratic splines runs linearly between differences,
+    # which are +-1 but for that across a kink halfway between two nodes.
+    h = 0.25
+    x = np.linspace(-0.99, 0.99, 991)
+    X = np.stack([x, 0.0 * x, 0.0 * x], 1)
+    made = build_stencil(X, np.ones(len(X)), h, np.zeros(3), free_mass=0.0)
+    x0 = made.free_X[np.argmin(np.abs(made.free_X[:, 0])), 0] + kink * h
+    u = np.zeros((made.free_count, 3))
+    u[:, 1] = np.abs(made.free_X[:, 0] - x0)
+    slope = pose(made.rows(X), u, 0.0 * u, np.zeros(3)).F[:, 1, 0]
+    bent = np.abs(slope) < 1.0 - 1e-9
+    assert np.ptp(x[bent]) == pytest.approx(cells * h, abs=2.0 * (x[1] - x[0]))
+    np.testing.assert_allclose(slope[~bent], np.sign(x - x0)[~bent], atol=1e-9)
+
+
 def cofactor(F):
     return cofactors(entries(F)).T.reshape(-1, 3, 3)
 

@@ -115,6 +115,40 @@ def test_a_body_that_came_to_rest_sleeps_and_stays():
         np.testing.assert_allclose(frame.particles.x, frames[begin - 1].particles.x, atol=1e-6)
 
 
+def test_a_bent_body_flies_sleeps_and_stays_bent_and_is_resumed_to_the_bit():
+    def made():
+        return meeting(
+            cube(low=(0.0, 0.6, 0.0)), particles=64, frames=40, fps=FPS, gravity=DOWN, floor=0.0,
+            material="clay", changes={"damping_time": 0.03, "restitution": 0.0},
+        )  # fmt: skip
+
+    def plastic(solver):
+        return solver.state.view().internal(np.ones((64, 3)))["plastic_strain"]
+
+    solver, other = made(), made()
+    seen, standing = [], None
+    for frame in solver.frames():
+        seen.append((frame, plastic(solver)))
+        if frame.health.sleeping and standing is None:
+            standing = frame.index, solver.save(), frame.health
+    assert seen[3][0].health.flying == 1
+    assert standing is not None, [frame.health.kinetic for frame, _ in seen[-3:]]
+    index, saved, health = standing
+    frame, strain = seen[index]
+    assert strain.max() > 0.01
+    bent = np.abs(np.linalg.svd(frame.particles.F)[1] - 1.0).max()
+    assert bent > 0.5 * strain.max(), "of one axis it is all, of shear the root of 3/4"
+    for later, kept in seen[index + 1 :]:
+        assert later.health.sleeping == 1
+        np.testing.assert_array_equal(kept, strain)
+        np.testing.assert_array_equal(later.particles.F, frame.particles.F)
+    other.load({name: np.array(value) for name, value in saved.items()})
+    for (a, kept), b in zip(seen[index + 1 :], other.frames_after(index, health), strict=True):
+        np.testing.assert_array_equal(a.particles.x, b.particles.x)
+        np.testing.assert_array_equal(kept, plastic(other))
+        assert a.health == b.health
+
+
 def test_without_gravity_nothing_sleeps():
     solver = meeting(
         ball(1.0), particles=200, frames=3, fps=FPS, gravity=(0.0, 0.0, 0.0),
