@@ -1,6 +1,6 @@
 """Run the long acceptance sections; see tools/acceptance/sections.py.
 
-python tools/acceptance.py [--only SECTION]... [--page]
+python tools/acceptance.py [--only SECTION]... [--assets FOLDER] [--page]
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def bake(
     material_labels : {property: {value: preset}} of captured Gaussians.
     limits : of the process that reads the asset, {"time": [s], "memory": [B], "output": [B]}; None:
         this process reads it.
-    strict : raise UnhealthyError where the finished bake has warnings.
+    strict : raise UnhealthyError where the finished bake has warnings, too.
     max_hours : refuse a bake whose estimate is longer [h], and end one that takes twice as long.
     slice : full value clips after which it ends, to be resumed.
     progress : called after each frame with (frames done, frames in all).
@@ -71,7 +71,8 @@ def bake(
     BakeError : the simulation failed; only ``*.partial.*`` files and the report remain.  It is a
         SolverError, with the frame and the particle, where the solver could not go on.
     Unfinished : the slice is done, and there are frames left.
-    UnhealthyError : strict, and there are warnings; the files are written.
+    UnhealthyError : contact made energy out of nothing, or strict, and there are warnings; the
+        files are written.
     """
     from gf_usd.pipeline.result import require_healthy
 
@@ -79,8 +80,7 @@ def bake(
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:
         result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
-    if strict:
-        require_healthy(result)
+    require_healthy(result, strict=strict)
     return result
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.api.call import keywords
-from gf_usd.api.host.guest import TAKEN, guest, require_here
+from gf_usd.api.host.guest import guest, require_here
 from gf_usd.api.scene import Scene, at_frames
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Health
@@ -195,14 +195,14 @@ class Simulation(Iterator[SimulationFrame]):
         self.close()
 
     def _running(self) -> Any:
-        from gf_usd.system.taichi_runtime import epoch, is_taken
+        from gf_usd.system.taichi_runtime import epoch, is_ours
 
         if self._solver is None:
             raise UsageError("the simulation is closed", "start another: gf_usd.simulate(scene)")
-        if is_taken():
+        if not is_ours():
             self._solver = None
             raise UsageError(
-                f"{TAKEN}, which ended the simulation",
+                "another part of this program started or reset Taichi, which ended the simulation",
                 "let one of the two run in a process of its own",
             )
         if epoch() != self._epoch:

@@ -100,6 +100,8 @@ def _run_locked(
     if not limits.overwrite and (kept := finished(job, known)) is not None:
         if strict and kept.warnings:
             return replace(kept, state="unsound", message="it has warnings, and strict is asked")
+        if any(warning.get("level") == "error" for warning in kept.warnings):
+            return replace(kept, state="unsound", message="its result is wrong, see its warnings")
         return kept
     if limits.later and (told := settled(job, known)) is not None:
         return told

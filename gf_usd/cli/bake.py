@@ -93,5 +93,4 @@ def bake(
             typer.echo(json.dumps(result.as_json(), indent=1))
         elif not quiet and events != STDOUT:
             summarize(result, plan)
-        if strict:
-            require_healthy(result)
+        require_healthy(result, strict=strict)

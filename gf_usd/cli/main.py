@@ -1,7 +1,8 @@
 """The command ``gf-usd``: its commands, and how any of them ends.
 
 Exit status: 0 done, 1 failed while baking, 2 wrong usage, 3 the input was refused, 4
-warnings under --strict, 5 a slice is done, 130 and 143 interrupted (docs/guide.md).
+the result is wrong, or warnings under --strict, 5 a slice is done, 130 and 143 interrupted
+(docs/guide.md).
 """
 
 from __future__ import annotations

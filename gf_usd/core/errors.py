@@ -79,7 +79,7 @@ class OutOfResources(SolverError):
 
 
 class UnhealthyError(GfUsdError):
-    """The bake is complete and written, but has warnings, and --strict asks for none (status 4).
+    """The bake is complete and written, but wrong, or it has warnings under --strict (status 4).
 
     warnings : the `HealthWarning`s; result : the `BakeResult`.
     """

@@ -49,7 +49,7 @@ class Particles:
     color: Floats  # (N, 3) linear
     opacity: Floats  # (N,)
     surface: Ints  # (N,) index of the nearest surface: where the particle came from
-    spacing: float  # [m] mean distance s = (V / N)^(1/3)
+    spacing: float  # [m] mean distance s = (V / N)^(1/3), or `lattice` where that is longer
     volume: float  # [m^3] of the solid: the sum of V0
     lattice: float  # [m] half the edge of the cells the particles were made for
     corner: Floats  # (3,) [m] a corner of these cells: those of the solver's grid are laid along it
@@ -175,6 +175,7 @@ class Health:
     flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
     sleeping: int = 0  # bodies that slept, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
+    planes: float = 0.0  # [J] of `injected`, that new contact planes gave
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it

@@ -36,6 +36,7 @@ class FrameStats:
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
     injected: float = 0.0  # [J] given to the body between substeps: see `shape_correction`
+    planes: float = 0.0  # [J] of it, that new contact planes gave
     clamped: int = 0  # particles whose singular values of F were clipped
     stress_capped: int = 0  # particles whose stress was cut
     flying: int = 0  # bodies that flew by the closed form: there were no substeps

@@ -10,22 +10,30 @@ from typing import Any
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import Material
-from gf_usd.pipeline.health import HealthWarning, warnings_json
+from gf_usd.pipeline.health import ERROR, HealthWarning, warnings_json
 from gf_usd.prepare.plan import settings_json
 
 
-def require_healthy(result: BakeResult) -> None:
-    """Raise UnhealthyError where a finished bake has warnings; its files are there and stay."""
-    warnings = result.warnings
+def require_healthy(result: BakeResult, *, strict: bool) -> None:
+    """Raise UnhealthyError where a finished bake has errors; its files are there and stay.
+
+    strict : warnings are errors too.
+    """
+    warnings = [
+        (look, warning) for look, warning in result.warnings if strict or warning.level == ERROR
+    ]
     if not warnings:
         return
     lines = "".join(f"\n  {look}: {warning.message}" for look, warning in warnings)
     hints = list(dict.fromkeys(warning.hint for _, warning in warnings))
-    count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+    errors = any(warning.level == ERROR for _, warning in warnings)
+    kind = "error" if errors else "warning"
+    article = "an" if errors else "a"
+    count = f"{article} {kind}" if len(warnings) == 1 else f"{len(warnings)} {kind}s"
     raise UnhealthyError(
         f"{result.root}: the bake is complete and its files are written, but it has {count}:"
         f"{lines}",
-        "; ".join(hints) + "; without --strict this is no error",
+        "; ".join(hints) + ("" if errors else "; without --strict this is no error"),
         warnings=tuple(warning for _, warning in warnings),
         result=result,
     )

@@ -76,6 +76,14 @@ def _quiet() -> Iterator[None]:
             os.environ.pop(name, None)
 
 
+def is_ours() -> bool:
+    """Whether Taichi runs as it was started here: nobody reset it, or started it anew, since."""
+    if _runtime is None:
+        return False
+    now = importlib.import_module("taichi.lang.impl").get_runtime()
+    return now is _runtime and now.prog is not None
+
+
 @cache
 def _imported() -> ModuleType:
     try:
@@ -117,7 +125,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
     if threads is not None and threads < 1:
         raise UsageError(f"{threads} CPU threads were asked for.", "ask for 1 or more")
     wanted = {"device": device, "threads": threads or cores(), "f64": f64}
-    if _started == wanted and not is_taken():
+    if _started == wanted and is_ours():
         return
     ti = import_taichi()
     if device == "cuda" and not _has_cuda(ti):
@@ -189,13 +197,13 @@ def ensure_taichi() -> None:
     32-bit vectors do not compile where literals are 64 bits wide, so that a runtime started with
     ``f64`` is started anew.
     """
-    if not _started or _started["f64"]:
+    if not is_ours() or _started["f64"]:
         init_taichi(_started.get("device", "cpu"), _started.get("threads"))
 
 
 def ensure_running() -> None:
     """Start Taichi unless it runs, whatever it was started with."""
-    if not _started:
+    if not is_ours():
         init_taichi()
 
 

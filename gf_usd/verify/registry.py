@@ -30,6 +30,7 @@ from gf_usd.verify.cases.elastic import (
     locking,
     manufactured,
     slanted,
+    thin,
     vibration,
 )
 from gf_usd.verify.cases.plastic import expansion, taylor, uniaxial
@@ -43,6 +44,7 @@ CASES: tuple[Case, ...] = (
     *bar.VERTICAL_CASES,
     *cantilever.CASES,
     *limbs.CASES,
+    *thin.CASES,
     *locking.CASES,
     *manufactured.CASES,
     *finite.CASES,

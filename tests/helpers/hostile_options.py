@@ -59,6 +59,7 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "samples_per_frame": (1, 3, 0, -1),
     "range": ("1:2", "2:1", "1", ":", "nan:2", "1:1e18", "-5:3"),
     "handles": (0, 2, -1),
+    "mass_scaling": (1.0, 10.0, *NUMBERS),
     "clip_frames": (0, 1, 2, -1),
 }  # fmt: skip
 OF_THE_RUN = {"strict", "max_hours", "slice", "limits"}  # what no plan hangs on

@@ -180,6 +180,8 @@ def test_totals_and_extremes() -> None:
         "dissipated_J": 10.0 + 3.0 - 5.0,
         "work_of_pins_J": 3.0,
         "injected_J": 0.0,
+        "planes_J": 0.0,
+        "planes_gain_share": 0.0,
         "momentum_end": [1.0, 2.0, 3.0],
         "angular_momentum_end": [0.0, 0.0, 0.0],
         "free_flight_frames": 0,

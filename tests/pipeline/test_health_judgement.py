@@ -75,6 +75,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(elastic=10.0, injected=0.11)),
         "put 0.11 J into the body, 1.1 %",
     ),
+    "planes": (
+        summary(Health(elastic=10.0, injected=0.0099, planes=0.0099), Health(planes=-0.1)),
+        summary(Health(elastic=10.0, injected=0.01, planes=0.01), Health(planes=-0.1)),
+        "put 0.01 J into them, 0.1 % of",
+    ),
     "penetration": (
         summary(Health(penetration=0.099, kinetic=5.0)),
         summary(Health(penetration=0.101, kinetic=5.0)),
@@ -122,6 +127,7 @@ def test_both_sides_of_a_limit(about: str) -> None:
     assert warning.hint
     assert warning.as_json() == {
         "about": about, "message": warning.message, "hint": warning.hint,
+        "level": "error" if about == "planes" else "warning",
     }  # fmt: skip
 
 
@@ -157,14 +163,14 @@ def result(*healths: dict[str, Any]) -> BakeResult:
 
 
 def test_strict_passes_what_is_sound() -> None:
-    require_healthy(result(summary()))
+    require_healthy(result(summary()), strict=True)
 
 
 def test_strict_names_every_warning_and_says_that_the_files_are_there() -> None:
     twice = Health(inverted=3, min_J=-0.5, penetration=0.2, kinetic=5.0)
     unsound = result(summary(), summary(twice), summary(replace(twice, inverted=0, min_J=1.0)))
     with pytest.raises(UnhealthyError) as caught:
-        require_healthy(unsound)
+        require_healthy(unsound, strict=True)
     error = caught.value
     assert error.exit_status == 4
     assert error.result is unsound
@@ -180,7 +186,17 @@ def test_strict_names_every_warning_and_says_that_the_files_are_there() -> None:
 
 def test_one_warning_is_one() -> None:
     with pytest.raises(UnhealthyError, match="but it has a warning:"):
-        require_healthy(result(summary(Health(penetration=0.2, kinetic=5.0))))
+        require_healthy(result(summary(Health(penetration=0.2, kinetic=5.0))), strict=True)
+
+
+def test_energy_that_contact_made_is_an_error_without_strict() -> None:
+    made = Health(elastic=10.0, injected=0.01, planes=0.01)
+    sunk = Health(penetration=0.2, kinetic=5.0)
+    require_healthy(result(summary(sunk)), strict=False)
+    with pytest.raises(UnhealthyError, match="but it has an error:") as caught:
+        require_healthy(result(summary(sunk), summary(made)), strict=False)
+    assert [c.about for c in caught.value.warnings] == ["planes"]
+    assert "--strict" not in caught.value.hint
 
 
 def test_limits_leave_room_for_what_sound_bakes_do() -> None:

@@ -155,15 +155,15 @@ def bake(scene: Scene, number: int, seed: int, folder: Path) -> Ran:
     return Ran(**{**asdict(ran), **found, "seconds": round(time.perf_counter() - began, 1)})
 
 
-def gf_usd(folder: Path, *words: str) -> tuple[int, str, str]:
+def gf_usd(folder: Path, *words: str, patience: float = PATIENCE) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of a command; status 124 where it took too long."""
     command = [sys.executable, "-m", "gf_usd", *words]
     try:
         done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
+            command, cwd=folder, capture_output=True, text=True, timeout=patience, check=False
         )
     except subprocess.TimeoutExpired:
-        return 124, "", f"it took longer than {PATIENCE:g} s"
+        return 124, "", f"it took longer than {patience:g} s"
     return done.returncode, done.stdout, done.stderr
 
 

@@ -1,9 +1,10 @@
 """Run the long acceptance sections, and record the results.
 
-    python tools/acceptance.py [--only SECTION]... [--page]
+    python tools/acceptance.py [--only SECTION]... [--assets FOLDER] [--page]
 
 Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
-made again from the newest of each.  Exit status 1 if a section failed.
+made again from the newest of each.  The section limbs needs the folder of its assets, and is left
+out without it.  Exit status 1 if a section failed.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
+
+LIMBS = "limbs"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +204,37 @@ def read_jitter(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.limbs --json` found."""
+    runs = printed(done, "limbs")["runs"]
+    rows = []
+    for ran in runs:
+        seen = ran["figures"] or {}
+        inside = "none" if ran["inside"] is None else f"{100.0 * ran['inside']:.2f} %"
+        rows.append(
+            (
+                ran["asset"], ran["look"], str(ran["particles"]), inside,
+                figure(seen.get("min_J")), str(seen.get("inverted_max", "none")),
+                str(seen.get("rollbacks", "none")),
+                figure(seen.get("deepest_overlap_spacings")),
+                f"**FAIL** {ran['fault']}" if ran["fault"] else "pass",
+            )
+        )  # fmt: skip
+    bad = [f"{ran['asset']} {ran['look']}" for ran in runs if ran["fault"]]
+    head = (
+        "asset", "look", "particles", "inside at the end", "smallest J", "inverted", "repeated",
+        "deepest overlap [spacings]", "verdict",
+    )  # fmt: skip
+    return Outcome(
+        passed=done.returncode == 0 and not bad,
+        summary=f"{len(runs) - len(bad)} of {len(runs)} bakes of assets with limbs warned of"
+        " nothing, and at most 1 % of their surface is inside a body at the end"
+        + (f"; not: {', '.join(bad)}" if bad else ""),
+        table=(head, *rows),
+        data={"runs": runs},
+    )
+
+
 SECTIONS: dict[str, Section] = {
     "batch": Section(
         title="A batch with injected failures",
@@ -227,22 +261,28 @@ SECTIONS: dict[str, Section] = {
         command=("python", "-m", "tools.acceptance.endurance", "--json"),
         read=read_endurance,
     ),
+    LIMBS: Section(
+        title="Assets with limbs",
+        command=("python", "-m", "tools.acceptance.limbs", "--json"),
+        read=read_limbs,
+    ),
 }
 
 
-def run(name: str, section: Section) -> bool:
-    """Run one section and save it; whether it passed."""
-    program, *words = section.command
+def run(name: str, section: Section, more: Sequence[str] = ()) -> bool:
+    """Run one section and save it; whether it passed.  more : words of the command besides."""
+    program, *words = *section.command, *more
     module = [] if program == "python" else ["-m", program.replace("-", "_")]
     interpreter = [sys.executable, *module]
-    print(f"{name}: {' '.join(section.command)}", file=sys.stderr)
+    command = (*section.command, *more)
+    print(f"{name}: {' '.join(command)}", file=sys.stderr)
     began = time.perf_counter()
     done = subprocess.run(
         [*interpreter, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
     )
     seconds = time.perf_counter() - began
     outcome = section.read(done)
-    path = save(record(name, section.title, section.command, seconds, outcome))
+    path = save(record(name, section.title, command, seconds, outcome))
     verdict = "passed" if outcome.passed else "FAILED"
     print(f"{name}: {verdict}, {outcome.summary}; {path.relative_to(ROOT)}", file=sys.stderr)
     return outcome.passed
@@ -251,10 +291,17 @@ def run(name: str, section: Section) -> bool:
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
+    parser.add_argument("--assets", metavar="FOLDER", help=f"of the section {LIMBS}")
+    parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} goes on from, if it ended")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
     options = parser.parse_args(words)
     chosen = [] if options.page else options.only or list(SECTIONS)
-    passed = [run(name, SECTIONS[name]) for name in chosen]
+    if options.assets is None:
+        if LIMBS in (options.only or ()):
+            parser.error(f"the section {LIMBS} needs --assets")
+        chosen = [name for name in chosen if name != LIMBS]
+    more = {LIMBS: [options.assets, *(["--keep", options.keep] if options.keep else [])]}
+    passed = [run(name, SECTIONS[name], more.get(name, ())) for name in chosen]
     write(PAGE, page(newest()))
     sys.exit(0 if all(passed) else 1)
 

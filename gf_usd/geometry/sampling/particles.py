@@ -75,6 +75,8 @@ def sample_solid(
     surface, normal, color = _look(solid, X, filled.body, bodies)
     volume = float(V0.sum())
     s = float(np.cbrt(volume / n))
+    if not uniform:
+        s = max(s, a)  # thin parts have more particles, on the same grid
     return Particles(
         X=X,
         V0=V0,

@@ -81,19 +81,22 @@ def moment_points(
     reach: tuple[Floats, Floats],
     own_image: Flags,
     inside: Callable[[Ints, Floats], Flags],
+    thin: Flags | None = None,
 ) -> CellPoints:
     """The points of cells.
 
     moments : (n, 10) of `content`; reach : (n, 3), (n, 3) lowest and highest place of what each
     holds, about the middle; own_image : (n, 3) axes across which a cell is its own mirror image,
     as its points are to be; inside : of cells (m,) and places in them (m, 3), (m,) which lie in
-    the solid.
+    the solid; thin : (n,) cells that have eight points however little they hold.
     """
     mean, root = mean_and_root(moments)
     full = (moments[:, 0] > 1.0 - EDGE) & (np.abs(mean) < EDGE).all(1)
     best = np.where(full, 0, WORST)
     chosen = np.zeros(len(moments), np.int64)
     many = moments[:, 0] > MANY
+    if thin is not None:
+        many = many | thin
     groups = ((many, MANY_FIRST, MANY_IMAGES), (~many, FEW_FIRST, FEW_IMAGES))
     tried = 1
     # Twice as many rules at a time: the test of points has a cost of its own each time.

@@ -119,7 +119,8 @@ def _divided(t: Ints, m: Ints) -> Ints:
 
 def distinct(ends: Ints, n: int) -> Ints:
     """Pairs (E, 2) of n things without regard to their order, each once and ascending."""
-    key = np.sort(ends.min(1) * n + ends.max(1))  # `numpy.unique` takes several times as long
+    low, high = ends.min(1).astype(np.int64), ends.max(1)  # n^2 is beyond 32 bits
+    key = np.sort(low * n + high)  # `numpy.unique` takes several times as long
     return np.stack(np.divmod(key[np.diff(key, prepend=-1) > 0], n), 1)
 
 

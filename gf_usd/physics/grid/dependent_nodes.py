@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-FREE_MASS = 0.1  # a node lighter than this fraction of the median one follows the others
+# A node lighter than this fraction of the median one follows the others, if it is also lighter than
+# this fraction of the heaviest one around: the nodes of a thin leg are all light.
+FREE_MASS = 0.1
 FIT_NEIGHBORS = 24  # free nodes in an affine fit
 FIT_LEAST = 1e-6  # weight of a node in a fit, next to the nearest one's
 TIE = 1e-9  # distances that differ by less are equal
@@ -182,7 +184,11 @@ def split_nodes(
     counts = ~held & (mass > 0.0)
     members = [mass[counts & (body == k)] for k in range(int(body.max()) + 1)]
     medians = [np.median(m) if len(m) else 0.0 for m in members]
-    least = free_mass * np.array(medians)[body]
+    typical = np.array(medians)[body]
+    if cells is not None:
+        around = heaviest_around(mass, cells)
+        typical = np.where(around > 0.0, np.minimum(typical, around), typical)
+    least = free_mass * typical
     free = (mass >= least) & ~held
     ghosts = sparse.csr_matrix((0, 0))
     while True:
@@ -206,6 +212,13 @@ def split_nodes(
         )
         follow = sparse.csr_matrix(rows)[back]
     return free, follow, lumped
+
+
+def heaviest_around(mass: Floats, cells: Ints) -> NDArray[np.float64]:
+    """(M,) the greatest mass among the nodes that each has a cell of `cells` (K, 27) in common."""
+    most = np.zeros(len(mass))
+    np.maximum.at(most, cells.ravel(), np.repeat(mass[cells].max(1), cells.shape[1]))
+    return most
 
 
 def mirrored(

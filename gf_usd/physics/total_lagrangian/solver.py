@@ -144,6 +144,7 @@ class TotalLagrangian(Solver):
         stats = FrameStats(
             work=float(state.get("work").astype(float).sum()) + work,
             injected=injected + given,
+            planes=given,
             overlap=overlap,
             let_go=pairs.released if pairs else 0,
             clamped=int((limited["clamped"] | clipped).sum()),

@@ -41,6 +41,9 @@ ROWS: tuple[Row, ...] = (
     Row(
         "first_contact_frame", "First contact", "", "the first frame, from 0, that touched anything"
     ),
+    Row("falls", "Falls", "", "gravity takes it to a floor or an obstacle"),
+    Row("shift_max_m", "Farthest from the start", "m", "of the center of mass"),
+    Row("kinetic_max_J", "Most kinetic energy", "J", "in a frame"),
     Row("deepest_penetration_m", "Deepest in the floor", "m", "of any point of the surface"),
     Row("deepest_penetration_spacings", "The same", "spacings", "distances between particles"),
     Row("deepest_overlap_m", "Deepest overlap", "m", "with another body or an obstacle"),
@@ -80,6 +83,8 @@ ROWS: tuple[Row, ...] = (
     Row("dissipated_J", "Energy lost", "J", "to damping, friction, drag and the filter"),
     Row("work_of_pins_J", "Work of pins", "J", "and of moving obstacles, done on the bodies"),
     Row("injected_J", "Work of corrections", "J", "of the shape, and of new contact planes"),
+    Row("planes_J", "Work of contact planes", "J", "of new ones, over the whole bake"),
+    Row("planes_gain_share", "Energy they gave", "", "frame by frame, of what counts"),
     Row("plastic_dissipation_J", "Energy lost to flow", "J", "permanent deformation"),
     Row("momentum_end", "Momentum at the end", "kg m/s", ""),
     Row("angular_momentum_end", "Angular momentum", "kg m²/s", "at the end, about the origin"),
@@ -98,12 +103,15 @@ FIRST = {
 
 # which rows a warning is about, by the names of gf_usd.pipeline.health.RULES
 MARKS: dict[str, tuple[str, ...]] = {
+    "untouched": ("first_contact_frame", "shift_max_m"),
+    "still": ("kinetic_max_J",),
     "energy": ("energy_gain_max_J", "energy_gain_max_share"),
     "inside-out": ("inverted_particle_frames", "min_J"),
     "redone": ("rollbacks",),
     "clamp": ("clamped_particle_frames", "clamped_share"),
     "stress-cap": ("stress_capped_particle_frames", "stress_capped_share"),
     "injected": ("injected_J",),
+    "planes": ("planes_J", "planes_gain_share"),
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
     "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
     "let-go": ("let_go_max",),

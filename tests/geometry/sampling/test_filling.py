@@ -114,11 +114,22 @@ def test_a_wire_thinner_than_any_sliver_keeps_its_mass():
     assert made.outside <= len(CUBE)
     assert (~body.inside(made.X)).sum() == made.outside
     out, h = made.X[:, 0] > 1.1, 2.0 * made.lattice
-    # A cell holds (.08 / .26)^2 = .1 of the wire: three are merged, and where they end the count
-    # is off by one such lot.
+    # A cell holds (.08 / .26)^2 = .1 of the wire.  Cells next to the ball are merged, and where
+    # they end the count is off by one such lot.
     assert (0.08 / h) ** 2 < 0.5 * SLIVER
     assert abs(made.V0[out].sum() - 1.85 * 0.08**2) < SLIVER * h**3
     assert made.V0.sum() == pytest.approx(body.volume, rel=0.01)
+
+
+def test_cells_of_a_thin_part_have_points_of_their_own():
+    h, width = 0.1, 0.04
+    wire = cube(low=(0.95, -0.5 * width, -0.5 * width), edge=(2.0, width, width))
+    made = sample_solid(solid(joined(sphere(), wire)), particles=None, spacing=0.5 * h, seed=0)
+    out = made.X[:, 0] > 1.3
+    cells, count = np.unique(np.floor((made.X[out, 0] - made.corner[0]) / h), return_counts=True)
+    assert len(cells) == cells[-1] - cells[0] + 1  # no cell is skipped
+    assert (count[1:-1] >= len(CUBE)).all()
+    assert (count[1:-1] % len(CUBE) == 0).all()
 
 
 def test_moments_move_and_flip_as_those_of_points_do():
