@@ -307,12 +307,16 @@ def test_a_variant_of_a_bake_is_drawn_in_place_of_the_selected_one(write):
     ) {
         def Cube "B" {}
         variantSet "gaussianFlesh" = {
-            "rubber" { over "B" {
-                double size = 2
-            } }
-            "jelly" { over "B" {
-                double size = 6
-            } }
+            "rubber" {
+                over "B" {
+                    double size = 2
+                }
+            }
+            "jelly" {
+                over "B" {
+                    double size = 6
+                }
+            }
         }
     }""")
     text = path.read_bytes()
