@@ -33,7 +33,7 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
-from gf_usd.verify.cases.plastic import expansion, taylor, uniaxial
+from gf_usd.verify.cases.plastic import expansion, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -58,6 +58,7 @@ CASES: tuple[Case, ...] = (
     *drop.CASES,
     *uniaxial.CASES,
     *expansion.CASES,
+    *slump.CASES,
     *taylor.CASES,
     *sides.CASES,
 )
