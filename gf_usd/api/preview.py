@@ -144,11 +144,13 @@ def draw(
     show: str | None = None,
     camera: str | None = None,
     color: str | None = None,
+    variant: str | None = None,
     write: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> Preview:
     """Draw what was asked for; see `preview`.
 
+    variant : of a bake, in place of the one that the file selects.
     write : write the file of the options; False: a picture or a sheet is only returned.
     """
     from gf_usd.api.drawing import pictures as drawing
@@ -163,7 +165,7 @@ def draw(
         width, height = (n + n % 2 for n in options.size)
         options = replace(options, size=(width, height))
         notes.append(f"H.264 wants even sizes: {width}x{height}")
-    source = PictureStage(path, show, camera=camera, color=color)
+    source = PictureStage(path, show, camera=camera, color=color, variant=variant)
     motion = source.motion
     if options.film:
         codes = _time_codes(source, options, path)

@@ -11,6 +11,7 @@ import typer
 
 from gf_usd.cli import exit
 from gf_usd.cli.events import STDOUT, event_stream
+from gf_usd.cli.help import show_all
 from gf_usd.core import __version__
 from gf_usd.core.errors import UsageError
 
@@ -32,6 +33,15 @@ def bake(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
+    help_all: Annotated[
+        bool,
+        typer.Option(
+            "--help-all",
+            is_eager=True,
+            callback=show_all,
+            help="Show this page with the options of experts, and exit.",
+        ),
+    ] = False,
     **options: Any,
 ) -> None:
     """Make an asset soft: fill it with particles, let it fall, write layers over it.

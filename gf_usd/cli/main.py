@@ -11,21 +11,25 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 
-from gf_usd.cli import exit
+from gf_usd.cli import exit, folder_options
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
 from gf_usd.cli.exit import leave, prepare_to_leave
+from gf_usd.cli.help import HelpfulCommand
 from gf_usd.cli.info import inputs, materials, schema_path
 from gf_usd.cli.inspect import inspect
+from gf_usd.cli.misuse import WrongUsage, usage_words
 from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
+from gf_usd.cli.topics import topic
 from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import serve
 from gf_usd.core import __version__
@@ -46,6 +50,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "verify": (verify, {}),
     "materials": (materials, {}),
     "schema-path": (schema_path, {}),
+    "help": (topic, {}),
     "thumbnails": (thumbnails, {"hidden": True}),
 }
 
@@ -65,22 +70,33 @@ def _main(
     pass
 
 
-def program(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """The command line with these commands."""
+def program(
+    names: Iterable[str] = COMMANDS, defaults: Mapping[str, Any] | None = None
+) -> typer.Typer:
+    """The command line with these commands; defaults : of the options of each, by its name."""
     made = typer.Typer(
         name="gf-usd",
         help="Make any USD or mesh asset soft, without touching it.",
         no_args_is_help=True,
-        add_completion=False,
         rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings={"help_option_names": ["-h", "--help"], "default_map": defaults or {}},
     )
     made.callback()(_main)
     for name in names:
         function, settings = COMMANDS[name]
-        made.command(name=name, **settings)(signed(name, function))
+        made.command(name=name, cls=HelpfulCommand, **settings)(signed(name, function))
     return made
+
+
+def _of_folder(arguments: Sequence[str]) -> dict[str, Any]:
+    """Defaults that a gf-usd.toml gives the command, and a note on them."""
+    found = folder_options.find(Path.cwd()) if folder_options.wanted(arguments) else None
+    if found is None:
+        return {}
+    if not {"-q", "--quiet"} & {*arguments}:
+        typer.echo(f"note: {found.note}", err=True)
+    return {arguments[0]: found.of(arguments[0])}
 
 
 def run() -> NoReturn:
@@ -107,7 +123,16 @@ def execute(arguments: Sequence[str]) -> int:
     # Typer goes through the options of all the commands it knows before it runs one.
     chosen = asked if asked and asked[0] in COMMANDS else COMMANDS
     try:
-        program(chosen)(args=list(arguments), standalone_mode=True)
+        ended = program(chosen, _of_folder(arguments))(
+            args=list(arguments), prog_name="gf-usd", standalone_mode=False
+        )
+        return ended if isinstance(ended, int) else 0
+    except WrongUsage as error:
+        if not arguments:  # without any the help is the answer
+            error.show()
+            return error.exit_code
+        typer.echo(f"error: {usage_words(error)}", err=True)
+        return error.exit_code
     except GfUsdError as error:
         said = str(error) if isinstance(error, Unfinished) else f"error: {error}"
         typer.echo(said, err=True)

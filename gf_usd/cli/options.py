@@ -8,8 +8,26 @@ from typing import Annotated, Any
 
 import typer
 
+from gf_usd.cli.help import metavar
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS, PLANNED
+
+
+def _completion(option: Option) -> Callable[[str], list[str]] | None:
+    """What a shell offers for the value of an option."""
+    words = option.choices
+    if option.name == "only":
+        words = ("mesh", "gaussians", "points")
+    if option.name == "material":
+        # loads NumPy, which a command that is not being completed does not need here
+        return _presets
+    return (lambda incomplete: [w for w in words if w.startswith(incomplete)]) if words else None
+
+
+def _presets(incomplete: str) -> list[str]:
+    from gf_usd.core.materials import presets
+
+    return [name for name in ("auto", *presets()) if name.startswith(incomplete)]
 
 
 def _spoken(option: Option) -> Any:
@@ -23,6 +41,8 @@ def _spoken(option: Option) -> Any:
         *((flag, option.short) if option.short else (flag,)),
         help=option.help,
         show_default=option.shown or True,
+        metavar=metavar(option.name, option.kind, option.choices),
+        autocompletion=_completion(option),
         min=low,
     )
 

@@ -78,6 +78,14 @@ def preview(
             show_default="one that is fitted to the whole motion",
         ),
     ] = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Variant of a bake to draw: one of its materials, or none (the asset itself).",
+            show_default="the one that the file selects",
+        ),
+    ] = None,
     color: Annotated[
         str,
         typer.Option(
@@ -112,12 +120,17 @@ def preview(
         color=quantity,
         limits=limits,
     )
-    for line in draw(stage, options, show, camera, quantity):
+    for line in draw(stage, options, show, camera, quantity, variant):
         typer.echo(line, err=True)
 
 
 def draw(
-    path: Path, options: Options, show: str | None, camera: str | None, color: str | None
+    path: Path,
+    options: Options,
+    show: str | None,
+    camera: str | None,
+    color: str | None,
+    variant: str | None = None,
 ) -> list[str]:
     """Draw what was asked for; returns what to say of it.
 
@@ -130,7 +143,15 @@ def draw(
     from gf_usd.api.preview import draw as draw_preview
 
     with progress() if options.film else nullcontext() as advance:
-        done = draw_preview(path, options, show=show, camera=camera, color=color, progress=advance)
+        done = draw_preview(
+            path,
+            options,
+            show=show,
+            camera=camera,
+            color=color,
+            variant=variant,
+            progress=advance,
+        )
     width, height = done.size
     made = f"{done.path}: {width}x{height}"
     if done.fps is not None:

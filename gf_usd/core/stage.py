@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,9 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import LAWS, Material, flowing_law, law_parameters
 from gf_usd.core.units import StageUnits
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Triple = tuple[float, float, float]
 
@@ -310,6 +313,14 @@ class Bone:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """The bones of a character, and the skin that they pose."""
+
+    bones: tuple[Bone, ...]
+    weights: Mapping[str, csr_matrix]  # (V, bones) of each posed surface, by path; rows sum to 1
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pin:
     """A region whose motion is given: held where it is, or following the source's animation.
 
@@ -327,6 +338,20 @@ class Pin:
     # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
     # the particles there are as elastic as any: a core in a solid.
     sharp: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goals:
+    """Springs that draw a body to a pose: per mass, w^2 times the way and 2 zeta w times the rate.
+
+    pose : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where these points are to be).
+    rate : X (n, 3) [m] at rest -> w (n,) [rad/s]; 0: free, inf: as good as keyframed.
+    """
+
+    pose: Callable[[Floats], Callable[[float], Floats]]
+    rate: Callable[[Floats], Floats]
+    damping: float = 0.5  # zeta, of the springs: 1 is critical
+    moving: bool = True  # whether the pose changes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -363,6 +363,7 @@ def solver_of(plan: Plan, variant: Variant) -> Solver:
     if plan.settings.solver == "tl" and plan.bodies is not None:
         more |= {
             "contact_setup": plan.contact_setup,
+            "goals": plan.goals,
             "embedded_body": plan.bodies.embedded,
             "embedded_copy": plan.riding,
         }

@@ -42,7 +42,7 @@ from gf_usd.prepare.bodies import (
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.pins import flesh_pins, make_pins, read_animation
+from gf_usd.prepare.pins import Flesh, flesh_of, make_pins, read_animation
 from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
@@ -140,16 +140,17 @@ def fill(
     settings = resolve(request, asset.facts, radius, lowest, animation)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
-    boned: tuple[str, ...] = ()
+    flesh = Flesh()
     if file is not None:
         names = request.listed("pins")
         pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
     if animation and file is not None:
-        cores, boned = flesh_pins(
-            asset, solid, sampled(settings), animation, file, share=request.bone_radius,
-            lattice=particles.lattice,
+        flesh = flesh_of(
+            asset, solid, samples, sampled(settings), animation, file,
+            share=request.bone_radius, frequency=request.goal_frequency,
+            damping=request.goal_damping, lattice=particles.lattice, spacing=particles.spacing,
         )  # fmt: skip
-        pins += cores
+        pins += flesh.pins
     physics = spec.physics
     if physics.colliders and file is not None:
         every = sampled(settings)
@@ -221,6 +222,7 @@ def fill(
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
+        goals=flesh.goals,
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,
@@ -229,7 +231,7 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *boned,
+            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
             *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
             *embedded_points, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,8 @@ import numpy as np
 
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import Settings
-from gf_usd.core.stage import Pin, Region
+from gf_usd.core.frames import Settings, SurfaceSamples
+from gf_usd.core.stage import Goals, Pin, Region
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
@@ -77,6 +78,8 @@ def _require_hold(region: Region, asset: Asset) -> None:
 
 
 BONE_RADIUS = 0.5  # of the distance to the skin
+GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
+GOAL_DAMPING = 0.5
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
@@ -84,41 +87,58 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
 
     Raises InputError where no skeleton poses any of it, and for a broken one.
     """
-    from gf_usd.readers.usd.bones import animation_range, read_bones
+    from gf_usd.readers.usd.bones import animation_range, read_skeleton
 
     paths = [s.path for s in asset.surfaces]
     first, last = animation_range(file, paths, asset.facts)
     if start is not None:
         first, last = first_time_code(asset.facts, start), max(start, last)
-    bones = read_bones(file, paths, asset.facts, first=first, times=[first])
+    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first]).bones
     reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
     return Animation(first=first, last=last, reach=reach)
 
 
-def flesh_pins(
+@dataclass(frozen=True, kw_only=True)
+class Flesh:
+    """What moves a character's flesh."""
+
+    pins: tuple[Pin, ...] = ()  # the cores of bones
+    goals: Goals | None = None  # springs to the skinned pose
+    notes: tuple[str, ...] = ()
+
+
+def flesh_of(
     asset: Asset,
     solid: Solid,
+    samples: SurfaceSamples,
     settings: Settings,
     animation: Animation,
     file: Path,
     *,
     share: float | None,
+    frequency: float | None,
+    damping: float | None,
     lattice: float,
-) -> tuple[tuple[Pin, ...], tuple[str, ...]]:
-    """The bones' cores as pins, and notes.
+    spacing: float,
+) -> Flesh:
+    """The cores of the bones, and the springs that are asked for.
 
-    settings : as `sampled`; share : of --bone-radius, None: the default; lattice : [m] half the
-    edge of a cell.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
+    settings : as `sampled`.  share, frequency [Hz], damping : of --bone-radius, --goal-frequency
+    and --goal-damping; None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the
+    samples.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
     """
-    from gf_usd.geometry.bones import bone_cores, bone_pins
-    from gf_usd.readers.usd.bones import read_bones
+    from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
+    from gf_usd.geometry.flesh.goals import flesh_goals
+    from gf_usd.readers.usd.bones import read_skeleton
+    from gf_usd.readers.usd_bake.settings import read_goals
 
     step = settings.time_codes_per_second / settings.fps
     lead = round((animation.first - settings.start) / step)
     times = animation.first + (np.arange(settings.frames) - lead) * step
     paths = [s.path for s in asset.surfaces]
-    bones = read_bones(file, paths, asset.facts, first=animation.first, times=times.tolist())
-    cores, notes = bone_cores(bones, solid, BONE_RADIUS if share is None else share, 2.0 * lattice)
+    skeleton = read_skeleton(file, paths, asset.facts, first=animation.first, times=times.tolist())
+    bones = skeleton.bones
+    cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
         raise InputError(
@@ -126,4 +146,14 @@ def flesh_pins(
             f" as {bones[0].name}",
             "bind the mesh again: in the bind pose its skeleton lies inside of it",
         )
-    return pins, notes
+    painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    if frequency is None and not painted:
+        return Flesh(pins=pins, notes=notes)
+    if frequency is None:
+        frequency = GOAL_FREQUENCY
+        notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
+    goals = flesh_goals(
+        solid, samples, skeleton, painted,
+        frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
+    )  # fmt: skip
+    return Flesh(pins=pins, goals=goals, notes=notes)

@@ -24,7 +24,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import Material, law_internals
-from gf_usd.core.stage import Advice, ContactSetup, Pin
+from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
@@ -62,6 +62,7 @@ class Plan:
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     pins: tuple[Pin, ...] = ()
+    goals: Goals | None = None
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
     riding: Mapping[str, Ints] = field(default_factory=dict)  # copies of cells: see `LimbPlan`

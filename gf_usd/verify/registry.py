@@ -14,6 +14,7 @@ from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     drop,
+    flesh,
     flight,
     floor,
     law,
@@ -61,6 +62,7 @@ CASES: tuple[Case, ...] = (
     *slump.CASES,
     *taylor.CASES,
     *sides.CASES,
+    *flesh.CASES,
 )
 
 

@@ -34,7 +34,7 @@ def kinds(found: list[dict[str, Any]]) -> list[str]:
 
 
 def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, block: Path) -> None:
-    done = gf_usd("bake", block, *SMALL, "--events", "events.ndjson")
+    done = gf_usd("bake", block, *SMALL, "--floor", "none", "--events", "events.ndjson")
     assert done.status == 0
     found = events((here / "events.ndjson").read_text())
     assert kinds(found) == ["started", "plan", "frame", "finished"]
@@ -43,7 +43,8 @@ def test_a_bake_tells_its_plan_its_frames_and_its_result(gf_usd, here: Path, blo
         "event": "started", "time": first["time"], "asset": str(block), "version": __version__,
         "pid": os.getpid(),
     }  # fmt: skip
-    shown = strict(gf_usd("bake", block, *SMALL, "--dry-run", "--json").out)
+    asked = (*SMALL, "--floor", "none", "--dry-run", "--json")
+    shown = strict(gf_usd("bake", block, *asked).out)
     assert {key: plan[key] for key in plan.keys() - TOLD} == shown
     assert set(plan) >= (REPORT - {"settings", "seconds", "bakes", "check", "warnings"}) | ESTIMATE
     count = plan["particles"]

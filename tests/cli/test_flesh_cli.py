@@ -11,6 +11,7 @@ from pxr import Usd
 from small_bakes import BLOCK
 
 import gf_usd
+from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 12, "progress": None}
 
@@ -76,3 +77,34 @@ def test_an_asset_without_a_skeleton_is_refused(tmp_path: Path) -> None:
             gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda")
         assert words in caught.value.message
         assert str(path) in caught.value.message
+
+
+def paint(goal: float) -> str:
+    return f"float primvars:gaussianFlesh:goal = {goal!r}"
+
+
+@pytest.mark.parametrize(
+    ("more", "asked", "frequency"),
+    [("", None, None), ("", 2.0, 2.0), (paint(0.2), None, 2.0), (paint(0.2), 6.0, 3.0)],
+)
+def test_goals_are_springs_of_the_frequency_asked_for_or_painted(
+    tmp_path: Path, more: str, asked: float | None, frequency: float | None
+) -> None:
+    path = write(tmp_path, arm(more=more))
+    options = {"particles": 300, "goal_frequency": asked, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(path, flesh=True, draw=None, **options)
+    if frequency is None:
+        assert plan.goals is None
+        return
+    assert plan.goals is not None
+    rate = plan.goals.rate(np.array([[0.5, 0.0, 0.0]]))
+    np.testing.assert_allclose(rate, 2.0 * np.pi * frequency, rtol=1e-6)
+    assert ("painted goals" in " ".join(plan.notes)) == (bool(more) and asked is None)
+
+
+def test_a_goal_out_of_range_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, arm(more=paint(1.5)))
+    with pytest.raises(gf_usd.GfUsdError) as caught:
+        gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda", **FEW)
+    assert "</Arm/Skin>" in caught.value.message
+    assert "1 of 1 values out of range, the first is 1.5" in caught.value.message

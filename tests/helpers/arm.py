@@ -39,9 +39,10 @@ def arm(
     joints: str = '["A", "A/B"]',
     skeleton: str = "rel skel:skeleton = </Arm/Skel>",
     rotation: str | None = None,
+    more: str = "",
 ) -> str:
     """A usda file; bend : [degrees] of joint B about z, and lift : [m] of joint A along y, at the
-    first and the last time code; the others : of a broken one.
+    first and the last time code; more : of the mesh; the others : of a broken one.
     """
     weight = np.clip((ALONG - 0.8) / 0.4, 0.0, 1.0).repeat(4)
     weights = ", ".join(f"{1.0 - w:g}, {w:g}" for w in weight)
@@ -86,6 +87,7 @@ def SkelRoot "Arm" ( prepend apiSchemas = ["SkelBindingAPI"] )
         int[] faceVertexCounts = {[4] * len(faces())}
         int[] faceVertexIndices = {corners}
         {skeleton}
+        {more}
         int[] primvars:skel:jointIndices = {skin or [0, 1] * len(weight)} (
             elementSize = 2
             interpolation = "vertex"

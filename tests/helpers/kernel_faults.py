@@ -63,18 +63,18 @@ def corotated_with_half_mu(F, q, converged):
 @ti.func
 def move_upward(
     body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(),
+    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
-    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain, coupled, slides)
+    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain, coupled, slides, goals)
 
 
 @ti.func
 def move_without_body_force(
     body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(),
+    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
     b = ti.Vector([body.acceleration[3 * node + d] for d in range(3)])
-    move_node(body, node, contact, g - b, dt, drift, keep, plain, coupled, slides)
+    move_node(body, node, contact, g - b, dt, drift, keep, plain, coupled, slides, goals)
 
 
 @ti.func

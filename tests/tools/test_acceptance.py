@@ -124,3 +124,24 @@ def test_only_known_sections_run() -> None:
     )  # fmt: skip
     assert done.returncode == 2
     assert "verify" in done.stderr
+
+
+def test_bakes_with_limbs_are_read_one_by_one() -> None:
+    from tools.acceptance.sections import read_limbs
+
+    good = {
+        "asset": "hand", "look": "rubber", "seconds": 1.0, "particles": 8000, "inside": 0.0004,
+        "figures": {
+            "min_J": 0.3, "inverted_max": 0, "rollbacks": 0, "deepest_overlap_spacings": 0.2,
+        },
+        "fault": "",
+    }  # fmt: skip
+    bad = {**good, "look": "jelly", "inside": None, "figures": None, "fault": "status 1: no"}
+    for runs, passed in (([good], True), ([good, bad], False)):
+        done = subprocess.CompletedProcess([], 0 if passed else 1, json.dumps({"runs": runs}))
+        outcome = read_limbs(done)
+        assert outcome.passed is passed
+    assert outcome.summary.startswith("1 of 2 bakes")
+    assert outcome.summary.endswith("not: hand jelly")
+    assert outcome.table[1][3] == "0.04 %"
+    assert outcome.table[2][-1] == "**FAIL** status 1: no"

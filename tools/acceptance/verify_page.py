@@ -75,14 +75,19 @@ def pages(record: dict[str, Any]) -> dict[Path, str]:
     rows = record["outcome"]["data"]["cases"]
     plots: dict[str, str] = {}
     state = record["commit"][:12] + (" with changes" if record["changed"] else "")
+    forms = (
+        "  `gf-usd verify` runs the quick form of the same cases, `gf-usd verify --full` this one."
+        if "--full" in record["command"]
+        else "  This is the quick form; `gf-usd verify --full` has finer grids and longer runs of"
+        " the same cases."
+    )
     lines = [
         "# Verification",
         "",
         "All verification cases with reference, figures and the reason of each bound.  Made"
         f" by `tools/acceptance/verify_page.py` from the run of {record['date'][:10]} (commit"
         f" `{state}`, {record['machine']}, {record['seconds']:.0f} s):"
-        f" {record['outcome']['summary']}.  `gf-usd verify` runs the quick form of the same cases,"
-        " `gf-usd verify --full` this one.",
+        f" {record['outcome']['summary']}.{forms}",
         "",
     ]
     for _, group in groupby(rows, key=lambda row: row["case"]):

@@ -37,6 +37,7 @@ AHEAD = 1.5  # speeds may grow by this factor until the next detection
 FEW = 8_000  # pairs of samples that are looked at one by one
 CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for again
 FACE = 1.5  # [spacings] from where a sample faces a place
+SAME = 0.25  # [spacings] that a place may have lain deeper than the one that a sample was inside of
 NEARLY = 0.25  # [spacings] from where something is about to touch
 
 
@@ -229,7 +230,10 @@ class SelfContact:
         ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
         rim |= ends & (now < 0.0)
         came, height = self._came(before, s, corners, weights)
-        was = np.where(gap[s] < 0.0, gap[s], np.where(height >= 0.0, came, np.inf))
+        # Who is inside one place and behind another is not inside that one, too.
+        same = (gap[s] < 0.0) & (height >= gap[s] - SAME * self._spacing)
+        outer = (gap[s] >= 0.0) & (height >= 0.0)
+        was = np.where(same, gap[s], np.where(outer, came, np.inf))
         believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
         keep = (least < reach) & ~rim & believed
         pseudo /= np.maximum(np.linalg.norm(pseudo, axis=1, keepdims=True), 1e-30)

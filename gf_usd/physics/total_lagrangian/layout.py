@@ -138,12 +138,15 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     return start, material_parts.ravel()[order]
 
 
+MASS, GROUND, INVERSE = 3, 1, 2  # numbers of a node in `node_mass`, and where two of them are
+
+
 def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
     """How nodes hang together, as compressed rows that are never empty, and their masses.
 
     A row of `follow` is a node's: of a free one the springs of its mass, of a follower the free
     nodes that it follows.  `share` is what a node keeps for others in a stage, `node_mass` its own
-    sum w m and the spring that ties its mass to the ground.
+    sum w m, the spring that ties its mass to the ground, and 1 / M.
     """
     up = stencil.follow.T.tocsr()
     up.sort_indices()
@@ -152,6 +155,8 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
     none_i, none_f = np.zeros(1, int), np.zeros(1)
     ground = np.zeros(stencil.node_count)
     ground[: stencil.free_count] = mass.ground
+    inverse = np.zeros(stencil.node_count)
+    inverse[: stencil.free_count] = 1.0 / mass.lumped
     return {
         "follow_start": down.indptr,
         "follow_node": down.indices if down.nnz else none_i,
@@ -160,8 +165,7 @@ def node_arrays(stencil: Stencil, mass: NodalMass) -> dict[str, Any]:
         "leader_follower": stencil.free_count + up.indices if up.nnz else none_i,
         "leader_weight": up.data if up.nnz else none_f,
         "share": np.zeros(3 * stencil.node_count),
-        "inverse_mass": 1.0 / mass.lumped,
-        "node_mass": np.stack([stencil.node_mass, ground], 1).ravel(),
+        "node_mass": np.stack([stencil.node_mass, ground, inverse], 1).ravel(),
         **sliding_arrays(stencil, mass),
     }
 

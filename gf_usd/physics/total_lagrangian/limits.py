@@ -35,13 +35,18 @@ class Options:
     coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
     plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
     slides: bool = False  # a pin holds some axes and lets the others slide
+    goals: bool = False  # springs draw the nodes to a given pose
 
 
 DEFAULT = Options()
 
 
 def options_of(
-    settings: Settings, meets: bool = False, plain: bool = False, slides: bool = False
+    settings: Settings,
+    meets: bool = False,
+    plain: bool = False,
+    slides: bool = False,
+    goals: bool = False,
 ) -> Options:
     """The options that the settings ask for."""
     return Options(
@@ -52,6 +57,7 @@ def options_of(
         coupled=settings.mass != LUMPED,
         plain=plain,
         slides=slides,
+        goals=goals,
     )
 
 

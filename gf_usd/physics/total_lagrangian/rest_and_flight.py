@@ -46,16 +46,14 @@ class Shortcuts:
     def __init__(self, body: Body, state: State) -> None:
         s = body.settings
         bodies = bodies_of(body.particles, body.per["density"])
-        held = body.pin_constraint is not None
+        held = body.in_place
         asked = s.shortcuts and not acts(s)
         self._body = body
         self._g = np.asarray(s.gravity, float)
         self._free = asked and not held and s.drag == 0.0
         self._flies = self._free and not state.acceleration.any()
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
-        self._sleeps = (
-            asked and pressed and not (body.pin_constraint and body.pin_constraint.moving)
-        )
+        self._sleeps = asked and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
         self._limit = REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])

@@ -19,12 +19,13 @@ from gf_usd.core.frames import (
     spread,
 )
 from gf_usd.core.materials import Material
-from gf_usd.core.stage import ContactSetup, Pin
+from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
+from gf_usd.physics.grid.goals import GOAL, NodeGoals
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
@@ -58,6 +59,7 @@ class Body:
     rows: Rows  # of the particles on the nodes
     embedded: Mapping[str, Rows]  # of each set of points that rides along
     pin_constraint: PinConstraint | None  # the pins
+    goals: NodeGoals | None  # springs that draw the free nodes to a pose
     held: Mapping[str, PinnedPoints]  # embedded points that a pin holds; "": particles
     contact: FloorContact | None
     contact_setup: ContactSetup | None  # what the bodies meet besides the floor; None: nothing
@@ -69,6 +71,17 @@ class Body:
     law: ParticleLaws
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
+
+    @property
+    def in_place(self) -> bool:
+        """Whether pins or goals say where the body is, so that it does not fly off as a whole."""
+        return self.pin_constraint is not None or self.goals is not None
+
+    @property
+    def driven(self) -> bool:
+        """Whether pins or goals move."""
+        pins, goals = self.pin_constraint, self.goals
+        return (pins is not None and pins.moving) or (goals is not None and goals.moving)
 
     @property
     def converged(self) -> float:
@@ -102,6 +115,7 @@ def build_body(
     velocity: Any,
     pins: Sequence[Pin],
     contact_setup: ContactSetup | None,
+    goals: Goals | None,
     embedded_body: Mapping[str, int] | None,
     embedded_copy: Mapping[str, Ints] | None,
     h: float | None,
@@ -159,8 +173,9 @@ def build_body(
         contact_setup = None
     plain = settings.device != "cpu" if plain is None else plain
     options = limits.options_of(
-        settings, contact_setup is not None, plain, stencil.factors is not None
+        settings, contact_setup is not None, plain, stencil.factors is not None, goals is not None
     )
+    step = largest_step(particles, h, contact, settings, per, frequency)
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -181,11 +196,12 @@ def build_body(
             for name, X in (embedded or {}).items()
         },
         pin_constraint=pin_constraint,
+        goals=NodeGoals(goals, stencil.free_X, step.dt) if goals else None,
         held=held,
         contact=contact,
         contact_setup=contact_setup,
         start=start,
-        step=largest_step(particles, h, contact, settings, per, frequency),
+        step=step,
         frequency=frequency,
         layout=(
             layout.single_particles(stencil)
@@ -383,6 +399,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "anchor": np.zeros(3 * followers),
         "anchor_rate": np.zeros(3 * followers),
         "work": np.zeros(followers),
+        "goal": np.zeros(GOAL * stencil.free_count if body.goals else 1),
         **batches.arrays(stencil),
         **layout.node_arrays(stencil, body.mass),
         **layout.contact_arrays(contact, height, stencil.free_count),

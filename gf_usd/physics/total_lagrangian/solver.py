@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
-from gf_usd.core.stage import ContactSetup, Pin
+from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
@@ -44,6 +44,7 @@ class TotalLagrangian(Solver):
         of these, one a body.
     pins : regions whose motion is given.
     contact_setup : what the bodies meet besides the floor.
+    goals : springs that draw the body to a pose; None: none do.
     embedded_body : the body that a named set of points rides on; the first where it is not named.
     embedded_copy : the copies of cells that the points of a named set ride on, where
         `particles.copies` has several.
@@ -67,6 +68,7 @@ class TotalLagrangian(Solver):
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
         contact_setup: ContactSetup | None = None,
+        goals: Goals | None = None,
         embedded_body: Mapping[str, int] | None = None,
         embedded_copy: Mapping[str, Ints] | None = None,
         acceleration: Any = None,
@@ -80,7 +82,7 @@ class TotalLagrangian(Solver):
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
-            pins=pins, contact_setup=contact_setup, embedded_body=embedded_body,
+            pins=pins, contact_setup=contact_setup, goals=goals, embedded_body=embedded_body,
             embedded_copy=embedded_copy, h=h, real=real, plain=plain,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
@@ -142,7 +144,7 @@ class TotalLagrangian(Solver):
         clipped, injected = self.correction.frame(state, index)
         work, given, overlap = pairs.totals(state) if pairs else (0.0, 0.0, 0.0)
         stats = FrameStats(
-            work=float(state.get("work").astype(float).sum()) + work,
+            work=state.work() + work,
             injected=injected + given,
             planes=given,
             overlap=overlap,

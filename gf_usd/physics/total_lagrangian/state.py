@@ -17,6 +17,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
 from gf_usd.physics.contact.floor import spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
+from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian import layout
@@ -118,6 +119,8 @@ class State(DeviceState):
     def prescribe(self, index: int) -> None:
         """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
         self.clear("work")
+        if goals := self._body.goals:
+            self.put("goal", goals.between(index, self._body.settings.frame_time))
         pin_constraint, nodes = self._body.pin_constraint, self._body.stencil
         if pin_constraint is None or not pin_constraint.moving:
             return
@@ -131,9 +134,14 @@ class State(DeviceState):
         self.put("anchor", start)
         self.put("anchor_rate", (end - start) / self._body.settings.frame_time)
 
+    def work(self) -> float:
+        """[J] that pins and goals did on the body since `prescribe`."""
+        drawn = work_of(self.get("goal")) if self._body.goals else 0.0
+        return float(self.get("work").astype(float).sum()) + drawn
+
     def recenter(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
-        if self._body.pin_constraint:
+        if self._body.in_place:
             return
         u, m = self.rows("u"), self._body.stencil.mass
         mean = m @ u[: self._body.stencil.free_count] / m.sum()

@@ -8,6 +8,7 @@ name, the type and the default, the `Option` gives the rest.
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, Field, dataclass, fields, replace
@@ -92,7 +93,7 @@ class Option:
         if value is None:
             return
         if self.choices and value not in self.choices:
-            raise UsageError(f"there is no {self.name} {value!r}", _choose(self))
+            raise UsageError(f"there is no {self.name} {value!r}", _choose(self, str(value)))
         if self.above_zero:
             positive(self.flag, value)
         elif self.low is not None and not self.low <= value <= self.high:
@@ -107,7 +108,10 @@ class Option:
             raise UsageError(f"{self.flag} is {value}", f"give a finite {self.noun}")
 
 
-def _choose(option: Option) -> str:
+def _choose(option: Option, value: str) -> str:
+    close = difflib.get_close_matches(value.lower(), option.choices, n=1)
+    if close and option.choices[2:]:
+        return f"did you mean {close[0]}? choose one of {', '.join(option.choices)}"
     *others, last = option.choices
     if not others:
         return f"the only {option.name} is {last}"

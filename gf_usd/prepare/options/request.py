@@ -99,7 +99,12 @@ class Request(RequestOptions):
     def _check_flesh(self) -> None:
         """Raise UsageError for options that do not go with --flesh, or only with it."""
         if not self.flesh:
-            for option, value in (("--bone-radius", self.bone_radius), ("--preroll", self.preroll)):
+            for option, value in (
+                ("--bone-radius", self.bone_radius),
+                ("--goal-frequency", self.goal_frequency),
+                ("--goal-damping", self.goal_damping),
+                ("--preroll", self.preroll),
+            ):
                 if value is not None:
                     raise UsageError(f"{option} {value:g} is for --flesh", "add --flesh")
             return

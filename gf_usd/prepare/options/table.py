@@ -143,6 +143,13 @@ class RequestOptions:
         SCENE, "Radius of the cores of --flesh, over the distance from bone to skin.",
         shown="0.5", low=0.05, high=1.0,
     )] = None
+    goal_frequency: Annotated[float | None, Option(
+        SCENE, "Frequency [Hz] of springs that draw the flesh of --flesh to the skinned pose.",
+        shown="4 where a goal is painted, else no springs", above_zero=True,
+    )] = None
+    goal_damping: Annotated[float | None, Option(
+        SCENE, "Damping ratio of these springs; 1 is critical.", shown="0.5", low=0.0, high=100.0,
+    )] = None
     preroll: Annotated[int | None, Option(
         SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
         " simulated and not written.",

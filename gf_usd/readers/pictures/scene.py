@@ -5,6 +5,7 @@ A UsdGeomCamera of a stage as pictures see through it.
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from gf_usd.readers.pictures.prims import (
     read_splats,
     to_render_mesh,
 )
-from gf_usd.readers.pictures.recording import displays_in
+from gf_usd.readers.pictures.recording import VARIANTS, displays_in
 from gf_usd.readers.pictures.values import Values
 from gf_usd.readers.usd.implicit import IMPLICIT
 from gf_usd.readers.usd.mesh import Reading, read_surface
@@ -87,6 +88,7 @@ class PictureStage:
         *,
         camera: str | None = None,
         color: str | None = None,
+        variant: str | None = None,
     ) -> None:
         if show is not None and show not in SHOWS:
             raise UsageError(f"Unknown --show {show}.", f"choose one of: {', '.join(SHOWS)}")
@@ -97,6 +99,8 @@ class PictureStage:
         self._stage_notes = Notes()
         with reading(path):
             self._stage = open_stage(path)
+            if variant is not None:
+                _select(self._stage, path, variant)
             self._facts = stage_facts(
                 self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
             )
@@ -294,6 +298,26 @@ class PictureStage:
 def read_scene(path: Path, time_code: float | None = None, show: str | None = None) -> Scene:
     """What is visible in a stage at a time code; see `PictureStage`."""
     return PictureStage(path, show).scene(time_code)
+
+
+def _select(stage: Usd.Stage, path: Path, variant: str) -> None:
+    """Select a variant of a bake, in the session only.
+
+    Raises UsageError where no root prim has it.
+    """
+    sets = [prim.GetVariantSet(VARIANTS) for prim in stage.GetPseudoRoot().GetChildren()]
+    known = sorted({name for one in sets for name in one.GetVariantNames()})
+    if variant not in known:
+        close = difflib.get_close_matches(variant, known, n=1)
+        guess = f"did you mean {close[0]}? " if close else ""
+        listed = (
+            f"choose one of {', '.join(known)}" if known else "it has none: leave --variant out"
+        )
+        raise UsageError(f"{path} has no variant {variant!r}", f"{guess}{listed}")
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for one in sets:
+        if variant in one.GetVariantNames():
+            one.SetVariantSelection(variant)
 
 
 def _is_visible(prim: Usd.Prim, time: Usd.TimeCode) -> bool:

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +32,14 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.matrices import signed_polar
-from gf_usd.core.stage import Bone
+from gf_usd.core.stage import Bone, Skeleton
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import open_stage, reading
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 INTO_FLESH = 1.5  # times the way from a joint to the middle of its flesh: most of the way through
 AWAY = 0.5  # of a joint's longest segment: flesh that is farther from all of them needs its own
@@ -55,13 +59,14 @@ class Rig:
     bind: Floats  # (J, 4, 4) skeleton space, row vectors, aligned: see `Skins.alignment`
     points: list[Floats] = field(default_factory=list)  # (V, 3) [m] bind pose, world
     owner: list[Ints] = field(default_factory=list)  # (V,) joint of the largest weight
+    weights: dict[str, Floats] = field(default_factory=dict)  # (V, J) of each mesh, by path
 
 
 def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
     """First and last time code of the animation that poses some meshes.
 
     Where the stage says both, they are its own, else those of the time samples.  Raises InputError
-    as `read_bones`.
+    as `read_skeleton`.
     """
     with reading(file):
         stage = open_stage(file)
@@ -84,9 +89,9 @@ def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tupl
     return first, max(first, last)
 
 
-def read_bones(
+def read_skeleton(
     file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
-) -> tuple[Bone, ...]:
+) -> Skeleton:
     """The bones of the skeletons that pose some meshes, in the bind pose, and their motion.
 
     file : the USD file; facts.path is what messages call it.  paths : prim paths of the meshes.
@@ -97,10 +102,24 @@ def read_bones(
     """
     with reading(file):
         stage = open_stage(file)
-        out = []
+        bones, weights = [], {}
         for rig in _rigs(stage, paths, facts, first):
-            out += _bones(rig, facts, first, np.asarray(times, float))
-        return tuple(out)
+            found = _bones(rig, facts, first, np.asarray(times, float))
+            weights |= {path: (len(bones), w[:, list(found)]) for path, w in rig.weights.items()}
+            bones += found.values()
+    return Skeleton(
+        bones=tuple(bones),
+        weights={path: _placed(w, before, len(bones)) for path, (before, w) in weights.items()},
+    )
+
+
+def _placed(weights: Floats, before: int, count: int) -> csr_matrix:
+    """(V, count) of weights (V, k) of the bones from `before` on."""
+    from scipy.sparse import csr_matrix
+
+    out = np.zeros((len(weights), count))
+    out[:, before : before + weights.shape[1]] = weights
+    return csr_matrix(out)
 
 
 def _rigs(stage: Usd.Stage, paths: Sequence[str], facts: StageFacts, first: float) -> list[Rig]:
@@ -183,12 +202,16 @@ def _add_flesh(
     weights = np.asarray(found[1], float).reshape(index.shape)
     most = weights.argmax(1)
     owner = known[index[np.arange(len(index)), most]]
+    dense = np.zeros((len(points), len(rig.joints)))
+    np.add.at(dense, (np.arange(len(points))[:, None], known[index]), np.maximum(weights, 0.0))
+    total = dense.sum(1, keepdims=True)
+    rig.weights[str(prim.GetPath())] = dense / np.where(total > 0.0, total, 1.0)
     rig.points.append(place.points(points) * facts.units.length)
     rig.owner.append(owner)
 
 
-def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bone]:
-    """One bone for each joint that carries flesh."""
+def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int, Bone]:
+    """One bone for each joint with a weight; one that is the main joint of no flesh is empty."""
     unit = facts.units.length
     rest = _world(rig, first, facts)
     at = _through(rig.bind[:, 3, :3], rest) * unit
@@ -197,17 +220,16 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bon
     motion = _motion(rig, facts, first, times)  # (F, J, 4, 4)
     worlds = _worlds(rig, facts, first, times)  # (F, 4, 4)
     corners = 0.25 * size * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
-    out = []
-    for j, joint in enumerate(rig.joints):
+    weighted = np.any([w.any(0) for w in rig.weights.values()], axis=0)
+    out = {}
+    for j in np.flatnonzero(weighted).tolist():
         mine = flesh[owner == j]
-        if not len(mine):
-            continue
         ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
-        ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size]
+        ends = [end for end in ends if np.linalg.norm(end - at[j]) > SHORT * size and len(mine)]
         free = [False] * len(ends)
-        middle = mine.mean(0)
+        middle = mine.mean(0) if len(mine) else at[j]
         longest = max((float(np.linalg.norm(end - at[j])) for end in ends), default=0.0)
-        if not ends or _distance(middle, at[j], ends) > AWAY * longest:
+        if len(mine) and (not ends or _distance(middle, at[j], ends) > AWAY * longest):
             ends.append(at[j] + INTO_FLESH * (middle - at[j]))
             free.append(True)
         anchors = at[j] + corners
@@ -216,14 +238,12 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> list[Bon
         path = np.stack([_through(local, M) for M in carried]) * unit
         if len(times) and times[0] < first:
             path[0] = anchors
-        out.append(
-            Bone(
-                name=f"{rig.path}:{joint}",
-                segments=np.array([(at[j], end) for end in ends]),
-                free=tuple(free),
-                anchors=anchors,
-                path=path,
-            )
+        out[j] = Bone(
+            name=f"{rig.path}:{rig.joints[j]}",
+            segments=np.array([(at[j], end) for end in ends]).reshape(-1, 2, 3),
+            free=tuple(free),
+            anchors=anchors,
+            path=path,
         )
     return out
 

@@ -208,6 +208,35 @@ def read_painted(
     return out
 
 
+GOAL = "gaussianFlesh:goal"
+
+
+def read_goals(
+    file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
+) -> dict[str, Floats]:
+    """By prim path the painted goal (C,), 0..1, at each corner of each face, as `read_painted`."""
+    out = {}
+    with reading(file):
+        stage = open_stage(file)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        for surface in surfaces:
+            api = UsdGeom.PrimvarsAPI(named_prim(stage, facts.path, surface.path))
+            primvar = api.FindPrimvarWithInheritance(GOAL)
+            if primvar and primvar.HasValue():
+                where = f"{facts.path}: <{surface.path}>: {primvar.GetAttr().GetName()}"
+                values = _numbers(primvar, time, where)
+                bad = ~((values >= 0.0) & (values <= 1.0))  # NaN compares false
+                if bad.any():
+                    raise InputError(
+                        f"{where} has {int(bad.sum())} of {len(values)} values out of range, the"
+                        f" first is {float(values[bad][0]):g}",
+                        "paint 0 (free) to 1 (keyframed)",
+                    )
+                kind = str(primvar.GetInterpolation())
+                out[surface.path] = _at_corners(values, kind, surface, where)
+    return out
+
+
 def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats:
     """(n,) the values, indices followed."""
     flat = primvar.ComputeFlattened(time)

@@ -94,6 +94,17 @@ def test_a_sample_is_inside_where_it_came_through():
     np.testing.assert_array_equal(again.rows[again.gap < 0.0], came.rows[came.gap < 0.0])
 
 
+def test_a_sample_inside_one_place_is_not_inside_what_it_lies_deeper_behind():
+    own, samples = made()
+    x, still = closed(samples.X, -0.03), np.zeros_like(samples.X)
+    # All were found just inside of something; 0.3 spacings behind the other leg is elsewhere.
+    shallow = np.full(len(x), -0.001)
+    found = own.find(x, still, REACH, x, shallow)
+    assert found.gap.min() >= -0.001 - 0.25 * SPACING - 1e-9
+    deep = np.full(len(x), -0.03)
+    assert own.find(x, still, REACH, x, deep).gap.min() == pytest.approx(-0.03, abs=0.01)
+
+
 def test_the_two_sides_of_a_leg_that_is_squeezed_flat_do_not_face_each_other():
     own, samples = made()
     x = samples.X.copy()

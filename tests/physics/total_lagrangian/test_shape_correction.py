@@ -155,6 +155,7 @@ def test_off_they_leave_no_trace():
     assert now.gradients(1) is now.F
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_limits_that_are_not_met_change_nothing():
     # Compiled apart, so that a fused multiply-add may round differently: 1e-16 a substep.
     states = []

@@ -104,6 +104,7 @@ def test_the_floor_gives_what_its_samples_feel():
     np.testing.assert_allclose(turned, moment.sum(0), atol=1e-11 * np.abs(moment).sum())
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_singular_values_are_clipped_and_counted():
     solver = dropped(frames=4, clamp=(0.97, 1.02))
     health = [f.health for f in solver.frames()]
@@ -114,6 +115,7 @@ def test_singular_values_are_clipped_and_counted():
     assert health[0].clamped == 0
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_an_inverted_particle_is_turned_back_by_the_clamp():
     solver = dropped(frames=2, clamp=(0.2, 5.0))
     F = np.tile(np.eye(3), (len(solver.particles), 1, 1))
@@ -123,6 +125,7 @@ def test_an_inverted_particle_is_turned_back_by_the_clamp():
     assert solver.read(1).health.inverted == 0
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_stress_is_cut_and_counted():
     free, capped = dropped(frames=5), dropped(frames=5, stress_cap=100.0)
     frames = [list(s.frames()) for s in (free, capped)]
@@ -132,6 +135,7 @@ def test_stress_is_cut_and_counted():
     assert frames[1][-1].health.min_J < frames[0][-1].health.min_J
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_a_cap_that_is_never_met_changes_nothing():
     # The same numbers times one; compiled apart, so to rounding.
     free, capped = dropped(frames=4), dropped(frames=4, stress_cap=1e12)

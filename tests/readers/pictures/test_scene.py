@@ -298,3 +298,31 @@ def PointInstancer "many" {
     scene = read_scene(write(tmp_path, BOX + instancer))
     assert [mesh.name for mesh in scene.meshes] == ["/root/strip"]
     assert any("PointInstancer" in note for note in scene.notes)
+
+
+def test_a_variant_of_a_bake_is_drawn_in_place_of_the_selected_one(write):
+    path = write("""def Xform "A" (
+        variants = { string gaussianFlesh = "rubber" }
+        prepend variantSets = "gaussianFlesh"
+    ) {
+        def Cube "B" {}
+        variantSet "gaussianFlesh" = {
+            "rubber" {
+                over "B" {
+                    double size = 2
+                }
+            }
+            "jelly" {
+                over "B" {
+                    double size = 6
+                }
+            }
+        }
+    }""")
+    text = path.read_bytes()
+    wide = PictureStage(path, variant="jelly").motion.bounds
+    assert wide.high[0] == 3.0 * PictureStage(path).motion.bounds.high[0]
+    assert path.read_bytes() == text
+    with pytest.raises(UsageError, match="has no variant 'jely'") as caught:
+        PictureStage(path, variant="jely")
+    assert caught.value.hint.startswith("did you mean jelly?")

@@ -13,14 +13,14 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Bone
 from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.bones import animation_range, read_bones
+from gf_usd.readers.usd.bones import animation_range, read_skeleton
 
 EPS = 2e-6  # float32 points and quaternions of order 1
 
 
 def bones_of(path: Path, times: Sequence[float], first: float = FIRST) -> tuple[Bone, ...]:
     facts = read_asset(path).facts
-    return read_bones(path, ["/Arm/Skin"], facts, first=first, times=times)
+    return read_skeleton(path, ["/Arm/Skin"], facts, first=first, times=times).bones
 
 
 def test_segments_lie_in_the_bind_pose_and_the_last_one_goes_into_the_flesh(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_broken_skeleton_is_refused_in_words(tmp_path: Path, fault: str) -> No
     facts = read_asset(write(tmp_path, arm())).facts
     write(tmp_path, text)
     with pytest.raises(InputError) as caught:
-        read_bones(path, ["/Arm/Skin"], facts, first=FIRST, times=[FIRST])
+        read_skeleton(path, ["/Arm/Skin"], facts, first=FIRST, times=[FIRST])
     assert words in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -102,3 +103,23 @@ def test_a_motion_without_gaussians_or_without_meshes_packs():
     assert "positions" not in table
     assert motion.curves["center"][0] == pytest.approx(0.6)
     assert "ratio_min" not in motion.curves
+
+
+def test_what_a_bake_measured_of_its_gaussians_is_kept_in_255_steps():
+    source = FallingBox()
+    recording = source.recording()
+    rng = np.random.default_rng(3)
+    given = {name: rng.uniform(0.0, 0.4, (FRAMES, 40)) for name in ("plastic", "stress")}
+    frames = [
+        replace(frame, measured={name: values[i] for name, values in given.items()})
+        for i, frame in enumerate(source.frames(recording.time_codes))
+    ]
+    motion = collect(recording, frames, 100, 30)
+    table, blob = pack(motion)
+    assert "elastic" not in table
+    for name, values in given.items():
+        top = table[name]["top"]
+        kept = values[:, motion.chosen]
+        assert top == pytest.approx(np.percentile(kept, 99.5), rel=1e-6)
+        back = unpack(table, blob, name) / 255.0 * top
+        np.testing.assert_allclose(back, np.minimum(kept, top), rtol=0.0, atol=0.51 * top / 255.0)

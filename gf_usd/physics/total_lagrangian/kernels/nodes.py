@@ -2,13 +2,26 @@
 
 No atomics, so the result does not depend on the number of threads.  Some nodes follow the free
 ones (see `followers`, `holds`): they pass their sums on, and take their motion back.
+
+A goal draws a node to a place X + G(t) by a spring of k = w^2 and c = 2 zeta w,
+
+    m dv/dt = f - m k (u - G) - m c (v - dG/dt)
+
+integrated by the implicit midpoint rule, which is stable for any k: with the displacement u at the
+middle of the substep, where forces are taken,
+
+    (1 + k dt^2 / 4 + c dt / 2) (v' - v) = dt (f / m - k (u - G) - c (v - dG/dt))
+
+With the mass M~ of `grid.mass`, m in it grows by the same factor.
 """
 
 import taichi as ti
 
 from gf_usd.physics.contact.kernels import contact_force
+from gf_usd.physics.grid.goals import GOAL, RATE, SPRING, WORK
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES
 from gf_usd.physics.total_lagrangian.kernels.scalar import number
+from gf_usd.physics.total_lagrangian.layout import GROUND, INVERSE, MASS
 
 
 @ti.func
@@ -105,31 +118,85 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def force(body: ti.template(), node, contact, plain: ti.template()):
-    """The force of the cells and of contact on a free node."""
+def force(body: ti.template(), node, contact, plain: ti.template(), goals: ti.template()):
+    """The force of the cells, of contact and of its goal on a free node."""
     f = node_sum(body, node, plain)
+    if ti.static(goals):
+        f += goal_force(body, node)
     if contact > 0:
         f += contact_force(body, node)
     return f
 
 
 @ti.func
-def keep_raw(body: ti.template(), node, f):
-    """Keep f / m of a node, for its neighbors and itself: see `inverse`."""
-    for d in ti.static(range(3)):
-        body.share[3 * node + d] = f[d] * body.inverse_mass[node]
+def drift_goal(body: ti.template(), node, drift):
+    """G += drift dG/dt."""
+    for a in range(GOAL * node, GOAL * node + 3):
+        body.goal[a] = body.goal[a] + drift * body.goal[a + RATE]
 
 
 @ti.func
-def inverse(body: ti.template(), node, slides: ti.template()):
+def goal_spring(body: ti.template(), node):
+    """k and c of the spring that draws a node to its goal."""
+    o = GOAL * node + SPRING
+    return body.goal[o], body.goal[o + 1]
+
+
+@ti.func
+def goal_force(body: ti.template(), node):
+    """-m (k (u - G) + c (v - dG/dt)) of the spring that draws a node to its goal G."""
+    f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
+    k, c = goal_spring(body, node)
+    for d in ti.static(range(3)):
+        a, o = 3 * node + d, GOAL * node + d
+        f[d] = -(k * (body.u[a] - body.goal[o]) + c * (body.v[a] - body.goal[o + RATE]))
+    return f / body.node_mass[MASS * node + INVERSE]
+
+
+@ti.func
+def goal_share(body: ti.template(), node, dt, goals: ti.template()):
+    """1 / (1 + k dt^2 / 4 + c dt / 2): what the implicit spring leaves of an acceleration."""
+    share = dt * 0.0 + 1.0
+    if ti.static(goals):
+        k, c = goal_spring(body, node)
+        share = 1.0 / (1.0 + 0.25 * dt * dt * k + 0.5 * dt * c)
+    return share
+
+
+@ti.func
+def goal_work(body: ti.template(), node, before, dt):
+    """Count the work of a goal's spring in a substep, f . v dt at its middle, of v before it."""
+    k, c = goal_spring(body, node)
+    work = body.goal[GOAL * node + WORK]
+    for d in ti.static(range(3)):
+        a, o = 3 * node + d, GOAL * node + d
+        change = body.v[a] - before[d]
+        y = body.u[a] - body.goal[o] + 0.25 * dt * change
+        middle = before[d] + 0.5 * change
+        force = (
+            -(k * y + c * (middle - body.goal[o + RATE])) / body.node_mass[MASS * node + INVERSE]
+        )
+        work += dt * middle * force
+    body.goal[GOAL * node + WORK] = work
+
+
+@ti.func
+def keep_raw(body: ti.template(), node, f, share):
+    """Keep share f / m of a node, for its neighbors and itself: see `inverse`."""
+    for d in ti.static(range(3)):
+        body.share[3 * node + d] = share * f[d] * body.node_mass[MASS * node + INVERSE]
+
+
+@ti.func
+def inverse(body: ti.template(), node, share, slides: ti.template()):
     """(M~^-1 f)_i = r_i + (k_i r_i + sum_j k_ij (r_i - r_j)) / m_i of the r = f / m that were kept.
 
     Differences: the force in a spring is equal and opposite at its ends, to the last bit.
-    slides : springs have a strength along each axis.
+    share : of 1 / m, as in `keep_raw`.  slides : springs have a strength along each axis.
     """
     o = node * 3
     r = ti.Vector([body.share[o], body.share[o + 1], body.share[o + 2]])
-    s = body.node_mass[2 * node + 1] * r
+    s = body.node_mass[MASS * node + GROUND] * r
     if ti.static(slides):
         s = ti.Vector([body.slide[o], body.slide[o + 1], body.slide[o + 2]]) * r
     for e in range(body.follow_start[node], body.follow_start[node + 1]):
@@ -141,23 +208,32 @@ def inverse(body: ti.template(), node, slides: ti.template()):
             s += k * way
         else:
             s += body.follow_weight[e] * way
-    return r + s * body.inverse_mass[node]
+    return r + share * s * body.node_mass[MASS * node + INVERSE]
 
 
 @ti.func
 def move_node(
     body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
-    coupled: ti.template(), slides: ti.template(),
+    coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
     """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled."""
-    a = g
+    share = goal_share(body, node, dt, goals)
+    before = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
+    a = share * g
     if ti.static(coupled):
-        a += inverse(body, node, slides)
+        a += inverse(body, node, share, slides)
     else:
-        a += force(body, node, contact, plain) * body.inverse_mass[node]
+        a += (
+            force(body, node, contact, plain, goals) * body.node_mass[MASS * node + INVERSE] * share
+        )
     for d in ti.static(range(3)):
-        a[d] += body.acceleration[3 * node + d]
-        v = (body.v[3 * node + d] + dt * a[d]) * keep
+        a[d] += share * body.acceleration[3 * node + d]
+        body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]
+    if ti.static(goals):
+        goal_work(body, node, before, dt)
+        drift_goal(body, node, drift)
+    for d in ti.static(range(3)):
+        v = body.v[3 * node + d] * keep
         body.v[3 * node + d] = v
         body.u[3 * node + d] = body.u[3 * node + d] + drift * v
 
@@ -173,7 +249,7 @@ def momentum_change(body: ti.template(), node, plain: ti.template()):
     """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
     p = block_sum(body, node, plain)
     for d in ti.static(range(3)):
-        p[d] -= body.node_mass[2 * node] * body.v[3 * node + d]
+        p[d] -= body.node_mass[MASS * node] * body.v[3 * node + d]
     return p
 
 
@@ -195,8 +271,8 @@ def filter_node(
     """
     a = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
     if ti.static(coupled):
-        a = inverse(body, node, slides)
+        a = inverse(body, node, alpha * 0.0 + 1.0, slides)
     else:
-        a = filter_momentum(body, node, plain) * body.inverse_mass[node]
+        a = filter_momentum(body, node, plain) * body.node_mass[MASS * node + INVERSE]
     for d in ti.static(range(3)):
         body.v[3 * node + d] = body.v[3 * node + d] + alpha * a[d]

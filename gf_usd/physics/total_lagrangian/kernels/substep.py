@@ -22,6 +22,7 @@ import taichi as ti
 from gf_usd.physics.contact.kernels import pair_contact, pair_total, sample_contact, sample_motion
 from gf_usd.physics.laws.simd3x3 import LANES
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
+    drift_goal,
     drift_node,
     filter_momentum,
     filter_node,
@@ -29,6 +30,7 @@ from gf_usd.physics.total_lagrangian.kernels.nodes import (
     follower_loss,
     follower_share,
     force,
+    goal_share,
     keep_raw,
     move_node,
 )
@@ -81,12 +83,13 @@ def pack_type(real, epoch: int):
     """
     lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_buffer"),)
     reals = (
-        *("u", "v", "inverse_mass", "node_mass"),
+        *("u", "v", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
         *("sample_height", "sample_constants", "sample_spring"),
         *("sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight", "slide", "springs"),
         *("numbers", "pair"),
+        "goal",
     )
     ints = (
         *("group_batch", "group_nodes", "node_slot_start", "node_slot"),
@@ -150,6 +153,8 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         converged = body.numbers[CONVERGED]
         if ti.static(part.name == "open"):
             drift_node(body, n, 0.5 * dt)
+            if ti.static(options.goals):
+                drift_goal(body, n, 0.5 * dt)
         elif ti.static(part.name == "open followers"):
             follow(body, n, free, 0.5 * dt, options.slides)
         elif ti.static(part.name == "momentum" and options.plain):
@@ -163,7 +168,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "filter"):
             filter_node(body, n, alpha, options.plain, options.coupled, options.slides)
         elif ti.static(part.name == "filter lumped"):
-            keep_raw(body, n, filter_momentum(body, n, options.plain))
+            keep_raw(body, n, filter_momentum(body, n, options.plain), alpha * 0.0 + 1.0)
         elif ti.static(part.name == "filtered followers"):
             follow(body, n, free, 0.0 * dt, options.slides)
         elif ti.static(part.name == "stress" and options.plain):
@@ -185,10 +190,11 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "move"):
             move_node(
                 body, n, active, g, dt, drift, keep, options.plain, options.coupled,
-                options.slides,
+                options.slides, options.goals,
             )  # fmt: skip
         elif ti.static(part.name == "move lumped"):
-            keep_raw(body, n, force(body, n, active, options.plain))
+            share = goal_share(body, n, dt, options.goals)
+            keep_raw(body, n, force(body, n, active, options.plain, options.goals), share)
         elif ti.static(part.name == "follow"):
             follow(body, n, free, drift, options.slides)
 

@@ -44,7 +44,7 @@ def state(run):
     "said",
     [
         {},
-        {"law": "neoHookean"},
+        pytest.param({"law": "neoHookean"}, marks=pytest.mark.slow),  # kernels of its own
         pytest.param(
             {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
             marks=pytest.mark.slow,  # kernels that no other test compiles

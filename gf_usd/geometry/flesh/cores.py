@@ -21,7 +21,10 @@ from gf_usd.geometry.solid import Solid
 
 POINTS = 25  # along a segment
 CLEAR = 1.0  # [radii] between the joint and the end of the axis
-HOLDS = 0.75  # [cells] a core of that radius holds nodes wherever it lies: a face's half diagonal
+# [cells] The last node in a core lies half a cell inside of it on average, and flesh begins 0.21
+# cells before the last node (see the case `driven` of gf-usd verify).  So wide a core holds nodes
+# wherever it lies, too: it is half the diagonal of a cell's face.
+WIDER = 0.71
 MOST_CLEAR = 1.0 / 3.0  # of a segment: short bones keep a third of it
 
 
@@ -67,8 +70,7 @@ def bone_cores(
     """The cores of bones in a solid, for a grid whose nodes are held in them, and notes.
 
     share : radius of a core over the distance from the bone to the skin.
-    cell : [m] edge of a cell.  Flesh is held as far as the last node in a core: half a cell less
-    than its radius on average, which is therefore half a cell larger.
+    cell : [m] edge of a cell.  Radii are `WIDER` cells larger than asked for.
     """
     skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
 
@@ -79,11 +81,13 @@ def bone_cores(
     cores, outside, thin = [], [], []
     for number, bone in enumerate(bones):
         mine = []
+        if not bone.free:  # other bones hold all of its flesh
+            continue
         for (start, end), free in zip(bone.segments, bone.free, strict=True):
             whole = radii(_along(start, end))
             if not whole.any():
                 continue
-            typical = max(float(np.median(whole[whole > 0.0])) + 0.5 * cell, HOLDS * cell)
+            typical = float(np.median(whole[whole > 0.0])) + WIDER * cell
             length = float(np.linalg.norm(end - start))
             cut = min(CLEAR * typical / length, MOST_CLEAR) if length > 0.0 else 0.0
             last = end if free else end - cut * (end - start)
@@ -95,18 +99,18 @@ def bone_cores(
             outside.append(bone.name)
             continue
         typical = float(np.median(np.concatenate([r[r > 0.0] for _, r in mine])))
-        if typical < (HOLDS - 0.5) * cell:
+        if typical + WIDER * cell >= typical / share:
             thin.append(bone.name)
         for points, radius in mine:
-            wide = np.maximum(radius + 0.5 * cell, HOLDS * cell)
+            wide = radius + WIDER * cell
             cores.append(Core(bone=number, points=points, radius=np.where(radius > 0.0, wide, 0.0)))
     notes = []
     if outside:
         notes.append(f"{_some(outside)}: outside of the flesh, and hold nothing")
     if thin:
         notes.append(
-            f"{_some(thin)}: the flesh around is {2.0 / share * (HOLDS - 0.5):.2g} cells of the"
-            " grid thick or less, and moves with the bone; more --particles make it finer"
+            f"{_some(thin)}: the flesh around is too thin for the grid, with cells of {cell:.3g} m,"
+            " and moves with the bone; more --particles make it finer"
         )
     return Cores(cores=tuple(cores)), tuple(notes)
 

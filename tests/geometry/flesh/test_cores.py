@@ -6,7 +6,7 @@ import numpy as np
 from solids import cube, solid
 
 from gf_usd.core.stage import Bone
-from gf_usd.geometry.bones import CLEAR, MOST_CLEAR, Core, bone_cores, bone_pins
+from gf_usd.geometry.flesh.cores import CLEAR, MOST_CLEAR, WIDER, Core, bone_cores, bone_pins
 
 BAR = solid(cube((0.0, -0.2, -0.2), (2.0, 0.4, 0.4)))  # 0.2 m from its axis to the skin
 CELL = 0.1
@@ -26,15 +26,15 @@ def test_depth_in_a_core_is_the_distance_to_its_side() -> None:
     np.testing.assert_allclose(core.depth(X), [0.15, -0.1, 0.1, 0.05], atol=1e-12)
 
 
-def test_the_radius_is_a_share_of_the_way_to_the_skin_and_half_a_cell() -> None:
+def test_the_radius_is_a_share_of_the_way_to_the_skin_and_a_part_of_a_cell() -> None:
     cores, notes = bone_cores([bone("A", (0.5, 1.5))], BAR, 0.4, CELL)
     (core,) = cores.cores
-    np.testing.assert_allclose(core.radius, 0.4 * 0.2 + 0.5 * CELL, rtol=1e-6)
+    np.testing.assert_allclose(core.radius, 0.4 * 0.2 + WIDER * CELL, rtol=1e-6)
     assert not notes
 
 
 def test_a_core_stays_clear_of_joints_but_not_of_a_free_end() -> None:
-    wide = 0.4 * 0.2 + 0.5 * CELL
+    wide = 0.4 * 0.2 + WIDER * CELL
     for free, end in ((False, 1.5 - CLEAR * wide), (True, 1.5)):
         (core,) = bone_cores([bone("A", (0.5, 1.5), free=free)], BAR, 0.4, CELL)[0].cores
         np.testing.assert_allclose(core.points[[0, -1], 0], [0.5 + CLEAR * wide, end], rtol=1e-6)
@@ -54,9 +54,9 @@ def test_a_bone_outside_holds_nothing_and_a_thin_limb_moves_with_its_bone() -> N
     bones = [bone("out", (0.5, 1.5), y=0.5), bone("in", (0.5, 1.5))]
     cores, notes = bone_cores(bones, BAR, 0.2, 0.5)
     assert "out: outside of the flesh" in notes[0]
-    assert "in: the flesh around is 2.5 cells" in notes[1]
+    assert "in: the flesh around is too thin for the grid" in notes[1]
     (pin,) = bone_pins(bones, cores)
     assert pin.name == "in"
     assert not pin.sharp
-    # 0.75 cells: no place on the axis is farther from a node
-    assert pin.inside(np.array([[1.0, 0.37, 0.0], [1.0, 0.38, 0.0]])).tolist() == [True, False]
+    # 0.2 of 0.2 m, and 0.71 cells
+    assert pin.inside(np.array([[1.0, 0.39, 0.0], [1.0, 0.4, 0.0]])).tolist() == [True, False]

@@ -1,0 +1,81 @@
+"""Options of a folder: the nearest gf-usd.toml from it upwards."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options.table import OPTIONS
+
+NAME = "gf-usd.toml"
+TABLES = ("bake",)
+READERS = ("bake", "inspect")  # commands that take their defaults from the file
+
+HELP = {"-h", "--help", "--help-all"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderOptions:
+    """What a file says of options, as the command line would."""
+
+    path: Path
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def note(self) -> str:
+        """What was read, in words."""
+        said = ", ".join(f"{name} = {value!r}" for name, value in self.values.items())
+        return f"{self.path}: {said or 'no options'}; the command line has priority"
+
+    def of(self, command: str) -> dict[str, Any]:
+        """The options that a command has."""
+        return {k: v for k, v in self.values.items() if command in OPTIONS[k].commands}
+
+
+def wanted(arguments: Sequence[str]) -> bool:
+    """Whether a command line reads the file: bakes that a program follows say all they want."""
+    if not arguments or arguments[0] not in READERS or HELP & {*arguments}:
+        return False
+    return not any(one == "--events" or one.startswith("--events=") for one in arguments)
+
+
+def find(folder: Path) -> FolderOptions | None:
+    """The options of a folder; None where there is no file in it or above.
+
+    Raises UsageError for a file that is no TOML, and for a name or a value that is no option's.
+    """
+    path = next((p / NAME for p in (folder, *folder.parents) if (p / NAME).is_file()), None)
+    if path is None:
+        return None
+    try:
+        told = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"{path} cannot be read: {error}", "correct the file") from error
+    _require(path, told, TABLES, "a table of this file")
+    table = told.get("bake", {})
+    if not isinstance(table, dict):
+        raise UsageError(f"{path}: bake is {table!r}", "write a table: [bake]")
+    _require(path, table, OPTIONS, "an option of gf-usd bake")
+    values = {}
+    for name, value in table.items():
+        try:
+            values[name] = OPTIONS[name].take(value)
+            OPTIONS[name].check(values[name])
+        except UsageError as error:
+            raise UsageError(f"{path}: {error.message}", error.hint) from error
+    return FolderOptions(path=path, values=values)
+
+
+def _require(path: Path, told: Mapping[str, Any], known: Collection[str], what: str) -> None:
+    for name in told:
+        if name not in known:
+            close = difflib.get_close_matches(name.replace("-", "_"), known, n=1)
+            guess = f"did you mean {close[0]}? " if close else ""
+            raise UsageError(
+                f"{path}: {name} is not {what}", f"{guess}gf-usd help config shows the form"
+            )

@@ -1,0 +1,103 @@
+"""Help of commands that have many options: examples, groups, and expert options on request."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+EXPERT = "Expert"
+# Options of `gf-usd bake --help` by what a person wants to change; what is in none is an expert's.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Input": ("asset", "prims", "meters_per_unit", "up_axis", "start", "repair", "combine"),
+    "Material": (
+        *("material", "material_boxes", "material_labels", "blend_width"),
+        *("friction", "restitution", "damping_time"),
+    ),
+    "Motion": ("drop", "gravity", "frames", "fps", "time_scale", "pins", "flesh"),
+    "Contact": ("floor", "self_contact"),
+    "Output": (
+        *("output", "overwrite", "only", "flatten", "range", "samples_per_frame", "stress"),
+        *("export_ply", "export_spz", "resume"),
+    ),
+    "Performance": ("particles", "spacing", "threads", "device", "max_hours"),
+    "Report": ("dry_run", "quiet", "verbose", "as_json", "strict", "help", "help_all"),
+}
+GROUP_OF = {name: group for group, names in GROUPS.items() for name in names}
+EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
+    "bake": (
+        ("gf-usd bake duck.usda --material rubber", "drop a rubber duck"),
+        ("gf-usd bake duck.usda --material rubber,jelly", "two variants in one file"),
+        ("gf-usd bake duck.usda --dry-run", "what it would cost; writes nothing"),
+        ("gf-usd bake duck.usda --drop 5r --frames 60 -o out/", "higher, longer, elsewhere"),
+        ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "a mesh with holes, in cm"),
+    ),
+    "preview": (
+        ("gf-usd preview duck.rubber.usda -o duck.mp4", "a film"),
+        ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "nine frames on a page"),
+    ),
+}
+# How a value is written, where a number is not enough said.
+METAVARS = {
+    "material": "PRESET|FILE|auto", "output": "PATH", "prims": "PRIM", "up_axis": "Y|Z",
+    "law": "LAW", "time_scale": "FACTOR|auto", "drop": "HEIGHT|3r", "gravity": "G|X,Y,Z",
+    "floor": "HEIGHT|none|X,Y,Z", "pins": "REGION", "material_boxes": "PRESET:BOX",
+    "material_labels": "NAME=VALUE:PRESET", "range": "FIRST:LAST", "only": "SHAPES",
+    "clamp": "LOW:HIGH|none", "stress_cap": "STRESS|none", "export_ply": "FOLDER",
+    "export_spz": "FOLDER", "limits": "LIMITS|none",
+}  # fmt: skip
+
+
+def metavar(name: str, kind: type, choices: tuple[str, ...]) -> str | None:
+    """How the value of an option is shown; None for a flag."""
+    if kind is bool:
+        return None
+    if choices:
+        return "|".join(choices)
+    return METAVARS.get(name) or ("N" if kind is int else "X" if kind is float else "TEXT")
+
+
+class HelpfulCommand(TyperCommand):
+    """A command whose help has examples, and options in groups where it has those of a bake."""
+
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """The examples stand between what a command does and its options."""
+        super().format_help_text(ctx, formatter)
+        if examples := EXAMPLES.get(self.name or ""):
+            with formatter.section("Examples"):
+                formatter.write_dl(examples, col_max=60)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Options by group; those of experts are named only, unless they were asked for."""
+        params = self.get_params(ctx)
+        if "help_all" not in {param.name for param in params}:
+            super().format_options(ctx, formatter)
+            return
+        for group, rows in self._grouped(ctx, params):
+            if group != EXPERT or ctx.meta.get(EXPERT):
+                with formatter.section(group):
+                    formatter.write_dl(rows)
+            else:
+                flags = sorted(row[0].split()[0].split("/")[0].rstrip(",") for row in rows)
+                with formatter.section(f"{EXPERT} (gf-usd {self.name} --help-all explains them)"):
+                    formatter.write_text(", ".join(flags))
+
+    @staticmethod
+    def _grouped(ctx: Any, params: Any) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+        for group in (*GROUPS, EXPERT):
+            mine = [p for p in params if GROUP_OF.get(p.name, EXPERT) == group]
+            order = GROUPS.get(group, ())
+            mine.sort(key=lambda p: order.index(p.name) if p.name in order else len(order))
+            rows = [row for p in mine if (row := p.get_help_record(ctx)) is not None]
+            if rows:
+                yield group, rows
+
+
+def show_all(ctx: typer.Context, wanted: bool) -> None:
+    """The callback of --help-all."""
+    if wanted and not ctx.resilient_parsing:
+        ctx.meta[EXPERT] = True
+        typer.echo(ctx.get_help())
+        raise typer.Exit

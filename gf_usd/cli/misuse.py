@@ -1,0 +1,44 @@
+"""What the parser of the command line refuses, in the form of all errors: the fault and a hint."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+import typer
+
+# The parser's own: of a value, and of a command line.
+WrongUsage: Any = typer.BadParameter.__mro__[1]
+KINDS = {"int": "whole number", "float": "number"}
+
+
+def usage_words(error: Any) -> str:
+    """A fault of usage with its hint; without an argument the help of the command is all."""
+    context = error.ctx
+    command = context.command_path if context is not None else "gf-usd"
+    parameter = getattr(error, "param", None)
+    option = getattr(error, "option_name", None)
+    message = error.format_message().rstrip(".")
+    if option is not None and getattr(error, "possibilities", None) is not None:
+        close = _nearest(option, context)
+        message = f"{command} has no option {option}"
+        return f"{message}\n\nhint: {close}{command} --help lists its options"
+    if parameter is not None and type(error).__name__ == "MissingParameter":
+        wanted = (parameter.metavar or parameter.name).upper()
+        return f"{command} needs {wanted}\n\nhint: give {command} {wanted}; {command} --help"
+    if parameter is not None:
+        name = parameter.opts[-1] if parameter.param_type_name == "option" else parameter.name
+        for kind, words in KINDS.items():
+            message = message.replace(f"is not a valid {kind}", f"is not a {words}")
+        said = message.partition(": ")[2] or message
+        return f"{name}: {said}\n\nhint: {parameter.help or f'{command} --help'}"
+    message, _, meant = message.partition(" Did you mean ")
+    meant = f"did you mean {meant.strip(chr(39) + '?')}? " if meant else ""
+    message = f"{message[:1].lower()}{message[1:].rstrip('.')}"
+    return f"{message}\n\nhint: {meant}{command} --help shows what it takes"
+
+
+def _nearest(option: str, context: Any) -> str:
+    known = [flag for p in context.command.params for flag in (*p.opts, *p.secondary_opts)]
+    close = difflib.get_close_matches(option, known, n=1)
+    return f"did you mean {close[0]}? " if close else ""

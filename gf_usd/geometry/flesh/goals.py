@@ -1,0 +1,152 @@
+"""Goals of flesh: where the skeleton's skinning has it, and how strongly it is drawn there.
+
+The skinned pose of a point with weights w_j of the bones is (linear blend skinning)
+
+    x(X, t) = sum_j w_j (A_j(t) X + b_j(t))
+
+Weights are known on the skin.  A point inside the body takes those of the samples of the skin
+nearest to it, by w ~ 1 / (d^2 + e^2)^2 with e a part of their spacing.
+
+A goal g in 0..1 stands for springs of the frequency f sqrt(g / (1 - g)): none at 0, f at 1/2, and
+no end at 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.neighbors import nearest
+from gf_usd.core.stage import Goals, Skeleton
+from gf_usd.geometry.solid import Solid
+
+NEAR = 16  # samples of the skin that a point inside takes its weights of
+SMOOTH = 0.5  # of their spacing: within it, distances count alike
+UNPAINTED = 0.5  # goal of a mesh on which nothing is painted: the frequency asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """Samples of the skin."""
+
+    X: Floats  # (n, 3) [m] at rest
+    weights: sparse.csr_matrix  # (n, bones) each row 1 in all, or nothing
+    goal: Floats  # (n,) 0..1
+    spacing: float  # [m] between them
+
+    def around(self, X: Floats) -> sparse.csr_matrix:
+        """(m, n) averages over the samples near points X (m, 3)."""
+        k = min(NEAR, len(self.X))
+        distance, near = nearest(self.X, X, k)
+        w = 1.0 / (distance**2 + (SMOOTH * self.spacing) ** 2) ** 2
+        w /= w.sum(1, keepdims=True)
+        rows = np.repeat(np.arange(len(X)), k)
+        return sparse.csr_matrix((w.ravel(), (rows, near.ravel())), shape=(len(X), len(self.X)))
+
+
+def flesh_goals(
+    solid: Solid,
+    samples: SurfaceSamples,
+    skeleton: Skeleton,
+    painted: Mapping[str, Floats],
+    *,
+    frequency: float,
+    damping: float,
+    spacing: float,
+) -> Goals:
+    """Springs to the skinned pose.
+
+    painted : (C,) goals at the corners of the faces, by prim path; frequency : [Hz] where the goal
+    is 1/2; damping : ratio; spacing : [m] of the samples.  A surface that no bone poses has none.
+    """
+    drawn = _drawn(solid, samples, skeleton, painted, spacing)
+    linear, offset = _affine(skeleton)
+    moving = bool((linear != np.eye(3)).any() or offset.any())
+
+    def pose(X: Floats) -> Callable[[float], Floats]:
+        weights = drawn.around(X) @ drawn.weights
+        known = np.asarray(weights.sum(1)).ravel()
+        weights = sparse.csr_matrix(sparse.diags_array(1.0 / np.where(known, known, 1.0)) @ weights)
+
+        def at(frame: float) -> Floats:
+            k = int(np.clip(round(frame), 0, len(linear) - 1))
+            A = (weights @ linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
+            moved = np.einsum("nab,nb->na", A, X) + weights @ offset[k]
+            return np.where(known[:, None] > 0.0, moved, X)
+
+        return at
+
+    def rate(X: Floats) -> Floats:
+        around = drawn.around(X)
+        posed = np.asarray((around @ drawn.weights).sum(1)).ravel()
+        g = np.clip(around @ drawn.goal, 0.0, 1.0)
+        with np.errstate(divide="ignore"):
+            return np.asarray(2.0 * np.pi * frequency * posed * np.sqrt(g / (1.0 - g)))
+
+    return Goals(pose=pose, rate=rate, damping=damping, moving=moving)
+
+
+def _affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A (F, bones, 3, 3) and b (F, bones, 3) [m] of the bones at each frame."""
+    rest = np.stack([bone.anchors for bone in skeleton.bones])  # (B, 4, 3)
+    path = np.stack([bone.path for bone in skeleton.bones], 1)  # (F, B, 4, 3)
+    edges = np.linalg.inv(rest[:, 1:] - rest[:, :1])
+    linear = np.swapaxes(edges @ (path[:, :, 1:] - path[:, :, :1]), 2, 3)
+    offset = path[:, :, 0] - np.einsum("fbac,bc->fba", linear, rest[:, 0])
+    return linear, offset
+
+
+def _drawn(
+    solid: Solid,
+    samples: SurfaceSamples,
+    skeleton: Skeleton,
+    painted: Mapping[str, Floats],
+    spacing: float,
+) -> Drawn:
+    """The samples, each with what the skin has at the point nearest to it."""
+    bones, count = len(skeleton.bones), len(samples.X)
+    best = np.full(count, np.inf)
+    weights: list[sparse.csr_matrix] = []
+    goal, of = np.zeros(count), np.zeros(count, np.int64)
+    for s, surface in enumerate(solid.surfaces):
+        triangles = solid.triangles[s]
+        points = np.ascontiguousarray(surface.points, dtype=float)
+        squared, face, at = igl.point_mesh_squared_distance(samples.X, points, triangles)
+        face = np.asarray(face).reshape(-1)
+        corner = triangles[face]
+        share = _barycentric(np.asarray(at), points[corner])
+        rows = np.repeat(np.arange(count), 3)
+        to_points = sparse.csr_matrix(
+            (share.ravel(), (rows, corner.ravel())), shape=(count, len(points))
+        )
+        known = skeleton.weights.get(surface.path)
+        weights.append(sparse.csr_matrix((count, bones)) if known is None else to_points @ known)
+        closer = np.asarray(squared).reshape(-1) < best
+        best[closer], of[closer] = np.asarray(squared).reshape(-1)[closer], s
+        values = painted.get(surface.path)
+        if values is None:
+            goal[closer] = UNPAINTED
+        else:
+            corners = surface.triangle_corners[solid.sources[s][face]]
+            goal[closer] = (share * np.asarray(values)[corners]).sum(1)[closer]
+    mine = [sparse.diags_array((of == s).astype(float)) @ w for s, w in enumerate(weights)]
+    total = sparse.csr_matrix(sum(mine[1:], mine[0]))
+    return Drawn(X=samples.X, weights=total, goal=goal, spacing=spacing)
+
+
+def _barycentric(at: Floats, corners: Floats) -> NDArray[np.float64]:
+    """(n, 3) shares of the corners (n, 3, 3) in points (n, 3) of their triangles."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    double = np.maximum((normal * normal).sum(1), np.finfo(float).tiny)
+    u = (np.cross(c - b, at - b) * normal).sum(1) / double
+    v = (np.cross(a - c, at - c) * normal).sum(1) / double
+    out = np.clip(np.stack([u, v, 1.0 - u - v], 1), 0.0, 1.0)
+    return np.asarray(out / out.sum(1, keepdims=True))

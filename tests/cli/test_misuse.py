@@ -1,0 +1,140 @@
+"""Wrong command lines: each is answered in words, with a hint, and leaves no file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ASSET = "{asset}"
+MISUSES = """
+bkae {asset}
+cook
+bake
+bake no.usda
+bake .
+bake {asset} {asset}
+bake {asset} --materail rubber
+bake {asset} --matrial=rubber
+bake {asset} --material
+bake {asset} --material rubbr
+bake {asset} --material rubber,,jelly
+bake {asset} --material no.usda
+bake {asset} --material auto:nobody
+bake {asset} --frames ten
+bake {asset} --frames 0
+bake {asset} --frames -3
+bake {asset} --frames 2.5
+bake {asset} --fps 0
+bake {asset} --fps nan
+bake {asset} --fps fast
+bake {asset} --start nan
+bake {asset} --start now
+bake {asset} --particles 0
+bake {asset} --particles many
+bake {asset} --particles 100 --spacing 1
+bake {asset} --spacing -1
+bake {asset} --spacing 0
+bake {asset} --seed -1
+bake {asset} --time-scale slow
+bake {asset} --time-scale 0
+bake {asset} --drop high
+bake {asset} --drop 1e300
+bake {asset} --drop -1
+bake {asset} --drop 3m
+bake {asset} --gravity down
+bake {asset} --gravity 1,2
+bake {asset} --gravity 1e30
+bake {asset} --floor under
+bake {asset} --floor 0:1,2
+bake {asset} --floor 0:0,0,0
+bake {asset} --drag -1
+bake {asset} --device gpu
+bake {asset} --threads 0
+bake {asset} --pin
+bake {asset} --pin box:1,2,3
+bake {asset} --pin box:a,b,c,d,e,f
+bake {asset} --bone-radius 7
+bake {asset} --friction -1
+bake {asset} --restitution 2
+bake {asset} --damping-time -1
+bake {asset} --material-box rubber
+bake {asset} --material-box nothing:0,0,0,1,1,1
+bake {asset} --material-label part
+bake {asset} --blend-width -1
+bake {asset} --mass-scaling 0.5
+bake {asset} --filter-rate -1
+bake {asset} --skin embd
+bake {asset} --solver implicit
+bake {asset} --preset papre
+bake {asset} --law hooke
+bake {asset} --procrustes 2
+bake {asset} --clamp 5:1
+bake {asset} --stress-cap -1
+bake {asset} --only meshes
+bake {asset} --samples-per-frame 0
+bake {asset} --range 5
+bake {asset} --range b:a
+bake {asset} --handles -1
+bake {asset} --clip-frames -1
+bake {asset} --slice 0
+bake {asset} --flatten --clip-frames 5
+bake {asset} --limits time=soon
+bake {asset} --max-hours -1
+bake {asset} --meters-per-unit 0
+bake {asset} --up-axis X
+bake {asset} --prim /Nobody
+bake {asset} --json --events -
+bake {asset} -o x.obj
+inspect
+inspect no.usda
+check
+check no.usda
+preview
+preview no.usda
+preview {asset} --size big
+preview {asset} --frames x:y
+preview {asset} --color heat
+preview {asset} --show bones
+report
+report no.usda
+batch
+batch no.toml
+materials rubber
+verify --nonsense
+schema-path here
+help unit
+""".strip().splitlines()
+
+
+def test_there_are_as_many_as_were_promised() -> None:
+    assert len(MISUSES) == len(set(MISUSES)) >= 75
+
+
+@pytest.mark.parametrize("line", MISUSES)
+def test_a_misuse_is_answered_in_words(gf_usd, here: Path, block: Path, line: str) -> None:
+    done = gf_usd(*line.replace(ASSET, str(block)).split(" "))
+    assert done.status in (2, 3), done.err + done.out
+    first, _, rest = done.err.partition("\n\nhint: ")
+    assert first.startswith("error: ")
+    assert first.count("error: ") == 1
+    assert rest.strip(), done.err
+    for word in ("Traceback", "Usage:", "Error:", "<class"):
+        assert word not in done.err
+    assert done.out == ""
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "guess"),
+    [
+        ("bkae x", "bake"),
+        ("bake x --materail rubber", "--material"),
+        ("bake {asset} --skin embd", "embed"),
+        ("bake {asset} -m rubbr", "rubber"),
+        ("help unit", "units"),
+    ],
+)
+def test_what_was_meant_is_named(gf_usd, here: Path, block: Path, line: str, guess: str) -> None:
+    done = gf_usd(*line.replace(ASSET, str(block)).split(" "))
+    assert f"hint: did you mean {guess}?" in done.err
