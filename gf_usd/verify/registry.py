@@ -34,7 +34,7 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
-from gf_usd.verify.cases.plastic import expansion, taylor, uniaxial
+from gf_usd.verify.cases.plastic import expansion, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -59,6 +59,7 @@ CASES: tuple[Case, ...] = (
     *drop.CASES,
     *uniaxial.CASES,
     *expansion.CASES,
+    *slump.CASES,
     *taylor.CASES,
     *sides.CASES,
     *flesh.CASES,
