@@ -100,8 +100,9 @@ def test_tables_read_what_there_is(tmp_path: Path) -> None:
     fields = {field for _, field, _ in (FRAME | FLOW).values()}
     assert fields <= set(Health.__dataclass_fields__)
     left = set(Health.__dataclass_fields__) - fields
-    # The particles have their masses; what is inside is looked at in a few frames alone.
-    assert left == {"mass", "inside_share", "inside_depth"}
+    # The particles have their masses; what is inside is looked at in a few frames alone; what
+    # contact planes gave is part of what was injected.
+    assert left == {"mass", "inside_share", "inside_depth", "planes"}
 
 
 def test_frames_are_time_samples_in_stage_units(tmp_path: Path) -> None:
