@@ -129,6 +129,7 @@ def test_a_bar_yields_hardens_and_springs_back(family, real, tolerance):
         np.testing.assert_allclose(seen, stress / np.linalg.det(F), rtol=0.0, atol=tolerance)
 
 
+@pytest.mark.slow
 @families
 def test_energy_that_flow_takes_is_its_plastic_work(family):
     press = Press(family, np.float64)
@@ -221,6 +222,7 @@ def thrown(family: str, frames: int = 8, options: Any = None, **more: Any) -> So
 OPTIONS = {"clamp": (0.985, 1.015), "stress_cap": 250.0, "stress": True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "more"),
     [({}, {}), ({"stress": True}, {"damping_time": 1e-3}), (OPTIONS, {"damping_time": 1e-3}),
@@ -258,6 +260,7 @@ def test_energy_is_kept_but_for_what_flow_takes(family):
     assert seen[-1].elastic == pytest.approx(elastic_energy(solver.body, solver.state), rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping_time", [0.0, 1e-3])
 def test_both_solvers_flow_alike(damping_time):
     """While strains are small, one is discretized as the other."""
@@ -272,6 +275,7 @@ def test_both_solvers_flow_alike(damping_time):
     assert seen[1] == pytest.approx(seen[0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_limits_act_on_the_elastic_gradient_in_the_world_too():
     frames = list(thrown("ul", options=OPTIONS, damping_time=1e-3).frames())
     assert min(frames[-1].health.clamped, frames[-1].health.stress_capped) > 0
@@ -351,6 +355,7 @@ def test_the_guard_counts_what_flow_takes_as_taken(family):
     assert solver.guard.judge(last, down, place)[1] == ""
 
 
+@pytest.mark.slow
 @families
 def test_three_laws_in_one_bake_each_move_as_alone(family):
     """Bodies of their own, three cells apart, so that none feels the others."""

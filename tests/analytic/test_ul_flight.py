@@ -114,6 +114,7 @@ def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
     assert np.ptp(seen[0][0], axis=0).max() > 2.0 * 2.0, "twice as large as at rest"
 
 
+@pytest.mark.slow
 def test_viscosity_takes_what_its_formula_says():
     # At F = I the power is -V 2 mu tau D:D, D the symmetric rate.  Over one step of 1e-7 s the
     # elastic stress and the change of D are smaller by 1e-5 each.

@@ -9,7 +9,9 @@ from gf_usd.verify.registry import CASES, run_case
 
 # Double precision last, so that Taichi starts anew once.
 ORDERED = sorted(CASES, key=lambda case: case.f64)
-LONG = {"hertz", "lamb", "penetration", "collisions"}  # a third of the time of all
+LONG = {  # more than half of the time of all
+    "hertz", "lamb", "penetration", "collisions", "slope", "solvers", "expansion", "law-crushable",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,7 @@ def attribute(stage: Usd.Stage, name: str) -> Usd.Attribute:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_painted_yield_stress_through_filling_checkpoint_and_layers(
     gf_usd, here: Path, bar: Path
 ) -> None:

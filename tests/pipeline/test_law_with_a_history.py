@@ -147,6 +147,7 @@ def test_the_schema_gets_its_token_and_attributes() -> None:
     assert "gaussianFlesh:yieldStress" in generate_schema.reference(layer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["tl", "ul"])
 @pytest.mark.parametrize(
     ("look", "name"), [("dented", "plasticStrain"), ("styrofoam", "lostVolume")]

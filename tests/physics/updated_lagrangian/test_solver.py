@@ -53,6 +53,7 @@ def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below, th
     assert np.array_equal(first(serial_below), landed(threads))
 
 
+@pytest.mark.slow
 def test_the_two_paths_agree(monkeypatch):
     # The same sums in the same order, but compiled apart: see test_determinism.
     seen = []
