@@ -58,13 +58,24 @@ def _run(
     os.environ[INHERITED] = ",".join(map(str, locks))
     exit.watch(())
     # the command takes the descriptor for its own, and closes it
-    status = command([*arguments, "--events", str(os.dup(events))])
+    given = os.dup(events)
+    status = command([*arguments, "--events", str(given)])
     gc.collect()
     sys.stderr.flush()
+    if _same_file(given, events):  # it ended before that
+        os.close(given)
     for descriptor in others:
         os.close(descriptor)
     os.dup2(quiet, 2)
     return {"status": status, "cpu_seconds": _cpu_seconds() - before, "memory": _peak()}
+
+
+def _same_file(one: int, other: int) -> bool:
+    """Whether two numbers stand for the same open file; a closed one may stand for another now."""
+    try:
+        return os.path.samestat(os.fstat(one), os.fstat(other))
+    except OSError:
+        return False
 
 
 def _cpu_seconds() -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
 import time
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ from pathlib import Path
 
 def command(arguments):
     name, *rest = arguments[: arguments.index("--events")]
+    if name == "early":
+        return 2
     events = os.fdopen(int(arguments[-1]), "w")
     events.write(f"{os.getpid()} {name}\\n")
     events.close()
@@ -82,6 +85,18 @@ def test_a_refusal_leaves_the_worker_and_a_failure_ends_it(workers: Workers) -> 
     after, three = run(workers, "well")
     assert one == two != three
     assert (failed.status, after.status) == (1, 0)
+
+
+def test_events_end_also_where_the_command_never_opened_them(workers: Workers) -> None:
+    reader, writer = os.pipe()
+    ended = workers.run(["early"], lambda line: None, events=writer)
+    os.close(writer)
+    assert ended is not None
+    assert ended.status == 2
+    with os.fdopen(reader, "rb") as file:
+        assert select.select([file], [], [], 10.0)[0], "the worker still holds its end"
+        assert file.read() == b""
+    assert run(workers, "well")[0].status == 0
 
 
 def test_a_crash_is_told_and_harms_no_other(workers: Workers) -> None:
