@@ -13,7 +13,7 @@ from tools.samples.implicit import ellipsoid, join, meet, round_cone
 from tools.samples.quads import Quads
 from tools.samples.relax import Relaxation, Seam
 from tools.samples.surface_nets import surface_nets
-from tools.samples.uv import Atlas, facing, flatten, gather, pack
+from tools.samples.uv import Atlas, chart, gather, pack
 
 Floats = NDArray[np.float64]
 
@@ -107,10 +107,7 @@ def creature_atlas(mesh: Quads) -> Atlas:
     charts = []
     for chosen, right in ((front, X), (~front & left, -X), (~front & ~left, -X)):
         numbers = np.flatnonzero(chosen)
-        vertices, quads = np.unique(mesh.faces[numbers], return_inverse=True)
-        quads = quads.reshape(-1, 4)
-        points = mesh.points[vertices]
-        flat = facing(flatten(points, quads, passes=150), points @ right + 1j * (points @ Y))
+        flat, quads = chart(mesh.points, mesh.faces[numbers], right, Y, passes=150)
         charts.append((flat, numbers, quads))
     [placed] = pack([[flat for flat, _, _ in charts]], margin=1.0)
     pairs = zip(placed, charts)

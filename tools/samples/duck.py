@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tools.samples.implicit import ellipsoid, join, lozenge, meet, round_cone, tilt
 from tools.samples.quads import Box, Quads, box_surface, warp
 from tools.samples.relax import MIRROR, Relaxation, Seam, edges_between
-from tools.samples.uv import Atlas, facing, flatten, gather, pack
+from tools.samples.uv import Atlas, chart, gather, pack
 
 Floats = NDArray[np.float64]
 
@@ -140,10 +140,7 @@ def duck_atlas(mesh: Quads) -> Atlas:
         (mesh.parts == "lower", X, Z),
     ):
         numbers = np.flatnonzero(chosen)
-        vertices, quads = np.unique(mesh.faces[numbers], return_inverse=True)
-        quads = quads.reshape(-1, 4)
-        points = mesh.points[vertices]
-        flat = facing(flatten(points, quads, passes=100), points @ right + 1j * (points @ up))
+        flat, quads = chart(mesh.points, mesh.faces[numbers], right, up, passes=100)
         charts.append((flat, numbers, quads))
     flats = [flat for flat, _, _ in charts]
     placed = pack([flats[:2], flats[2:]], margin=0.2)

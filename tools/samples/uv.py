@@ -118,6 +118,15 @@ def facing(flat: Plane, picture: Plane) -> Plane:
     return flat * turn / np.abs(turn)
 
 
+def chart(
+    points: Floats, faces: Ints, right: Floats, up: Floats, passes: int
+) -> tuple[Plane, Ints]:
+    """Plane coordinates and local quads of a disc of a mesh, turned as seen with `right`, `up`."""
+    vertices, quads = np.unique(faces, return_inverse=True)
+    quads, points = quads.reshape(-1, 4), points[vertices]
+    return facing(flatten(points, quads, passes), points @ right + 1j * (points @ up)), quads
+
+
 def pack(rows: Sequence[Sequence[Plane]], margin: float) -> list[list[Plane]]:
     """Charts laid out left to right in rows from the bottom, all scaled alike into [0, 1]^2."""
     placed, widths, base = [], [], margin
