@@ -162,10 +162,7 @@ def span(name: str, value: Any) -> str:
         return value
     if isinstance(value, range | slice):
         raise refuse(name, value, f"{wanted}: the last one is included")
-    ends = items(name, value, wanted)
-    if len(ends) != 2 or not all(end is None or is_number(end) for end in ends):
-        raise refuse(name, value, wanted)
-    return ":".join("" if end is None else digits(end) for end in ends)
+    return _pair(name, value, wanted, lambda end: end is None or is_number(end))
 
 
 def stretches(name: str, value: Any) -> str:
@@ -175,10 +172,15 @@ def stretches(name: str, value: Any) -> str:
         return value
     if value is False:
         return "none"
+    return _pair(name, value, wanted, is_number)
+
+
+def _pair(name: str, value: Any, wanted: str, fits: Callable[[Any], bool]) -> str:
+    """Two ends as a:b, nothing for None."""
     ends = items(name, value, wanted)
-    if len(ends) != 2 or not all(is_number(end) for end in ends):
+    if len(ends) != 2 or not all(fits(end) for end in ends):
         raise refuse(name, value, wanted)
-    return ":".join(digits(end) for end in ends)
+    return ":".join("" if end is None else digits(end) for end in ends)
 
 
 def cap(name: str, value: Any) -> str:
