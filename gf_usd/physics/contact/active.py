@@ -90,7 +90,6 @@ class ActiveSamples:
             state.put("node_sample_start", of_nodes.indptr)
         return len(samples)
 
-
     def _drive(self, state: State, dt: float) -> None:
         """Tell the kernels where pins have the samples in the middle of the first substep."""
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal

@@ -33,8 +33,8 @@ the number of threads.
 
 import taichi as ti
 
-from gf_usd.physics.contact.carriers import FLAT
 from gf_usd.physics.contact import floor
+from gf_usd.physics.contact.carriers import FLAT
 from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, M_S, MU, C, K
 from gf_usd.physics.contact.narrow_phase import (
     DAMPING,

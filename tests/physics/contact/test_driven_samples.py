@@ -19,7 +19,7 @@ CORE = 0.1  # [m] over the bottom of the body: its samples hang on held nodes, t
 
 
 def pressed(on: str, **changes: float) -> tuple[TotalLagrangian, list[Frame]]:
-    """A cube of 1 m with a core that reaches almost to its bottom and is driven down on a floor or an obstacle."""
+    """A cube of 1 m with a core almost to its bottom, driven down on a floor or an obstacle."""
     body = cube((0.0, GAP, 0.0), (1.0, 1.0, 1.0))
     core = clamp(1, 0.0)  # its anchors are a tetrahedron at the origin
     way = np.append(np.linspace(0.0, DEEP, FRAMES), DEEP)
