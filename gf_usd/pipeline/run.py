@@ -76,7 +76,7 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             meeting=len(plan.samples.X) if meets else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
+            first_contact=None if plan.held else first_contact(plan.settings, plan.drop),
         )
 
 
@@ -277,7 +277,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=bool(plan.pins),
+        held=plan.held,
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )

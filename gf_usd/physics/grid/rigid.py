@@ -23,10 +23,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
+from gf_usd.core.stage import Pin
 from gf_usd.physics.grid.mass import cell_springs, links
 from gf_usd.physics.grid.reference import Stencil
 
@@ -56,6 +56,8 @@ class RigidRegions:
 
     def arrays(self, velocity: Floats) -> dict[str, Floats]:
         """What the kernels know; velocity : (followers, 3) [m/s] at the start."""
+        from scipy.spatial.transform import Rotation
+
         rows, nodes = np.zeros((self.count, ROW)), []
         for k, (of, arms) in enumerate(zip(self.nodes, self.arms)):
             rows[k, Q:V] = Rotation.from_matrix(self.axes[k]).as_quat()[[3, 0, 1, 2]]
@@ -115,6 +117,8 @@ class RigidMotion:
     @classmethod
     def of(cls, regions: RigidRegions, numbers: Floats) -> RigidMotion:
         """Of the array `rigid`."""
+        from scipy.spatial.transform import Rotation
+
         rows = numbers[: ROW * regions.count].astype(float).reshape(-1, ROW)
         turn = Rotation.from_quat(rows[:, [Q + 1, Q + 2, Q + 3, Q]]).as_matrix()
         spin = rows[:, L:M]
@@ -137,15 +141,15 @@ class RigidMotion:
         return float(0.5 * (straight + (self.omega * self.spin).sum()))
 
 
-def rigid_regions(stencil: Stencil, m: Floats, names: Sequence[str]) -> RigidRegions | None:
+def rigid_regions(stencil: Stencil, m: Floats, pins: Sequence[Pin]) -> RigidRegions | None:
     """The rigid regions of a stencil; None where it has none.
 
-    m : (N,) [kg] of the particles; names : of all pins, which `stencil.region` counts.
-    Raises InputError for a region that is too small to turn about every axis.
+    m : (N,) [kg] of the particles; pins : all of them, which `stencil.region` counts.
+    Raises InputError for a region that holds nothing, or too little to turn about every axis.
     """
     if stencil.region is None:
         return None
-    numbers = sorted({int(k) for k in stencil.region if k >= 0})
+    numbers = [k for k, pin in enumerate(pins) if pin.rigid]
     springs = cell_springs(stencil, m)
     low, high = links()
     i, j = stencil.cell_nodes[:, low].ravel(), stencil.cell_nodes[:, high].ravel()
@@ -153,6 +157,11 @@ def rigid_regions(stencil: Stencil, m: Floats, names: Sequence[str]) -> RigidReg
     nodes, arms = [], []
     for number in numbers:
         mine = np.flatnonzero(stencil.region == number)
+        if not len(mine):
+            raise InputError(
+                f"--rigid {pins[number].name} holds no particle",
+                "use more particles (--particles), or a larger region that lies in the body",
+            )
         weight, X = stencil.node_mass[mine], stencil.node_X[mine]
         center = weight @ X / weight.sum()
         arm = X - center
@@ -163,7 +172,7 @@ def rigid_regions(stencil: Stencil, m: Floats, names: Sequence[str]) -> RigidReg
         moments, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)
         if moments[0] < THIN * weight.sum() * stencil.h**2:
             raise InputError(
-                f"--rigid {names[number]} holds {len(mine)} nodes of the grid, too few to turn",
+                f"--rigid {pins[number].name} holds {len(mine)} nodes of the grid, too few to turn",
                 "use more particles (--particles), or a larger region",
             )
         axes[:, 0] *= np.sign(np.linalg.det(axes))
@@ -174,7 +183,7 @@ def rigid_regions(stencil: Stencil, m: Floats, names: Sequence[str]) -> RigidReg
         nodes.append(mine - stencil.free_count)
         arms.append(arm)
     return RigidRegions(
-        names=tuple(names[k] for k in numbers), nodes=tuple(nodes), arms=tuple(arms),
+        names=tuple(pins[k].name for k in numbers), nodes=tuple(nodes), arms=tuple(arms),
         mass=np.array(found["mass"]), center=np.array(found["center"]),
         axes=np.array(found["axes"]), moments=np.array(found["moments"]),
     )  # fmt: skip

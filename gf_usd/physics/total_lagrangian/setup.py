@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import (
     LUMPED,
     CellCopies,
@@ -19,6 +20,7 @@ from gf_usd.core.frames import (
     spread,
 )
 from gf_usd.core.materials import Material
+from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
@@ -134,6 +136,7 @@ def build_body(
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
+    particles = as_flesh(particles, materials, [pin for pin in pins if pin.rigid])
     pin_constraint = PinConstraint(pins, particles.X) if pins else None
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
@@ -158,7 +161,7 @@ def build_body(
         held[""] = pin_constraint.particles
     regions = None
     if pin_constraint:
-        regions = rigid_regions(stencil, m, [pin.name for pin in pin_constraint.pins])
+        regions = rigid_regions(stencil, m, pin_constraint.pins)
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = stencil.rows(particles.X, particles.body, copies.of if copies else None)
@@ -241,6 +244,33 @@ def per_particle(
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
     return {**per, "V0": particles.V0 * free}
+
+
+def as_flesh(
+    particles: Particles, materials: Sequence[Material], regions: Sequence[Pin]
+) -> Particles:
+    """Particles of rigid regions with the material of the flesh nearest to them; mass is theirs.
+
+    What is strained of a region is the part of its outermost cells between its nodes and others.
+    Raises InputError where nothing but the regions is left.
+    """
+    if not regions:
+        return particles
+    inside = np.any([np.asarray(pin.inside(particles.X), bool) for pin in regions], axis=0)
+    flesh, stone = np.flatnonzero(~inside), np.flatnonzero(inside)
+    if not len(flesh):
+        raise InputError(
+            f"--rigid {', '.join(pin.name for pin in regions)} holds all {len(inside)} particles",
+            "leave some of the body soft",
+        )
+    if not len(stone):
+        return particles
+    nearest = flesh[kd_tree(particles.X[flesh]).query(particles.X[stone])[1]]
+    of = np.arange(len(inside))
+    of[stone] = nearest
+    own = {name: values[of] for name, values in (particles.own or {}).items()}
+    own["density"] = spread(particles, materials)["density"]
+    return replace(particles, material=np.asarray(particles.material)[of], own=own)
 
 
 def surface_contact(

@@ -134,10 +134,9 @@ class State(DeviceState):
         free = nodes.free_count
         anchor = np.zeros((max(1, nodes.node_count - free), ANCHOR))
         if pin_constraint.moving:
+            held = nodes.held.at(slice(free, None))
             start, end = (
-                pin_constraint.constants(
-                    nodes.held.at(slice(free, None)), nodes.node_X[free:], nodes.mirror[free:], frame
-                )
+                pin_constraint.constants(held, nodes.node_X[free:], nodes.mirror[free:], frame)
                 for frame in (index - 1, index)
             )
             anchor[:, :PIN_RATE] = start
@@ -192,9 +191,7 @@ class State(DeviceState):
 
     def view(self) -> StateView:
         """The present state, with what was found out about it so far."""
-        names = (
-            ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "rigid")
-        )
+        names = ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "rigid")
         names = (*names, "sample_spring")
         if self._body.law.set.flows:
             names = (*names, "history")

@@ -101,7 +101,9 @@ def open_region(body: ti.template(), k, drift, regions: ti.template()):
 
 
 @ti.func
-def filter_region(body: ti.template(), k, free, alpha, plain: ti.template(), regions: ti.template()):
+def filter_region(
+    body: ti.template(), k, free, alpha, plain: ti.template(), regions: ti.template()
+):
     """Change the momenta by alpha times what a transfer to particles and back changes."""
     o = ROW * k
     q = quaternion(body, o)

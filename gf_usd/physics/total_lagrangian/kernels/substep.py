@@ -210,9 +210,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "filter rigid"):
             filter_region(body, n, free, alpha, options.plain, options.rigid)
         elif ti.static(part.name == "move rigid"):
-            move_region(
-                body, n, free, active, g, dt, drift, keep, options.plain, options.rigid
-            )
+            move_region(body, n, free, active, g, dt, drift, keep, options.plain, options.rigid)
 
     @ti.kernel
     def queued(
