@@ -8,7 +8,7 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -33,6 +33,7 @@ _started: dict[str, Any] = {}
 _starts = 0
 _runtime: Any = None  # that of the last start here
 _guests = 0  # nested `borrowed`
+_watchers: list[Callable[[bool], None]] = []  # of `watching`
 
 
 def import_taichi() -> ModuleType:
@@ -58,6 +59,28 @@ def borrowed() -> Iterator[None]:
         _guests -= 1
         if not _guests:
             restore()
+
+
+@contextlib.contextmanager
+def watching(watcher: Callable[[bool], None]) -> Iterator[None]:
+    """Call watcher(True) before kernels are compiled or loaded, and watcher(False) after it."""
+    _watchers.append(watcher)
+    try:
+        yield
+    finally:
+        _watchers.remove(watcher)
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """Compile kernels, or load compiled ones, within the block: see `watching`."""
+    for watcher in _watchers:
+        watcher(True)
+    try:
+        yield
+    finally:
+        for watcher in _watchers:
+            watcher(False)
 
 
 def is_taken() -> bool:
