@@ -307,9 +307,14 @@ def _chosen(
         shapes=request.parsed["only"] or SHAPES,
         half=request.half,
         flat=request.flatten or files.flat,
+        settled=request.settle_only,
     )
     size = frame_bytes(asset, particles, settings, choices)
-    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    length = (
+        0
+        if choices.flat or choices.settled
+        else clip_length(request.clip_frames, size, written(settings))
+    )
     notes = ()
     if length and request.clip_frames is None:
         notes = (

@@ -107,6 +107,10 @@ class RequestOptions:
         " 1 m.",
         shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
+    settle_only: Annotated[bool, Option(
+        TIME, "Simulate until everything is at rest, --frames at most, and write that pose alone,"
+        " without time samples.",
+    )] = False
     drop: Annotated[float | str | None, Option(
         SCENE, "Height of the fall [stage units], or in radii of the body: 3r.",
         shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
