@@ -89,6 +89,7 @@ class Prepared:
             first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
             fall=0.0 if plan.pins or plan.goals else max(0.0, plan.drop),
+            damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
         )
 

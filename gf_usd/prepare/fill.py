@@ -194,6 +194,11 @@ def fill(
         )
         for m in made
     )  # fmt: skip
+    weak = body_materials.require_standing(
+        asset.facts.path, [m for table in tables for m in table],
+        max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
+        abs(float(np.dot(settings.gravity, asset.facts.up))),
+    )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
     embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
@@ -232,7 +237,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
-            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
+            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak, *physics.notes,
             *embedded_points, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
