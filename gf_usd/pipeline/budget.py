@@ -81,12 +81,13 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # More substeps than at rest where bodies land at m times their wave speed: 1 + STRAINED m^3, up to
 # MOST; fitted to the pairs of `tools.bench.estimates`.
 STRAINED, MOST = 1.3, 5.0
+CROWD = 2.0  # more substeps where bodies fall on each other
 START_SECONDS = 1.5  # imports
 LAW_SECONDS = 1.5  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
-FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
+FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
@@ -149,7 +150,9 @@ def estimate(
     rows = []
     ratios = damping or [0.0] * len(materials)
     for material, count, ratio in zip(materials, substeps, ratios, strict=True):
-        many = count if settings.substeps else count * strained(material, settings, fall)
+        many = float(count)
+        if not settings.substeps:
+            many *= strained(material, settings, fall) * (CROWD if meeting and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end

@@ -29,6 +29,7 @@ from gf_usd.core.frames import (
 )
 from gf_usd.core.materials import LAWS, Material
 from gf_usd.core.stage import Pin, StageSpec
+from gf_usd.core.units import PLAUSIBLE
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -364,7 +365,6 @@ def _resolution(
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
-PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 
 
