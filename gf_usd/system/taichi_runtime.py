@@ -18,6 +18,9 @@ from gf_usd.system.taichi_fast_start import quicken, restore
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
+# [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
+# in turn remove each other's, and each bake compiles them again.
+KERNEL_CACHE = 1 << 30
 
 # Variables of the environment while it is imported and started.
 QUIET = {
@@ -167,6 +170,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             default_fp=ti.f64 if f64 else ti.f32,
             cpu_max_num_threads=wanted["threads"],
             offline_cache=True,
+            offline_cache_max_size_of_files=KERNEL_CACHE,
             real_matrix_scalarize=False,
             fast_math=False,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose
