@@ -89,6 +89,7 @@ class Prepared:
             first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
             fall=0.0 if plan.pins or plan.goals else max(0.0, plan.drop),
+            damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
         )
 
@@ -205,7 +206,7 @@ def _again(plan: Plan) -> str:
 def _flying(plan: Plan) -> int:
     """Frames at the start that need no substeps, since all bodies are in free flight."""
     s = plan.settings
-    held = plan.pins or plan.goals or plan.velocity
+    held = plan.pins or plan.goals or any(map(callable, plan.velocity))
     if held or not s.shortcuts or s.solver != "tl" or s.drag or s.procrustes or s.wls:
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
