@@ -7,6 +7,7 @@ of the surface nearest to it and it does not lie within the body.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import igl
@@ -100,18 +101,18 @@ def make_rigid(region: Region, solid: Solid) -> Pin:
     Raises InputError for a patch of something that is not filled.
     """
     pin = make_pin(region, solid, "--rigid")
-    inside = pin.inside
-    if region.kind == "patch":
-        at = [s.path for s in solid.surfaces].index(region.body)
-        patch = Shape(region.points, region.triangles)
-        whole = Shape(solid.surfaces[at].points, solid.triangles[at])
-        slack = ON_SURFACE * float(np.linalg.norm(solid.high - solid.low))
-
-        def inside(X: Floats) -> Floats:
-            return patch.closest(X)[0] <= whole.closest(X)[0] + slack
-
+    inside = _nearest_to(region, solid) if region.kind == "patch" else pin.inside
     still = region.points[None]
     return replace(pin, inside=inside, anchors=still[0], path=still, sharp=False, rigid=True)
+
+
+def _nearest_to(region: Region, solid: Solid) -> Callable[[Floats], Floats]:
+    """Whether points X (n, 3) [m] are nearer to a patch than to the rest of its surface."""
+    at = [s.path for s in solid.surfaces].index(region.body)
+    patch = Shape(region.points, region.triangles)
+    whole = Shape(solid.surfaces[at].points, solid.triangles[at])
+    slack = ON_SURFACE * float(np.linalg.norm(solid.high - solid.low))
+    return lambda X: np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
 
 
 class Shape:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,8 @@ def halves(bounds: list[tuple[Floats, Floats]], h: float, at: float) -> Particle
 
 def swing(times: float, cells: int, device: str) -> tuple[float, float]:
     """beta = w L / c of a bar of 1 m with an end of so many times its mass, and its closed form."""
-    beta = float(brentq(lambda b: b * np.tan(b) - 1.0 / times, 1e-6, np.pi / 2 - 1e-6))
+    root: Any = brentq(lambda b: b * np.tan(b) - 1.0 / times, 1e-6, np.pi / 2 - 1e-6)
+    beta = float(root)
     # The last node of the flesh's side that the region takes lies FIRM cells before the boundary.
     h = 1.0 / (cells + 0.5 + FIRM)
     wide = 2.0 * h
