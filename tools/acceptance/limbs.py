@@ -104,12 +104,19 @@ def which_inside(points: Any, triangles: Any) -> tuple[Any, Any]:
     return inside, 0.5 * twice
 
 
+def share_inside(points: Any, triangles: Any) -> float:
+    """Of the area."""
+    inside, area = which_inside(points, triangles)
+    return float(area[inside].sum() / area.sum())
+
+
 def shares_inside(stage: Usd.Stage) -> tuple[float, float]:
     """Of the area: what is inside at the last frame and not at the first, and at the first."""
-    before, area = which_inside(*triangles_at(stage, 0))
+    rest = triangles_at(stage, 0)
+    before, _ = which_inside(*rest)
     now, stretched = which_inside(*triangles_at(stage, -1))
     share = float(stretched[now & ~before].sum() / stretched.sum())
-    return share, float(area[before].sum() / area.sum())
+    return share, share_inside(*rest)
 
 
 def bake(name: str, look: str, file: Path, folder: Path) -> Ran:

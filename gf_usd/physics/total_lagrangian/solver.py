@@ -101,6 +101,11 @@ class TotalLagrangian(Solver):
         """See `Solver`."""
         return self.state.view().not_finite()
 
+    @property
+    def damping_ratio(self) -> float:
+        """See `Solver`."""
+        return 0.5 * self.body.step.viscous_time * self.body.step.elastic
+
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
         state, pairs = self.state, self.pairs
@@ -124,7 +129,7 @@ class TotalLagrangian(Solver):
             dt = chunk * whole / parts
             if dt != last:  # springs stand where the forces before are taken, half a step back
                 self.active.move_springs(state, 0.5 * (last - dt))
-            watched = self.active.select(state, low, meeting)
+            watched = self.active.select(state, low, meeting, dt)
             active = max(active, watched)
             self.launches.run(state, parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt
