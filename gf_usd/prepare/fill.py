@@ -144,7 +144,10 @@ def fill(
     flesh = Flesh()
     if file is not None:
         names = request.listed("pins")
-        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
+        every = sampled(settings)
+        pins += make_pins(names, asset, solid, every, file, rest=request.start)
+        names = request.listed("rigid")
+        pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
     if animation and file is not None:
         flesh = flesh_of(
             asset, solid, samples, sampled(settings), animation, file,
@@ -186,9 +189,10 @@ def fill(
         replace(_main(table, index, particles.V0), name=preset.name)
         for preset, table in zip(presets, tables)
     )
+    held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
-            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            settings, m, radius, paper=paper, pinned=held, wls=request.wls,
             procrustes=request.procrustes, clamp=request.parsed["clamp"],
             stress_cap=request.parsed["stress_cap"],
             given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},

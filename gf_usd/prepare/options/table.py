@@ -139,6 +139,11 @@ class RequestOptions:
         " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
         shown="nothing", write=values.pins,
     )] = ()
+    rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
+        SCENE, "Region that moves as a rigid body; repeatable. Regions as of --pin; a GeomSubset"
+        " stands for what lies nearest to its faces.",
+        shown="nothing", write=values.pins,
+    )] = ()
     flesh: Annotated[bool, Option(
         SCENE, "Make a character soft around its skeleton (UsdSkel): the bind pose is the rest"
         " shape, a core around each bone moves with its joint, and the rest is free.",
