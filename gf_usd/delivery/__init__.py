@@ -1,1 +1,1 @@
-"""Turns a bake into a small file of joints or blend shapes, for game engines, web pages and phones."""
+"""Turns a bake into a small file of joints or blend shapes, for engines, web pages and phones."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,13 +40,16 @@ class BodyMotion:
         return slice(int(self.starts[at]), int(self.starts[at + 1]))
 
 
-def bodies_of(recording: Recording, frames: Sequence[MotionFrame]) -> tuple[BodyMotion, ...]:
-    """The meshes of a recording as bodies: those under one root prim whose boxes meet at first."""
-    motions = [
-        np.array([frame.meshes[i] for frame in frames]) for i in range(len(recording.meshes))
-    ]
+def bodies_of(
+    recording: Recording, frames: Sequence[MotionFrame], meshes: Sequence[int]
+) -> tuple[BodyMotion, ...]:
+    """Meshes of a recording as bodies: those under one root prim whose boxes meet at first.
+
+    meshes : which of them.
+    """
+    motions = {i: np.array([frame.meshes[i] for frame in frames]) for i in meshes}
     groups: list[list[int]] = []
-    for mesh in range(len(motions)):
+    for mesh in meshes:
         near = [
             group
             for group in groups
@@ -80,7 +83,7 @@ def _meet(a: Floats, b: Floats) -> bool:
     return bool((a.min(0) <= b.max(0)).all() and (b.min(0) <= a.max(0)).all())
 
 
-def _radius(recording: Recording, group: Sequence[int], motions: Sequence[Floats]) -> float:
+def _radius(recording: Recording, group: Sequence[int], motions: Mapping[int, Floats]) -> float:
     """r = (3 V / 4 pi)^(1/3); half the diagonal of the box where there is no volume."""
     volume = box = 0.0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)

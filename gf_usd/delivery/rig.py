@@ -60,7 +60,8 @@ class Rig:
         """(T, V, 3) [m] in the body's own frame."""
         if self.skinning is not None:
             return self.skinning.pose(self.body.rest)
-        assert self.shapes is not None and self.keys is not None
+        assert self.shapes is not None
+        assert self.keys is not None
         return self.body.rest + np.tensordot(self.keys, self.shapes, axes=1)
 
     @property

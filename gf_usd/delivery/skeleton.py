@@ -27,21 +27,19 @@ def bind_meshes(
 ) -> None:
     """Author rigs at the stage's edit target, over meshes that hold no motion any more.
 
+    rigs : of bodies below one root prim.
     names : prim paths of the meshes, by the numbers that bodies have; unit : [m] per stage unit.
 
     Raises InputError where a mesh stands under no prim that can be a SkelRoot.
     """
+    root = stage.GetPrimAtPath(Sdf.Path(names[rigs[0].body.meshes[0]]).GetPrefixes()[0])
+    _make_skel_root(root)
     for number, rig in enumerate(rigs):
-        root = stage.GetPrimAtPath(Sdf.Path(names[rig.body.meshes[0]]).GetPrefixes()[0])
-        _make_skel_root(root)
         name = NAME if number == 0 else f"{NAME}{number}"
         skeleton = _skeleton(root, name, rig, time_codes, unit)
         for mesh in rig.body.meshes:
             _bind(stage.GetPrimAtPath(names[mesh]), mesh, rig, skeleton, unit)
-    roots = {Sdf.Path(names[mesh]).GetPrefixes()[0] for rig in rigs for mesh in rig.body.meshes}
-    for path in sorted(roots):
-        mine = [rig for rig in rigs if Sdf.Path(names[rig.body.meshes[0]]).HasPrefix(path)]
-        _author_extent(stage.GetPrimAtPath(path), mine, time_codes, unit)
+    _author_extent(root, rigs, time_codes, unit)
 
 
 def _make_skel_root(root: Usd.Prim) -> None:
@@ -205,5 +203,6 @@ def _vectors(rows: Floats) -> Vt.Vec3fArray:
 
 
 def _shifts(rows: Floats) -> Vt.Matrix4dArray:
-    return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*row)) for row in rows.tolist()])
-
+    return Vt.Matrix4dArray(
+        [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*row)) for row in rows.tolist()]
+    )

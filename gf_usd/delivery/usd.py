@@ -17,6 +17,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import BakeError
+from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
 from gf_usd.layers.flatten import PACKAGE, FolderFiles, Package
@@ -35,7 +36,8 @@ class Look:
     """A baked variant with its rigs."""
 
     name: str  # of the variant; "" where the file has none
-    rigs: tuple[Rig, ...]
+    bodies: tuple[BodyMotion, ...]
+    rigs: tuple[Rig, ...]  # one for each body; none before they are fitted
     meshes: tuple[str, ...]  # prim paths, by the numbers that bodies have
     time_codes: tuple[float, ...]
     unit: float  # [m] per stage unit
@@ -95,6 +97,13 @@ def error_of(target: Path, look: Look) -> float:
     return largest
 
 
+def inputs_of(bake: Path) -> list[Path]:
+    """The files that a bake is composed of."""
+    with reading(bake):
+        stage = open_stage(bake)
+        return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+
+
 def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:
     """A copy of the root layer without caches and particles, its paths absolute."""
     stage = open_stage(bake)
@@ -146,7 +155,7 @@ def _empty(spec: Sdf.PrimSpec) -> None:
         del spec.nameChildren[child.name]
     for prop in list(spec.properties):
         spec.RemoveProperty(prop)
-    for name in list(spec.variantSets.keys()):
+    for name in [one.name for one in spec.variantSets.values()]:
         del spec.variantSets[name]
         spec.variantSelections.pop(name)
     spec.ClearInfo("variantSetNames")
@@ -164,7 +173,9 @@ def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
         spec = layer.GetPrimAtPath(f"/{name}")
         for prop in [p for p in spec.properties if p.name.startswith(f"{VARIANTS}:")]:
             spec.RemoveProperty(prop)
-        for display in [n for n in spec.variantSets.keys() if n.lower().endswith("display")]:
+        for display in [
+            one.name for one in spec.variantSets.values() if one.name.lower().endswith("display")
+        ]:
             del spec.variantSets[display]
             spec.variantSelections.pop(display)
             spec.variantSetNameList.RemoveItemEdits(display)
@@ -182,7 +193,9 @@ def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
 
 
 def _author(stage: Usd.Stage, look: Look) -> None:
-    roots = {str(Sdf.Path(look.meshes[m]).GetPrefixes()[0]) for r in look.rigs for m in r.body.meshes}
+    roots = {
+        str(Sdf.Path(look.meshes[m]).GetPrefixes()[0]) for r in look.rigs for m in r.body.meshes
+    }
     for path in sorted(roots):
         rigs = [r for r in look.rigs if look.meshes[r.body.meshes[0]].startswith(f"{path}/")]
         rigs = rigs or [r for r in look.rigs if look.meshes[r.body.meshes[0]] == path]
@@ -249,5 +262,3 @@ def _export(layer: Sdf.Layer, path: Path) -> None:
             f"{path} could not be written.",
             f"check that {path.absolute().parent} is writable and has space left",
         )
-
-
