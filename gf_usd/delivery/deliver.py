@@ -172,6 +172,7 @@ def _looks(
                 bodies=bodies,
                 rigs=(),
                 meshes=tuple(mesh.name for mesh in recording.meshes),
+                triangles=tuple(mesh.triangles for mesh in recording.meshes),
                 time_codes=recording.time_codes,
                 unit=recording.unit,
             )

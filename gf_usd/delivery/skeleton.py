@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.delivery.joints import STEPS
 from gf_usd.delivery.rig import Rig
@@ -22,13 +22,15 @@ def bind_meshes(
     stage: Usd.Stage,
     rigs: Sequence[Rig],
     names: Sequence[str],
+    triangles: Sequence[Ints],
     time_codes: Sequence[float],
     unit: float,
 ) -> None:
     """Author rigs at the stage's edit target, over meshes that hold no motion any more.
 
     rigs : of bodies below one root prim.
-    names : prim paths of the meshes, by the numbers that bodies have; unit : [m] per stage unit.
+    names, triangles : prim paths of the meshes, by the numbers that bodies have, and (T, 3) into
+    their points, for prims that are implicit shapes.  unit : [m] per stage unit.
 
     Raises InputError where a mesh stands under no prim that can be a SkelRoot.
     """
@@ -38,7 +40,10 @@ def bind_meshes(
         name = NAME if number == 0 else f"{NAME}{number}"
         skeleton = _skeleton(root, name, rig, time_codes, unit)
         for mesh in rig.body.meshes:
-            _bind(stage.GetPrimAtPath(names[mesh]), mesh, rig, skeleton, unit)
+            prim = stage.GetPrimAtPath(names[mesh])
+            if not prim.IsA(UsdGeom.Mesh):
+                _make_mesh(prim, triangles[mesh])
+            _bind(prim, mesh, rig, skeleton, unit)
     _author_extent(root, rigs, time_codes, unit)
 
 
@@ -100,6 +105,16 @@ def _cancel(skeleton: UsdSkel.Skeleton, root: Usd.Prim, time_codes: Sequence[flo
         return
     for code, world in zip(time_codes, worlds):
         op.Set(world.GetInverse(), code)
+
+
+def _make_mesh(prim: Usd.Prim, triangles: Ints) -> None:
+    """Make an implicit shape the mesh that the bake made of it."""
+    prim.SetTypeName("Mesh")
+    mesh = UsdGeom.Mesh(prim)
+    mesh.CreateFaceVertexCountsAttr([3] * len(triangles))
+    mesh.CreateFaceVertexIndicesAttr(np.asarray(triangles).reshape(-1).tolist())
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePointsAttr()
 
 
 def _bind(prim: Usd.Prim, mesh: int, rig: Rig, skeleton: UsdSkel.Skeleton, unit: float) -> None:

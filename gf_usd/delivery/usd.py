@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
+from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import BakeError
 from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig
@@ -39,6 +40,7 @@ class Look:
     bodies: tuple[BodyMotion, ...]
     rigs: tuple[Rig, ...]  # one for each body; none before they are fitted
     meshes: tuple[str, ...]  # prim paths, by the numbers that bodies have
+    triangles: tuple[Ints, ...]  # (T, 3) into the points of each
     time_codes: tuple[float, ...]
     unit: float  # [m] per stage unit
 
@@ -201,13 +203,13 @@ def _author(stage: Usd.Stage, look: Look) -> None:
         rigs = rigs or [r for r in look.rigs if look.meshes[r.body.meshes[0]] == path]
         variants = stage.GetPrimAtPath(path).GetVariantSets()
         if not variants.HasVariantSet(VARIANTS):
-            bind_meshes(stage, rigs, look.meshes, look.time_codes, look.unit)
+            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
             continue
         chosen = variants.GetVariantSet(VARIANTS)
         before = chosen.GetVariantSelection()
         chosen.SetVariantSelection(look.name)
         with chosen.GetVariantEditContext():
-            bind_meshes(stage, rigs, look.meshes, look.time_codes, look.unit)
+            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
         chosen.SetVariantSelection(before)
 
 

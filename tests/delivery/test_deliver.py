@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
-from small_sources import SOURCES
-from small_stages import bake, write
+from small_sources import SOURCES, Source
+from small_stages import CUBE, bake, write
 
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.delivery.deliver import deliver
@@ -22,7 +22,7 @@ BALL = 'upAxis = "Z"\n metersPerUnit = 0.01\n timeCodesPerSecond = 24\n defaultP
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A moving stage: a ball of 266 points under a turned prim that squashes, turns and falls."""
+    """A moving stage: a ball of 100 points under a turned prim that squashes, turns and falls."""
     return moving_ball(tmp_path_factory.mktemp("ball") / "ball.usdc")
 
 
@@ -36,7 +36,7 @@ def moving_ball(path: Path) -> Path:
     stage.SetDefaultPrim(root.GetPrim())
     mesh = UsdGeom.Mesh.Define(stage, "/Ball/Skin")
     mesh.AddScaleOp().Set(Gf.Vec3f(1.0, 1.0, 1.0))
-    points, faces = sphere(12, 24)
+    points, faces = sphere(8, 14)
     mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
     mesh.CreateFaceVertexIndicesAttr([int(i) for face in faces for i in face])
     mesh.CreateSubdivisionSchemeAttr("none")
@@ -106,7 +106,7 @@ def test_usd_is_where_it_says_by_an_independent_reader(
     ours, theirs = world_points(ball), world_points(done.path)
     off = np.linalg.norm(theirs["/Ball/Skin"] - ours["/Ball/Skin"], axis=2).max()
     radius = done.bodies[0].radius / 0.01
-    assert radius == pytest.approx(1.0, abs=0.05)  # a polyhedron in the unit sphere
+    assert radius == pytest.approx(1.0, abs=0.1)  # a polyhedron in the unit sphere
     # single precision of numbers of about ten
     assert off / radius == pytest.approx(done.error, abs=1e-5)
     assert 0.0 < done.error <= TOLERANCE
@@ -219,32 +219,70 @@ def gltf_vertices(path: Path) -> np.ndarray:
 def test_bakes_of_difficult_sources(name: str, tmp_path: Path) -> None:
     asset, *_ = SOURCES[name].scene(tmp_path)
     root, *_ = bake(asset, tmp_path)
-    try:
-        done = deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
-    except InputError as error:
-        assert "without a parent" in error.message  # a root prim that is a shape
+    stage = Usd.Stage.Open(str(root.path))
+    if stage.GetDefaultPrim().IsA(UsdGeom.Gprim):
+        with pytest.raises(InputError, match="without a parent"):
+            deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
         return
+    done = deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
     assert done.error <= TOLERANCE
     ours, theirs = world_points(root.path), world_points(done.path)
     baked = {path for body in done.bodies for path in body.meshes}
     assert baked
-    unit = UsdGeom.GetStageMetersPerUnit(Usd.Stage.Open(str(root.path)))
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
     radius = {path: body.radius / unit for body in done.bodies for path in body.meshes}
     for path in baked:
         off = np.linalg.norm(theirs[path] - ours[path], axis=2).max()
         assert off <= TOLERANCE * radius[path] * (1 + 1e-4), path
 
 
-def test_variants_of_bake_and_source_are_kept(tmp_path: Path) -> None:
-    asset, *_ = SOURCES["variants"].scene(tmp_path) if "variants" in SOURCES else (None,)
-    if asset is None:
-        pytest.skip("no source with variants")
-    root, *_ = bake(asset, tmp_path)
-    done = deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
-    before, after = (Usd.Stage.Open(str(p)).GetDefaultPrim() for p in (root.path, done.path))
-    for name in set(before.GetVariantSets().GetNames()) - {"display"}:
-        names = before.GetVariantSet(name).GetVariantNames()
-        assert after.GetVariantSet(name).GetVariantNames() == names
+PAINTED = Source(
+    f"""
+def Xform "box" (
+    variants = {{ string paint = "red" }}
+    prepend variantSets = "paint"
+)
+{{
+    def Mesh "skin"
+    {{{CUBE}    }}
+    variantSet "paint" = {{
+        "red" {{
+            over "skin"
+            {{
+                color3f[] primvars:displayColor = [(1, 0, 0)]
+            }}
+        }}
+        "blue" {{
+            over "skin"
+            {{
+                color3f[] primvars:displayColor = [(0, 0, 1)]
+            }}
+        }}
+    }}
+}}
+"""
+)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+def test_variants_of_bake_and_source_are_kept(tmp_path: Path, suffix: str) -> None:
+    root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
+    done = deliver(root.path, tmp_path / f"out{suffix}", error=TOLERANCE)
+    assert {body.variant for body in done.bodies} == {"rubber", "jelly"}
+    stage = Usd.Stage.Open(str(done.path))
+    box = stage.GetPrimAtPath("/box")
+    assert box.GetVariantSet("gaussianFlesh").GetVariantNames() == ["jelly", "none", "rubber"]
+    assert box.GetVariantSet("gaussianFlesh").GetVariantSelection() == "rubber"
+    assert not stage.GetPrimAtPath("/box/GaussianFlesh")
+    color = UsdGeom.Mesh(stage.GetPrimAtPath("/box/skin")).GetDisplayColorAttr()
+    assert color.Get()[0] == (1, 0, 0)
+    box.GetVariantSet("paint").SetVariantSelection("blue")
+    assert color.Get()[0] == (0, 0, 1)
+    for look in ("rubber", "jelly"):
+        ours, theirs = (world_points(path, look)["/box/skin"] for path in (root.path, done.path))
+        assert np.linalg.norm(ours - theirs, axis=2).max() <= TOLERANCE
+    source = world_points(done.path, "none")["/box/skin"]
+    assert np.array_equal(source, np.repeat(source[:1], len(source), axis=0))
 
 
 def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:

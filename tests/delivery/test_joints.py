@@ -65,8 +65,8 @@ def bent(points: int = 300) -> tuple[np.ndarray, np.ndarray]:
     p = rng.uniform((-1.0, -0.2, -0.2), (1.0, 0.2, 0.2), (points, 3))
     share = np.rint(np.clip(2.5 * p[:, 0] + 0.5, 0.0, 1.0) * STEPS)[:, None] / STEPS
     angles = np.linspace(0.0, 1.0, 7)
-    left = Rotation.from_euler("z", angles).as_matrix()
-    right = Rotation.from_euler("z", -angles).as_matrix()
+    left = Rotation.from_euler("z", angles[:, None]).as_matrix()
+    right = Rotation.from_euler("z", -angles[:, None]).as_matrix()
     x = (1 - share) * (p @ left.transpose(0, 2, 1)) + share * (p @ right.transpose(0, 2, 1))
     return p, x
 
