@@ -1,4 +1,4 @@
-"""gf-usd worker: the process behind `system.workers`, which runs one bake after the other."""
+"""gf-usd worker: the process behind `system.warm.workers`, which runs one bake after the other."""
 
 from __future__ import annotations
 
@@ -12,19 +12,32 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from gf_usd.cli import exit
+from gf_usd.system import sandbox
 from gf_usd.system.file_locks import INHERITED
 from gf_usd.system.memory_and_disk import system_file
-from gf_usd.system.workers import receive, send
+from gf_usd.system.processes import peak_memory
+from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
+from gf_usd.system.warm.workers import receive, send
 
 SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
+# what a child that reads USD imports
+READERS = (
+    "gf_usd.readers.isolated",
+    "gf_usd.readers.usd.asset",
+    "gf_usd.readers.usd_bake.spec",
+    "gf_usd.system.usd_schema",
+)
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 
 
-def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
+def follow(
+    descriptor: int, command: Callable[[Sequence[str]], int], forks: ForkServer | None = None
+) -> int:
     """Run requests until the other end is closed; returns the exit status.
 
     command : runs ``gf-usd`` with arguments and returns the exit status.
+    forks : of the children that read files; its time is the commands'.
     """
     quiet = os.open(os.devnull, os.O_RDWR)
     with socket.socket(fileno=descriptor) as end:
@@ -32,7 +45,9 @@ def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
         while (asked := receive(end)) is not None:
             jobs += 1
             request, (stderr, *others) = asked
-            reply = _run(request["arguments"], stderr, others, quiet, command)
+            before = _cpu_seconds(forks)
+            reply = _run(request, stderr, others, quiet, command)
+            reply["cpu_seconds"] = _cpu_seconds(forks) - before
             reply["last"] = (
                 reply["status"] not in SOUND or jobs == MOST_JOBS or _resident() > MOST_MEMORY
             )
@@ -42,8 +57,28 @@ def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
     return 0
 
 
+def forked_readers() -> ForkServer | None:
+    """Have the children that read files forked from here on; None where the system cannot."""
+    if not AVAILABLE:
+        return None
+    forks = ForkServer(READERS)
+    sandbox.start_by(forks.start)
+    return forks
+
+
+def make_ready() -> None:
+    """Import what a bake needs, so that the first does not wait for it."""
+    from gf_usd.layers import cache, root  # noqa: F401
+    from gf_usd.layers.check import run as checks  # noqa: F401
+    from gf_usd.physics import solvers  # noqa: F401
+    from gf_usd.pipeline import run  # noqa: F401
+    from gf_usd.system.taichi_runtime import import_taichi
+
+    import_taichi()
+
+
 def _run(
-    arguments: Sequence[str],
+    request: dict[str, Any],
     stderr: int,
     others: Sequence[int],
     quiet: int,
@@ -51,15 +86,15 @@ def _run(
 ) -> dict[str, Any]:
     """One command with its stderr, events and locks."""
     events, *locks = others
-    before = _cpu_seconds()
     _forget_peak()
     os.dup2(stderr, 2)
     os.close(stderr)
     os.environ[INHERITED] = ",".join(map(str, locks))
     exit.watch(())
+    os.chdir(request["folder"])
     # the command takes the descriptor for its own, and closes it
     given = os.dup(events)
-    status = command([*arguments, "--events", str(given)])
+    status = command([*request["arguments"], "--events", str(given)])
     gc.collect()
     sys.stderr.flush()
     if _same_file(given, events):  # it ended before that
@@ -67,7 +102,7 @@ def _run(
     for descriptor in others:
         os.close(descriptor)
     os.dup2(quiet, 2)
-    return {"status": status, "cpu_seconds": _cpu_seconds() - before, "memory": _peak()}
+    return {"status": status, "memory": _peak()}
 
 
 def _same_file(one: int, other: int) -> bool:
@@ -78,9 +113,11 @@ def _same_file(one: int, other: int) -> bool:
         return False
 
 
-def _cpu_seconds() -> float:
+def _cpu_seconds(forks: ForkServer | None) -> float:
+    """[s] that this process and its children have used."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    forked = 0.0 if forks is None else forks.cpu_seconds
+    return sum(one.ru_utime + one.ru_stime for one in used) + forked
 
 
 def _forget_peak() -> None:
@@ -91,8 +128,7 @@ def _forget_peak() -> None:
 
 def _peak() -> int:
     """[bytes] the most that was in use since `_forget_peak`, or since the process began."""
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return _status("VmHWM") or own * (1 if sys.platform == "darwin" else 1024)
+    return _status("VmHWM") or peak_memory(resource.getrusage(resource.RUSAGE_SELF))
 
 
 def _resident() -> int:
