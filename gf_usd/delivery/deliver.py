@@ -17,7 +17,8 @@ from gf_usd.readers.pictures.recording import BakedMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
 USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
-KINDS = ("auto", "joints", "shapes")
+KINDS = ("auto", "shapes", "joints")  # shapes are found faster
+JOINT_BYTES = 20  # a key of a joint in the smallest form: a rotation of 16 bits, a translation
 MOST_JOINTS = 400  # of a body
 MOST_SHAPES = 64  # of a body
 MARGIN = 0.999  # of the error that is left to rounding in the file
@@ -76,7 +77,9 @@ def deliver(
     made: list[tuple[int, Path, Sequence[Look], float, tuple[str, ...]]] = []
     reasons = []
     for one in kinds:
-        fit = _fitter(one, most_joints, most_shapes, reasons)
+        if made:  # of joints, no more than a smaller file can hold
+            most_joints = min(most_joints, made[0][0] // (JOINT_BYTES * len(looks[0].time_codes)))
+        fit = _fitter(one, max(1, most_joints), most_shapes, reasons)
         found = _within(looks, fit, error, files)
         if found is None:
             continue
@@ -84,8 +87,8 @@ def deliver(
         kept = target.with_name(f"{target.stem}.{one}{target.suffix}")
         partial_path(target).replace(partial_path(kept))
         made.append((partial_path(kept).stat().st_size, partial_path(kept), rigs, off, said))
-        if not any(rig.joints for look in rigs for rig in look.rigs):
-            break  # no smaller file is possible than without any joints
+        if not any(rig.joints or rig.blend_shapes for look in rigs for rig in look.rigs):
+            break  # rigid motion: nothing is smaller
     if not made:
         raise BakeError(
             f"{bake} cannot be delivered within {100 * error:g} % of the radius: "
