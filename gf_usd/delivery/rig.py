@@ -103,20 +103,25 @@ def with_joints(body: BodyMotion, tolerance: float, most: int) -> Iterator[Rig]:
 def with_shapes(body: BodyMotion, tolerance: float, most: int) -> Rig | None:
     """The rig of the fewest principal components within the tolerance, in radii; None above `most`.
 
-    The shapes are scaled so that the largest key of each is 1 or -1.
+    Keys are in 0 to 1, where programs clamp them: each shape goes from its least to its largest
+    key, and a shape with the constant key 1 adds what all of them are at their least.
     """
     root = root_of(body)
     own = root.undone(body.frames)
     T, V = own.shape[:2]
     moved = (own - body.rest).reshape(T, -1)
     u, s, vt = np.linalg.svd(moved, full_matrices=False)
-    for count in range(min(most, len(s)) + 1):
+    for count in range(min(most - 1, len(s)) + 1):
         keys, shapes = u[:, :count] * s[:count], vt[:count]
-        size = np.maximum(np.abs(keys).max(axis=0, initial=0.0), np.finfo(float).tiny)
+        low, high = keys.min(axis=0, initial=0.0), keys.max(axis=0, initial=0.0)
+        size = np.maximum(high - low, np.finfo(float).tiny)
+        scaled = np.concatenate([shapes * size[:, None], (low @ shapes)[None]])
         rig = Rig(
-            body=body, root=root,
-            shapes=(shapes * size[:, None]).reshape(count, V, 3), keys=keys / size,
-        )  # fmt: skip
+            body=body,
+            root=root,
+            shapes=scaled.reshape(count + 1, V, 3)[: count + bool(count)],
+            keys=np.column_stack([(keys - low) / size, np.ones(T)])[:, : count + bool(count)],
+        )
         if rig.error <= tolerance:
             return rig
     return None

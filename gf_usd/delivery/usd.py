@@ -243,6 +243,8 @@ class LayerPackage(Package):
         key = str(file)
         if key in self._layers:
             return self._layers[key]
+        if not file.exists():
+            return file.name  # it does not compose in the bake either, which is noted there
         source = Sdf.Layer.FindOrOpen(key)
         if source is None:
             self.notes[f"{file} could not be opened: it is not in the package"] = None

@@ -135,6 +135,17 @@ def test_gltf_is_where_it_says_by_an_independent_reader(
     assert 0.0 < done.error <= TOLERANCE
 
 
+def test_keys_stay_where_programs_clamp_them(ball: Path, tmp_path: Path) -> None:
+    done = deliver(ball, tmp_path / "out.usda", error=TOLERANCE, kind="shapes")
+    stage = Usd.Stage.Open(str(done.path))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/Ball/Skeleton/Animation"))
+    weights = animation.GetBlendShapeWeightsAttr()
+    keys = np.array([weights.Get(code) for code in weights.GetTimeSamples()])
+    assert keys.shape == (FRAMES, done.bodies[0].shapes)
+    assert keys.min() >= 0.0
+    assert keys.max() <= 1.0
+
+
 def gltf_vertices(path: Path) -> np.ndarray:
     """Positions of the vertices of the only mesh at each key, as glTF 2.0 says."""
     data = path.read_bytes()
