@@ -61,30 +61,29 @@ def bake(
     options["overwrite"] |= dry_run  # which replaces nothing
     if as_json and events == STDOUT:
         raise UsageError("--json and --events - both want stdout", "give --events a file")
+    shown = not quiet and not dry_run
     with event_stream(events) as emit:
         emit("started", asset=str(asset), version=__version__, pid=os.getpid())
-        prepared = prepare(asset, **options)
-        plan = prepared.plan
-        exit.watch(plan.outputs.checkpoints)
-        if events is not None:
-            emit("plan", **describe(plan), **prepared.cost)
-        for note in plan.notes:
-            emit("note", message=note)
-        if dry_run:
-            if as_json or events != STDOUT:
-                show_plan(prepared, as_json=as_json, max_hours=max_hours)
-            return
-        if verbose:
-            show_plan(prepared, err=True, max_hours=max_hours)
-        if not quiet:
-            announce(prepared)
-        with progress(plan, shown=not quiet) as advance:
+        told: list[str] = []
+        with progress(shown=shown) as show:
+            prepared = prepare(asset, watch=show, **options)
+            plan = prepared.plan
+            exit.watch(plan.outputs.checkpoints)
+            if events is not None:
+                emit("plan", **describe(plan), **prepared.cost)
+            for note in plan.notes:
+                emit("note", message=note)
+            if dry_run:
+                if as_json or events != STDOUT:
+                    show_plan(prepared, as_json=as_json, max_hours=max_hours)
+                return
+            if verbose:
+                show_plan(prepared, err=True, max_hours=max_hours)
+            if not quiet:
+                announce(prepared)
 
             def on_frame(done: int, total: int) -> None:
-                advance(done, total)
                 emit("frame", done=done, total=total, particles=len(plan.particles))
-
-            told: list[str] = []
 
             def remark(text: str) -> None:
                 told.append(text)
@@ -92,7 +91,9 @@ def bake(
                 if not quiet:
                     typer.echo(f"note: {text}", err=True)
 
-            result = run(prepared, on_frame, max_hours=max_hours, slice=slice, remark=remark)
+            result = run(
+                prepared, on_frame, max_hours=max_hours, slice=slice, remark=remark, watch=show
+            )
         for note in result.notes[len(plan.notes) :]:
             if note not in told:
                 emit("note", message=note)
@@ -102,5 +103,5 @@ def bake(
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))
         elif not quiet and events != STDOUT:
-            summarize(result, plan)
+            summarize(result, plan, show.words())
         require_healthy(result, strict=strict)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
+import time
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from gf_usd.pipeline.forecast import Activity
     from gf_usd.pipeline.result import BakeResult, VariantResult
     from gf_usd.pipeline.run import Prepared
     from gf_usd.prepare.plan import Plan
@@ -69,41 +72,193 @@ def announce(prepared: Prepared) -> None:
     )
 
 
+EVERY = 30.0  # [s] between plain lines, at most
+PATIENCE = 5.0  # [s] before reading or filling is worth a line
+STEP = 0.1  # of the frames between plain lines, at most
+COMPILES = " (once: later bakes of the same laws load them)"
+
+
 @contextmanager
-def progress(plan: Plan, *, shown: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal, a plain line every tenth of the way elsewhere; both on stderr."""
+def progress(*, shown: bool) -> Iterator[Spent]:
+    """What shows the activities of a bake on stderr: a bar on a terminal, plain lines elsewhere."""
     if not shown:
-        yield lambda done, total: None
-        return
-    total = plan.settings.frames * len(plan.materials)
-    if not sys.stderr.isatty():
-        step = max(1, total // 10)
+        yield Spent(lambda now: None)
+    elif sys.stderr.isatty():
+        with _bar() as show:
+            yield Spent(show)
+    else:
+        lines = Lines(lambda line: typer.echo(line, err=True))
+        with _ticking(lines.tick):
+            yield Spent(lines)
 
-        def plain(done: int, total: int) -> None:
-            if done % step == 0 or done == total:
-                typer.echo(f"frame {done}/{total}, {len(plan.particles)} particles", err=True)
 
-        yield plain
-        return
+@contextmanager
+def _ticking(tick: Callable[[], None]) -> Iterator[None]:
+    """Call `tick` once a second from a thread."""
+    ended = threading.Event()
+
+    def run() -> None:
+        while not ended.wait(1.0):
+            tick()
+
+    thread = threading.Thread(target=run, name="gf-usd progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+class Spent:
+    """Passes activities on, and keeps the time of each stage.
+
+    show : what shows them; clock : [s].
+    """
+
+    def __init__(
+        self, show: Callable[[Activity], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._show, self._clock = show, clock
+        self._stage, self._since = "", clock()
+        self._seconds: dict[str, float] = {}
+
+    def __call__(self, now: Activity) -> None:
+        """The bake is at this."""
+        if now.stage != self._stage:
+            self._count()
+            self._stage = now.stage
+        self._show(now)
+
+    def _count(self) -> None:
+        at = self._clock()
+        if self._stage:
+            self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at - self._since
+        self._since = at
+
+    def words(self) -> str:
+        """The seconds so far, and those of each stage."""
+        self._count()
+        each = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in self._seconds.items())
+        return f"{sum(self._seconds.values()):.1f} s: {each}"
+
+
+class Lines:
+    """A plain line for each stage, and one every tenth of the frames or EVERY seconds.
+
+    Before the plan is said, a stage gets a line only where it lasts for PATIENCE seconds.
+    say : takes a line; clock : [s].
+    """
+
+    def __init__(
+        self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say, self._clock = say, clock
+        self._stage = ""
+        self._now: Activity | None = None
+        self._at, self._done, self._wait = clock(), 0, EVERY
+        self._compiled = False
+
+    def __call__(self, now: Activity) -> None:
+        """The bake is at this."""
+        from gf_usd.pipeline.forecast import COMPILING, FILLING, READING
+
+        if now.stage == COMPILING:
+            if not self._compiled:
+                self._compiled = True
+                self._say(f"{COMPILING}{COMPILES}")
+            return
+        stage = f"{now.stage} {now.what}".rstrip()
+        whole = now.total > 0 and now.done == now.total
+        far = now.done - self._done >= STEP * max(1, now.total)
+        new = stage != self._stage
+        self._now, self._stage = now, stage
+        if new and now.stage in (READING, FILLING):
+            self._at, self._wait = self._clock(), PATIENCE
+        elif new or (now.done > self._done and (far or whole)):
+            self._tell(now)
+
+    def tick(self) -> None:
+        """Time passes: what takes long is said again."""
+        if self._now is not None and self._clock() - self._at >= self._wait:
+            self._tell(self._now)
+
+    def _tell(self, now: Activity) -> None:
+        self._at, self._done, self._wait = self._clock(), now.done, EVERY
+        self._say(self._stage + _frames(now))
+
+
+def _frames(now: Activity) -> str:
+    """How far it is, in words."""
+    from gf_usd.pipeline.forecast import SIMULATING
+
+    if now.stage != SIMULATING or not now.done:
+        return ""
+    return f": frame {now.done}/{now.total}{_left(now.left)}"
+
+
+def _left(seconds: float | None) -> str:
+    from gf_usd.pipeline.budget import duration
+
+    return "" if seconds is None else f", about {duration(seconds)} left"
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[Activity], None]]:
+    """A bar of the time that a bake takes, which moves between frames as well."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeRemainingColumn as Left
+    from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.text import Text
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Left())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"{len(plan.particles)} particles", total=total)
-        yield lambda done, total: bar.update(task, completed=done)
+    class Left(ProgressColumn):
+        """The time that is left, counted down since it was last known."""
+
+        def render(self, task: Any) -> Text:
+            ends = task.fields["ends"]
+            if ends is None:
+                return Text("")
+            left = max(0.0, ends - time.monotonic())
+            whole = left + (task.elapsed or 0.0)
+            # It never runs backwards, however the estimate changes.
+            share = max(task.fields["share"], (task.elapsed or 0.0) / max(whole, 1e-9))
+            task.fields["share"] = share
+            task.total, task.completed = 1.0, share
+            return Text(_left(left).removeprefix(", "))
+
+    columns = (
+        TextColumn("{task.description}"), Left(), BarColumn(), TextColumn("{task.fields[frames]}"),
+        TimeElapsedColumn(),
+    )  # fmt: skip
+    bar = Progress(
+        *columns, console=Console(stderr=True), redirect_stdout=False, refresh_per_second=4
+    )
+    with bar:
+        task = bar.add_task("", total=None, frames="", ends=None, share=0.0)
+
+        def show(now: Activity) -> None:
+            from gf_usd.pipeline.forecast import COMPILING
+
+            ends = None if now.left is None else time.monotonic() + now.left
+            frames = f"frame {now.done}/{now.total}" if now.total else ""
+            what = "(once)" if now.stage == COMPILING else now.what
+            said = f"{now.stage} {what}".rstrip()
+            bar.update(task, description=said, ends=ends, frames=frames)
+
+        yield show
 
 
-def summarize(result: BakeResult, plan: Plan) -> None:
-    """Files, sizes and what was measured; what was noted only while it ran."""
+def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
+    """Files, sizes and what was measured; what was noted only while it ran.
+
+    spent : the seconds of its stages, in words.
+    """
     clips = [clip for bake in result.bakes for clip in bake.clips]
     files = [path for path in result.outputs if path.exists() and path not in clips]
     lines = [f"{path}  {_bytes(path.stat().st_size)}" for path in files]
     for folder in dict.fromkeys(clip.parent for clip in clips):
         sizes = [clip.stat().st_size for clip in clips if clip.parent == folder]
         lines.append(f"{folder}/  {len(sizes)} files, {_bytes(sum(sizes))}")
-    lines.append(f"{result.particles} particles, {result.seconds:.1f} s")
+    lines.append(f"{result.particles} particles, {spent}")
     lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
         lines.append(_measured(bake))

@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats
+from gf_usd.system.taichi_runtime import compiling
 
 SEEN = "_gf_usd_memory"  # where an array keeps what was found of it
 
@@ -205,8 +206,9 @@ class Launcher:
         from taichi.lang import impl
 
         if self._ready is None:
-            self._kernel(self._pack, *values)
-            self._ready = self._prepare(values)
+            with compiling():
+                self._kernel(self._pack, *values)
+                self._ready = self._prepare(values)
             return
         made, compiled, argpack, arrays, setters = self._ready
         context = made.make_launch_context()  # a launch uses it up

@@ -1,8 +1,9 @@
 """Cost of a bake: the estimate, the check against the machine, and the guard while it runs.
 
-Costs were measured in CPU seconds on two cores of an x86-64 server, with the duck and balls, 300 to
-100k particles, 1 kPa to 10 MPa, looks and physical presets: within a factor of two.  Memory is that
-of ``/usr/bin/time -v``.
+Costs were measured in CPU seconds on two cores of an x86-64 server: ``python -m
+tools.bench.estimates`` compares thirty pairs of an asset and a preset with what their bakes take,
+of which nine in ten are within a factor of two (docs/performance.md).  Memory is that of
+``/usr/bin/time -v``.
 
 A bake that is clearly too large is refused before any work.  One that meets a disk or a memory that
 others fill ends before it is full, while there is room for what it had: its frames, a layer to open
@@ -21,10 +22,10 @@ import numpy as np
 
 from gf_usd.core.errors import InputError, OutOfResources
 from gf_usd.core.frames import Settings, written
-from gf_usd.core.materials import Material
+from gf_usd.core.materials import LAWS, Material
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.memory_and_disk import free_disk, free_memory, free_swap
-from gf_usd.system.taichi_runtime import epoch
+from gf_usd.system.taichi_runtime import cores, epoch
 
 if TYPE_CHECKING:
     from gf_usd.physics.frame_loop import Solver
@@ -65,17 +66,24 @@ class Solvers:
         return self._build(variant)
 
 
-# [s] of a substep, and of each particle in it, by solver; free flight, measured
+# [s] of a substep, and of each particle in it, by solver, on one thread; measured
 SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7)}
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
+FLOW = 1.3  # longer where the law flows
+ALONE = 1500  # particles for each thread: fewer threads share a substep of fewer particles
+# More substeps than at rest where bodies land at m times their wave speed: 1 + STRAINED m^3, up to
+# MOST; fitted to the pairs of `tools.bench.estimates`.
+STRAINED, MOST = 1.3, 5.0
 START_SECONDS = 1.5  # imports
-LAW_SECONDS = 2.5  # load the compiled kernels of a law; the very first bake compiles them
+LAW_SECONDS = 1.5  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
-# [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files, final check
+# [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
 FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
+CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
-# [s] of a substep, for each contact sample where bodies meet others: in the mean of a crash
+# [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
+# a crash.  A body that only meets itself is looked at once in many substeps.
 MEETING_SECONDS = 1e-6
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
@@ -94,20 +102,26 @@ def estimate(
     meeting: int,
     frame_bytes: float,
     first_contact: int | None,
+    flying: int = 0,
+    fall: float = 0.0,
+    crowd: bool = True,
 ) -> dict[str, Any]:
     """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
 
     Materials are baked one after another: disk adds up, and seconds do but for what is started
-    once.  Memory adds up as far as solvers wait for their bake (KEPT).
+    once.  Memory adds up as far as solvers wait for their bake (KEPT).  Seconds are those of a
+    machine that does nothing else, with kernels that were compiled before.
 
     substeps : of a frame of each material, all samples together.
     vertices : of meshes and captured Gaussians.
-    meeting : contact samples where bodies meet others; 0 where none does.
+    meeting : contact samples where bodies meet others or themselves; 0 where none does.
     frame_bytes : on the disk.
+    flying : frames at the start without substeps; fall : [m] that bodies fall before they land.
+    crowd : several bodies or obstacles meet.
     """
     from gf_usd.geometry.skinning import KEPT_BYTES
 
-    n, frames = particles, settings.frames
+    n, frames, samples = particles, settings.frames, settings.samples_per_frame
     disk = written(settings) * frame_bytes
     waiting = min(len(materials), max(1, KEPT // n))  # solvers, which are dear to build
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n * waiting + VERTEX_MEMORY * vertices
@@ -115,20 +129,31 @@ def estimate(
     substep = CONTACT * (fixed + each * n)
     if meeting:
         memory += MEETING_MEMORY * meeting
-        substep += MEETING_SECONDS * meeting
+        substep += MEETING_SECONDS * meeting * crowd
+    if settings.solver == "tl" and settings.device == "cpu":
+        substep /= max(1, min(settings.threads or cores(), n // ALONE))
     frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
     if settings.skin == "paper":
         frame += vertices * n * PAIR_SECONDS[8 * vertices * n <= KEPT_BYTES]
     start = START_SECONDS + VERTEX_SECONDS * vertices
+    moving = max(0, frames - 1 - flying)
     rows = []
     for material, count in zip(materials, substeps, strict=True):
-        seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n
-        seconds += frames * settings.samples_per_frame * frame + (frames - 1) * count * substep
+        many = count if settings.substeps else count * strained(material, settings, fall)
+        work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
+        end = CHECK_SECONDS * frames * samples * frame
+        seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
+        seconds += frames * samples * frame + moving * work
         rows.append(
             {
                 "name": material.name,
                 "substeps_per_frame": count,
-                "substeps_per_sample": count / settings.samples_per_frame,
+                "substeps_per_sample": count / samples,
+                "substeps": round(moving * many),
+                "flying_samples": flying * samples,
+                "sample_seconds": frame,
+                "moving_seconds": frame + work / samples,
+                "end_seconds": end,
                 "seconds": float(seconds),
                 "disk_bytes": int(disk),
                 "memory_bytes": int(memory),
@@ -144,6 +169,17 @@ def estimate(
         "first_contact_frame": first_contact,
         "per_material": rows,
     }
+
+
+def strained(material: Material, settings: Settings, fall: float) -> float:
+    """Substeps of a body that fell over those at rest, in the mean of what follows.
+
+    It lands at the Mach number m = sqrt(2 g h) / c of its waves at rest, and is strained by about
+    as much.  fall : h [m].
+    """
+    g = float(np.linalg.norm(settings.gravity))
+    mach = math.sqrt(2.0 * g * fall) / material.wave_speed
+    return min(MOST, 1.0 + STRAINED * mach**3)
 
 
 def first_contact(settings: Settings, drop: float) -> int | None:

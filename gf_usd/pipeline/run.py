@@ -26,7 +26,16 @@ from gf_usd.pipeline.budget import (
 from gf_usd.pipeline.checkpoint import CheckpointWriter, Resume, find_resume, finished, identity
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
-from gf_usd.pipeline.forecast import Forecast
+from gf_usd.pipeline.forecast import (
+    CHECKING,
+    FILLING,
+    READING,
+    SIMULATING,
+    WRITING,
+    Forecast,
+    Stages,
+    Watch,
+)
 from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
@@ -35,6 +44,7 @@ from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
+from gf_usd.system.taichi_runtime import watching
 
 if TYPE_CHECKING:
     from gf_usd.layers.usd_warnings import Warned
@@ -65,7 +75,7 @@ class Prepared:
     def cost(self) -> Cost:
         """Of `budget.estimate`; builds the solvers."""
         plan = self.plan
-        meets = plan.contact_setup is not None and plan.contact_setup.any
+        setup = plan.contact_setup
         samples = plan.settings.samples_per_frame
         surfaces = plan.asset.surfaces
         return estimate(
@@ -74,22 +84,36 @@ class Prepared:
             [samples * self.solvers.substeps(variant) for variant in plan.variants],
             particles=len(plan.particles),
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
-            meeting=len(plan.samples.X) if meets else 0,
+            meeting=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
             first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
+            flying=_flying(plan),
+            fall=0.0 if plan.pins or plan.goals else max(0.0, plan.drop),
+            crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
         )
 
 
 def prepare(
-    path: str | Path, *, overwrite: bool = False, resume: bool = False, **options: Any
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    watch: Watch | None = None,
+    **options: Any,
 ) -> Prepared:
-    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`."""
+    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`.
+
+    watch : is told what it is doing.
+    """
     from gf_usd.layers.usd_warnings import gathered
 
-    with gathered() as warned:
+    stages = Stages(watch)
+    stages.begin(READING, Path(path).name)
+    with gathered() as warned, watching(stages.compile):
         plan, converted = prepare_plan(
-            path, overwrite=overwrite, resume=resume, draw=draw, **options
-        )
+            path, overwrite=overwrite, resume=resume, draw=draw,
+            once_read=partial(stages.begin, FILLING), **options,
+        )  # fmt: skip
     plan = replace(plan, notes=(*plan.notes, *warned.lines()))
     told = frozenset(warned.said)
     if not resume:
@@ -123,11 +147,13 @@ def run(
     max_hours: float = MAX_HOURS,
     slice: int | None = None,
     remark: Remark | None = None,
+    watch: Watch | None = None,
 ) -> BakeResult:
     """Simulate and write a prepared bake.
 
     slice : full value clips after which it ends, to be resumed; None: at its end.
     remark : is told at once what the result's notes hold in the end: see `Forecast`.
+    watch : is told what it is doing.
 
     Raises UsageError for a slice of a bake without clips, and where another bake is writing the
     same (see `output_lock`); InputError where it would take longer than max_hours [h], or more disk
@@ -165,13 +191,27 @@ def run(
         forecast = Forecast(
             prepared.cost, sampled(settings).frames, max_hours, again=_again(plan), remark=remark
         )
-        return _run_locked(prepared, progress, checkpoints, forecast, warned)
+        stages = Stages(watch)
+        with watching(stages.compile), watching(forecast.compile):
+            return _run_locked(prepared, progress, checkpoints, forecast, warned, stages)
 
 
 def _again(plan: Plan) -> str:
     """How to have the rest of a bake that ended early, in words."""
     go_on = "the same command with --resume goes on"
     return go_on if plan.choices.clip_frames else "bake again"
+
+
+def _flying(plan: Plan) -> int:
+    """Frames at the start that need no substeps, since all bodies are in free flight."""
+    s = plan.settings
+    held = plan.pins or plan.goals or plan.velocity
+    if held or not s.shortcuts or s.solver != "tl" or s.drag or s.procrustes or s.wls:
+        return 0
+    if plan.contact_setup is not None and plan.contact_setup.colliders:
+        return 0
+    frame = first_contact(s, plan.drop)
+    return s.frames if frame is None else max(0, frame - 1)
 
 
 def _folder(plan: Plan) -> Path:
@@ -185,6 +225,7 @@ def _run_locked(
     checkpoints: CheckpointWriter,
     forecast: Forecast,
     warned: Warned,
+    stages: Stages,
 ) -> BakeResult:
     from gf_usd.layers.check.run import review
 
@@ -203,7 +244,7 @@ def _run_locked(
     notes = list(plan.notes)
     for number in range(len(plan.materials)):
         result, variant, more, error = _run_variant(
-            prepared, number, progress, checkpoints, forecast
+            prepared, number, progress, checkpoints, forecast, stages
         )
         results.append(result)
         baked.append(variant)
@@ -225,7 +266,9 @@ def _run_locked(
             ) from error
     # an asset that is gone is found out before a result has its final name
     input_hash(plan.asset.facts.path)
+    stages.begin(WRITING)
     notes += delivery.publish(baked, earlier)
+    stages.begin(CHECKING)
     findings = review(files.root, plan.source)
     notes += warned.lines(prepared.warned)
     seconds = time.perf_counter() - began
@@ -251,6 +294,7 @@ def _run_variant(
     progress: Progress | None,
     checkpoints: CheckpointWriter,
     forecast: Forecast,
+    stages: Stages,
 ) -> tuple[VariantResult, BakedVariant, tuple[str, ...], SolverError | None]:
     """Simulate one variant into its cache, which keeps its partial name.
 
@@ -285,6 +329,10 @@ def _run_variant(
         clear(variant.sequences)
     else:
         log.recall(since.log)
+    stages.begin(
+        SIMULATING, variant.name,
+        done=number * total, total=total * len(plan.materials), left=forecast.left,
+    )  # fmt: skip
     splats = splat_deformer(plan, variant)
     builder = frame_builder(plan, variant, prepared.solvers.take(variant), splats)
     guard = ResourceGuard(
@@ -320,6 +368,10 @@ def _run_variant(
                 if progress and index % n == 0:
                     progress(number * total + frame, total * len(plan.materials))
                 forecast.after(number, index, sample.health.substeps, builder.solver.substeps)
+                if index % n == 0:
+                    stages.begin(
+                        SIMULATING, variant.name, done=number * total + frame, left=forecast.left
+                    )
                 if cache.full:
                     last, state = sample.health, builder.state()
                     full = {"last": last, "log": log.state(), "cache": cache.state(), **state}
@@ -329,6 +381,7 @@ def _run_variant(
                         raise checkpoints.unfinished(number, variant.name, frame, total)
         except SolverError as error:
             failure = error
+        stages.begin(WRITING, variant.name)
         summary = cache.close()
     health = log.summary()
     result = VariantResult(

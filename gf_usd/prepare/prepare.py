@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,11 +57,13 @@ def prepare(
     resume: bool = False,
     limits: Limits | None = None,
     draw: Draw,
+    once_read: Callable[[], None] | None = None,
     **options: Any,
 ) -> tuple[Plan, MeshSource | None]:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters.
 
     draw : makes the picture of the asset that an advisor is shown.
+    once_read : is called when the file is read, before it is filled.
 
     Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
     long as the object is there.
@@ -80,6 +82,8 @@ def prepare(
         # Beside it; a device that is not there is found out before the file is judged.
         init_taichi(request.device, request.threads)
         found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+    if once_read:
+        once_read()
     targets = targets or _targets(source, found.presets, target, request, **again)
     files, seen_source = _with_layer(targets, found.converted)
     asset = found.asset

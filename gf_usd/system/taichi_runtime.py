@@ -8,7 +8,7 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -18,6 +18,9 @@ from gf_usd.system.taichi_fast_start import quicken, restore
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
+# [bytes] Taichi's own limit of 100 MB holds 175 kernels: a few laws, mass matrices and precisions
+# in turn remove each other's, and each bake compiles them again.
+KERNEL_CACHE = 1 << 30
 
 # Variables of the environment while it is imported and started.
 QUIET = {
@@ -30,6 +33,7 @@ _started: dict[str, Any] = {}
 _starts = 0
 _runtime: Any = None  # that of the last start here
 _guests = 0  # nested `borrowed`
+_watchers: list[Callable[[bool], None]] = []  # of `watching`
 
 
 def import_taichi() -> ModuleType:
@@ -55,6 +59,28 @@ def borrowed() -> Iterator[None]:
         _guests -= 1
         if not _guests:
             restore()
+
+
+@contextlib.contextmanager
+def watching(watcher: Callable[[bool], None]) -> Iterator[None]:
+    """Call watcher(True) before kernels are compiled or loaded, and watcher(False) after it."""
+    _watchers.append(watcher)
+    try:
+        yield
+    finally:
+        _watchers.remove(watcher)
+
+
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """Compile kernels, or load compiled ones, within the block: see `watching`."""
+    for watcher in _watchers:
+        watcher(True)
+    try:
+        yield
+    finally:
+        for watcher in _watchers:
+            watcher(False)
 
 
 def is_taken() -> bool:
@@ -144,6 +170,7 @@ def init_taichi(device: str = "cpu", threads: int | None = None, f64: bool = Fal
             default_fp=ti.f64 if f64 else ti.f32,
             cpu_max_num_threads=wanted["threads"],
             offline_cache=True,
+            offline_cache_max_size_of_files=KERNEL_CACHE,
             real_matrix_scalarize=False,
             fast_math=False,
             unrolling_limit=0,  # the 27 x 3 lane vectors of a group are unrolled on purpose

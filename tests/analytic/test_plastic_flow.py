@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flowing import ROW, registered
+from slow_parameters import slow_but
 from von_mises_law import HARDENING
 
 from gf_usd.core.arrays import Floats
@@ -113,7 +114,7 @@ def uniaxial(a: float, stress: float) -> Floats:
 @pytest.mark.parametrize(
     ("real", "tolerance"),
     # F is a sum of 27 terms rounded to 2e-16 or 1e-7, and stress E times what that leaves of it.
-    [(np.float64, 1e-9), (np.float32, 0.5)],
+    [pytest.param(np.float64, 1e-9, marks=pytest.mark.slow), (np.float32, 0.5)],
 )
 def test_a_bar_yields_hardens_and_springs_back(family, real, tolerance):
     press = Press(family, real)
@@ -158,6 +159,7 @@ def test_a_body_at_rest_stays_and_says_so(family):
     assert np.array_equal(history(solver), np.tile([*np.eye(3).ravel(), 0.0, 0.0], (len(body), 1)))
 
 
+@pytest.mark.slow  # compiles kernels of double precision
 @families
 def test_to_turn_a_bent_body_is_no_flow(family):
     press = Press(family, np.float64)
@@ -196,7 +198,7 @@ def test_the_step_follows_what_is_pressed_flat_for_good():
     assert seen[1] / seen[0] == pytest.approx(10.0, rel=0.02)  # whole numbers of substeps
 
 
-@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("plain", slow_but([False, True], False))
 def test_flow_keeps_the_volume_over_many_steps(plain):
     """A block is sheared evenly in steps that all round alike."""
     law = elastic(E=E, nu=NU, density=1e9, law="vonMises", parameters={"yield_stress": 1.0})
@@ -415,6 +417,7 @@ def test_laws_that_share_cells_stand_in_batches_of_their_own():
     assert np.array_equal(layout.from_lanes(batches, layout.law_lanes(batches, values)), values)
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_the_patch_test_knows_its_reference():
     figures = list(patch(np.float64, 1e-12)("cpu"))
     mine = [m for m in figures if m.name.startswith(ROW.token)]

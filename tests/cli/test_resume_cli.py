@@ -27,7 +27,7 @@ STATES = {
 }
 
 
-LONGER = {"half", "held", "range"}  # share their code with the others
+LONGER = {"half", "held", "range", "looks", "paper"}  # share their code with the others
 
 
 @pytest.mark.parametrize(
@@ -201,6 +201,7 @@ def test_a_bake_cut_between_its_last_files_is_resumed(
     require_same(here / "one", here / "two")
 
 
+@pytest.mark.slow  # a capture takes long to fill
 def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
     path = write_ply(tmp_path / "block.ply", ball(300, degree=1))
     words = ("bake", path, *SMALL, "-q")

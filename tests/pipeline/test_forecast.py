@@ -143,6 +143,47 @@ def test_a_bake_that_is_too_long_leaves_its_frames(
     assert list(tmp_path.glob("*.report.json"))
 
 
+def test_the_time_left_follows_the_frames_so_far() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    assert made.left == 100.0
+    follow(made, clock, [100] * 20, 0.03)  # 3 s a sample
+    assert made.left == pytest.approx(80 * 3.0)
+    follow(made, clock, [100] * 80, 0.03, first=20)
+    assert made.left == 0.0
+
+
+def test_frames_in_flight_say_nothing_of_those_after_the_landing() -> None:
+    clock, said = Clock(), cost(100.0)
+    said["per_material"][0] |= {
+        "flying_samples": 50, "sample_seconds": 0.01, "moving_seconds": 1.0, "end_seconds": 2.0,
+    }  # fmt: skip
+    made = Forecast(said, 100, 1.0, clock=clock)
+    for index in range(21):
+        clock.now += 0.01
+        made.after(0, index, 0, 100)
+    assert made.left == pytest.approx(30 * 0.01 + 49 * 1.0 + 2.0)
+
+
+def test_compiling_is_no_pace() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 1.0, clock=clock)
+    follow(made, clock, [100] * 5, 0.01)
+    made.compile(True)
+    clock.now += 60.0
+    made.compile(False)
+    follow(made, clock, [100] * 5, 0.01, first=5)
+    assert made.left == pytest.approx(90.0)
+    assert made.take() == ()
+
+
+def test_long_frames_are_judged_sooner() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 100.0, clock=clock)
+    follow(made, clock, [100] * 4, 1.0)  # 100 s a sample, where 1 s was said
+    assert len(made.take()) == 1
+
+
 @pytest.mark.parametrize(
     ("name", "factor"),
     [("mild-steel", 16.0), ("lead", 26.0), ("copper", 5.8), ("aluminium", 4.9), ("silicone", None)],

@@ -81,6 +81,13 @@ def test_starting_says_nothing_on_the_way(stdout):
     assert done.stderr == ""
 
 
+def test_kernels_of_hundreds_of_bakes_stay_in_the_cache():
+    taichi_runtime.init_taichi()
+    config = importlib.import_module("taichi").lang.impl.get_runtime().prog.config()
+    # 0.6 MB a kernel: Taichi's own limit holds 175 of them
+    assert config.offline_cache_max_size_of_files >= 1000 * 600e3
+
+
 def test_what_outlives_a_restart_is_not_freed_by_its_address(monkeypatch) -> None:
     import taichi as ti
     from taichi.lang import _ndarray

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_parameters import slow_but
 from solids import settings
 
 from gf_usd.core.arrays import Floats
@@ -67,8 +68,8 @@ def swirl(X: Floats) -> Floats:
     return np.stack([np.sin(x) * (1.0 + y**2), 0.5 * y * np.cos(x), np.sin(z) * x**2], 1)
 
 
-@pytest.mark.parametrize("mass", [LUMPED, CONSISTENT])
-@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
+@pytest.mark.parametrize("plain", slow_but([False, True], False))
 def test_a_quarter_on_symmetry_planes_moves_as_the_whole_body(mass, plain, monkeypatch):
     # To rounding: without light nodes, whose fits do not end at the planes, and without what sets
     # the inertia of bodies that nothing holds.

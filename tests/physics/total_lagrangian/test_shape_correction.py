@@ -56,6 +56,7 @@ def test_wls_of_few_particles():
     np.testing.assert_allclose(F, np.broadcast_to(SQUASH, F.shape), atol=1e-9)
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_a_frame_with_wls_ends_with_f_of_the_positions():
     solver = made(wls=True, velocity=lambda X: 2e3 * np.sin(2.0 * X[:, [1, 2, 0]]))
     frame = list(solver.frames())[-1]
@@ -167,6 +168,7 @@ def test_limits_that_are_not_met_change_nothing():
     np.testing.assert_allclose(states[0], states[1], atol=1e-9)
 
 
+@pytest.mark.slow  # compiles kernels of its own
 def test_what_is_saved_goes_on_to_the_bit():
     def solver():
         return made(

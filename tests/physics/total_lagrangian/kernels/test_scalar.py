@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from launching import WAYS, launched
+from slow_parameters import slow_but
 from solids import ball, look, settings
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
@@ -40,15 +41,13 @@ def state(run):
     return np.concatenate([now.u, now.v, [now.offset]])
 
 
+@pytest.mark.slow  # each compiles kernels of its own
 @pytest.mark.parametrize(
     "said",
     [
         {},
-        pytest.param({"law": "neoHookean"}, marks=pytest.mark.slow),  # kernels of its own
-        pytest.param(
-            {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
-            marks=pytest.mark.slow,  # kernels that no other test compiles
-        ),
+        {"law": "neoHookean"},
+        {"stress_cap": 3e3, "clamp": (0.9, 1.1), "wls": True, "procrustes": 0.02},
     ],
     ids=["corotated", "neo-Hookean", "the paper's options"],
 )
@@ -62,12 +61,14 @@ def test_a_drop_is_the_same_either_way(said):
     assert max(f.health.penetration for f in plain[1]) > 0.0
 
 
+@pytest.mark.slow  # compiles kernels of double precision
 def test_stress_of_every_particle_is_the_same_either_way():
     fast, plain = (drop(p, stress=True)[1][-1].stress for p in (False, True))
     assert fast.max() > 1.0
     np.testing.assert_allclose(plain, fast, rtol=1e-8, atol=1e-8 * fast.max())
 
 
+@pytest.mark.slow  # compiles kernels of double precision
 def test_single_precision_stays_near_double():
     exact, single = state(drop(True)), state(drop(True, real=np.float32))
     # 6e-8 of a rounding, times some hundred sums and 160 substeps of an impact at 2 m/s
@@ -112,7 +113,7 @@ def filtered(stencil, v, m):
 
 
 @pytest.mark.parametrize("plain", [False, True], ids=["fast", "plain"])
-@pytest.mark.parametrize("mass", [LUMPED, CONSISTENT])
+@pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
 def test_one_substep_is_the_sum_that_numpy_makes(plain, mass):
     """v + alpha M~^-1 (B v - m v), then + dt M~^-1 f: eq. 1 to 3 in float64, every node free."""
     body, _ = ball(400)

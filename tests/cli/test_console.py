@@ -1,0 +1,99 @@
+"""What a bake says of its stages while it runs, without a terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from gf_usd.cli.console import Lines, Spent
+from gf_usd.pipeline.forecast import (
+    CHECKING,
+    COMPILING,
+    FILLING,
+    READING,
+    SIMULATING,
+    Activity,
+)
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def frame(done: int, left: float = 40.0) -> Activity:
+    return Activity(stage=SIMULATING, what="rubber", done=done, total=100, left=left)
+
+
+def test_each_stage_has_a_line_and_every_tenth_of_the_frames() -> None:
+    said: list[str] = []
+    lines = Lines(said.append, Clock())
+    for now in (
+        Activity(stage=READING, what="duck.usda"),
+        Activity(stage=FILLING),
+        Activity(stage=SIMULATING, what="rubber", total=100),
+        *(frame(k) for k in range(1, 22)),
+        frame(100, 0.0),
+        Activity(stage=CHECKING),
+    ):
+        lines(now)
+    assert said == [
+        "simulating rubber",
+        "simulating rubber: frame 10/100, about 40 s left",
+        "simulating rubber: frame 20/100, about 40 s left",
+        "simulating rubber: frame 100/100, about 0 s left",
+        "checking",
+    ]
+
+
+def test_what_takes_long_is_said_again() -> None:
+    said: list[str] = []
+    clock = Clock()
+    lines = Lines(said.append, clock)
+    lines(Activity(stage=READING, what="duck.usda"))
+    for clock.now in (1.0, 4.0, 5.5, 20.0, 36.0):
+        lines.tick()
+    assert said == ["reading duck.usda"] * 2
+    lines(frame(3))
+    clock.now = 67.0
+    lines.tick()
+    assert said[2:] == ["simulating rubber: frame 3/100, about 40 s left"] * 2
+
+
+def test_compiling_is_said_once() -> None:
+    said: list[str] = []
+    lines = Lines(said.append, Clock())
+    for now in (frame(1), Activity(stage=COMPILING), frame(1), Activity(stage=COMPILING), frame(2)):
+        lines(now)
+    assert [line.partition(" (")[0] for line in said[1:]] == ["compiling kernels"]
+
+
+def test_every_second_belongs_to_a_stage() -> None:
+    clock, shown = Clock(), []
+    spent = Spent(shown.append, clock)
+    for at, now in (
+        (0.0, Activity(stage=READING)),
+        (2.0, Activity(stage=SIMULATING)),
+        (5.0, Activity(stage=COMPILING)),
+        (9.0, Activity(stage=SIMULATING, done=1, total=2)),
+        (10.0, Activity(stage=CHECKING)),
+    ):
+        clock.now = at
+        spent(now)
+    clock.now = 10.5
+    assert (
+        spent.words() == "10.5 s: reading 2.0, simulating 4.0, compiling kernels 4.0, checking 0.5"
+    )
+    assert len(shown) == 5
+
+
+@pytest.mark.parametrize("done", [0, 5])
+def test_a_frame_that_takes_minutes_is_not_silent(done: int) -> None:
+    said: list[str] = []
+    clock = Clock()
+    lines = Lines(said.append, clock)
+    lines(frame(done))
+    for clock.now in range(0, 120, 10):
+        lines.tick()
+    assert len(said) >= 4

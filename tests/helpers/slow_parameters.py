@@ -1,0 +1,13 @@
+"""Parameters of a test of which few run by default and the others with the slow tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def slow_but(values: Iterable[Any], *quick: Any) -> list[Any]:
+    """``values`` for ``parametrize``, those that are not in ``quick`` marked as slow."""
+    return [v if v in quick else pytest.param(v, marks=pytest.mark.slow) for v in values]

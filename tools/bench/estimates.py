@@ -1,0 +1,219 @@
+"""How well the time of a bake is foretold: the table of docs/performance.md, Estimates.
+
+    python -m tools.bench.estimates [--only TEXT]... [--json FILE]
+
+Thirty pairs of an asset and a preset are baked with about a thousand particles on one thread, each
+by the program in a process of its own.  The estimate is the one that the bake says before it
+begins; it is compared with the CPU seconds of all its processes, which other programs on the
+machine disturb less than the time that passes.  Kernels are compiled before: a pair of each law is
+baked once without being measured.  Exit status 1 if fewer than 90 % are within a factor of two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = ROOT / "samples"
+FACTOR, SHARE = 2.0, 0.9  # of what is asked for
+PARTICLES = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """An asset and a preset."""
+
+    asset: str  # of ASSETS
+    preset: str
+    options: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return " ".join((self.asset, self.preset, *self.options))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a bake was said to take, and what it took."""
+
+    pair: Pair
+    estimate: float  # [s]
+    took: float  # [s] of the CPU
+    passed: float  # [s]
+    substeps: int
+    foretold: float  # substeps
+
+    @property
+    def ratio(self) -> float:
+        return self.took / self.estimate
+
+
+def _mesh(path: Path, make: str, **size: Any) -> None:
+    """A closed surface of trimesh, in meters."""
+    import trimesh
+
+    made = getattr(trimesh.creation, make)(**size)
+    made.export(path)
+
+
+# Files that are made for this, in meters: how each is written into a folder.
+MADE: Mapping[str, Callable[[Path], None]] = {
+    "ball.obj": lambda path: _mesh(path, "icosphere", subdivisions=3, radius=0.3),
+    "cube.stl": lambda path: _mesh(path, "box", extents=(0.5, 0.5, 0.5)),
+    "ring.ply": lambda path: _mesh(path, "torus", major_radius=0.4, minor_radius=0.15),
+    "rod.obj": lambda path: _mesh(path, "cylinder", radius=0.1, height=1.0),
+    "slab.glb": lambda path: _mesh(path, "box", extents=(1.0, 0.15, 0.8)),
+}
+FLAT = ("--drop", "1r")
+SHORT = ("--frames", "7")
+PAIRS = (
+    Pair(asset="duck.usda", preset="rubber"),
+    Pair(asset="duck.usda", preset="jelly"),
+    Pair(asset="duck.usda", preset="metal"),
+    Pair(asset="duck.usda", preset="foam"),
+    Pair(asset="duck.usda", preset="gelatin"),
+    Pair(asset="duck.usda", preset="mild-steel", options=("--frames", "5")),
+    Pair(asset="sphere.usda", preset="rubber"),
+    Pair(asset="sphere.usda", preset="clay"),
+    Pair(asset="sphere.usda", preset="jelly", options=("--frames", "200")),
+    Pair(asset="sphere.usda", preset="natural-rubber"),
+    Pair(asset="sphere.usda", preset="wet-clay"),
+    Pair(asset="creature.usda", preset="rubber"),
+    Pair(asset="creature.usda", preset="soft-silicone"),
+    Pair(asset="creature.usda", preset="dented"),
+    Pair(asset="ten_ducks.usda", preset="rubber"),
+    Pair(asset="ten_ducks.usda", preset="jelly"),
+    Pair(asset="ball.obj", preset="metal"),
+    Pair(asset="ball.obj", preset="dough"),
+    Pair(asset="ball.obj", preset="styrofoam"),
+    Pair(asset="ball.obj", preset="hard-rubber", options=FLAT),
+    Pair(asset="cube.stl", preset="rubber"),
+    Pair(asset="cube.stl", preset="modelling-clay"),
+    Pair(asset="cube.stl", preset="lead", options=(*FLAT, "--frames", "10")),
+    Pair(asset="ring.ply", preset="rubber"),
+    Pair(asset="ring.ply", preset="neoprene"),
+    Pair(asset="ring.ply", preset="polyurethane-foam", options=FLAT),
+    Pair(asset="rod.obj", preset="silicone"),
+    Pair(asset="rod.obj", preset="wax", options=(*FLAT, "--frames", "20")),
+    Pair(asset="slab.glb", preset="jelly"),
+    Pair(asset="slab.glb", preset="foam"),
+)
+
+
+def make(folder: Path, asset: str) -> Path:
+    """The file of an asset, written if it is not one of the samples."""
+    if asset not in MADE:
+        return SAMPLES / asset
+    path = folder / asset
+    if not path.exists():
+        MADE[asset](path)
+    return path
+
+
+def cpu() -> float:
+    """[s] that processes of this one have used and ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def bake(pair: Pair, folder: Path) -> Outcome:
+    """One bake, measured."""
+    events, out = folder / "events.ndjson", folder / "out"
+    words = [
+        *("bake", str(make(folder, pair.asset)), "--material", pair.preset, "--quiet"),
+        *("--particles", str(PARTICLES), "--threads", "1", "--max-hours", "1000", "--overwrite"),
+        *("--events", str(events), "-o", f"{out}/", *pair.options),
+    ]
+    out.mkdir(exist_ok=True)
+    before, began = cpu(), time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, check=False
+    )
+    took, passed = cpu() - before, time.perf_counter() - began
+    if done.returncode:
+        raise SystemExit(f"{pair.name}: {done.stderr}")
+    said = {row["event"]: row for row in map(json.loads, events.read_text().splitlines())}
+    plan, finished = said["plan"], said["finished"]
+    (each,) = plan["per_material"]
+    return Outcome(
+        pair=pair,
+        estimate=float(plan["estimated_seconds"]),
+        took=took,
+        passed=passed,
+        substeps=int(finished["bakes"][0]["health"]["substeps"]),
+        foretold=float(each.get("substeps", each["substeps_per_frame"] * (plan["frames"] - 1))),
+    )
+
+
+def warm(pairs: Sequence[Pair], folder: Path) -> None:
+    """Have the kernels of every law compiled."""
+    from gf_usd.core.materials import find_preset
+
+    seen = set()
+    for pair in pairs:
+        law = find_preset(pair.preset).material(0.1).law
+        # Self-contact and several bodies have kernels of their own.
+        kind = law, pair.asset in MADE or pair.asset == "sphere.usda"
+        if kind not in seen:
+            seen.add(kind)
+            bake(Pair(asset=pair.asset, preset=pair.preset, options=("--frames", "2")), folder)
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """Rows of Markdown."""
+    lines = [
+        "| asset | preset | estimate [s] | taken [s] | ratio | substeps, foretold | done |",
+        "|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for one in outcomes:
+        preset = " ".join((one.pair.preset, *one.pair.options))
+        lines.append(
+            f"| {one.pair.asset} | {preset} | {one.estimate:.1f} | {one.took:.1f}"
+            f" | {one.ratio:.2f} | {one.foretold:.0f} | {one.substeps} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Compare estimates with the time that bakes take.")
+    parser.add_argument("--only", action="append", default=[], help="pairs with this in the name")
+    parser.add_argument("--json", type=Path, help="write the figures to this file as well")
+    parser.add_argument("--cold", action="store_true", help="kernels are compiled already")
+    given = parser.parse_args()
+    pairs = [p for p in PAIRS if not given.only or any(text in p.name for text in given.only)]
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if not given.cold:
+            warm(pairs, folder)
+        for pair in pairs:
+            one = bake(pair, folder)
+            outcomes.append(one)
+            print(
+                f"{pair.name}: {one.estimate:.1f} s said, {one.took:.1f} s taken"
+                f" ({one.ratio:.2f}), {one.substeps} substeps of {one.foretold:.0f},"
+                f" {one.passed:.1f} s passed",
+                file=sys.stderr, flush=True,
+            )  # fmt: skip
+            if given.json:
+                given.json.write_text(
+                    json.dumps([vars(o) | {"pair": o.pair.name} for o in outcomes])
+                )
+    print(table(outcomes))
+    within = sum(1.0 / FACTOR <= one.ratio <= FACTOR for one in outcomes)
+    print(f"\n{within} of {len(outcomes)} within a factor of {FACTOR:g}")
+    return int(within < SHARE * len(outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
