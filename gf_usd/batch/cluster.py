@@ -18,6 +18,7 @@ from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.core.errors import UsageError
 from gf_usd.system.fingerprint import program
 from gf_usd.system.processes import Children
+from gf_usd.system.warm.workers import Commands
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -160,7 +161,7 @@ def _work(
     outcome = run_job(
         this,
         Limits(**{**limits, "patience": PATIENCE}),
-        children=children,
+        commands=Commands(children),
         table=table,
         emit=lambda event: worker.log_event(topic, event),
     )

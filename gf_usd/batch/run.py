@@ -19,7 +19,7 @@ from gf_usd.pipeline.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
 from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children
-from gf_usd.system.workers import warm_workers
+from gf_usd.system.warm.workers import commands
 
 BEAT = 0.25  # [s] between looks at the clock, for whoever draws
 
@@ -39,16 +39,15 @@ def run_here(
     events: queue.Queue[Event] = queue.Queue()
     table = InputTable(children)
     with (
-        warm_workers(children, warm) as workers,
+        commands(children, warm=warm) as running,
         ThreadPoolExecutor(max_workers=at_once) as pool,
     ):
         # one child reads the assets of all jobs: starting it costs more than most assets do
         pool.submit(table.read, [path for job in jobs for path in read_by(job)])
         for job in jobs:
             future = pool.submit(
-                run_job, job, limits, children=children, table=table, emit=events.put,
-                workers=workers,
-            )  # fmt: skip
+                run_job, job, limits, commands=running, table=table, emit=events.put
+            )
             future.add_done_callback(lambda done, job=job: events.put(_end(job, done)))
         yield from hear(events, len(jobs))
 

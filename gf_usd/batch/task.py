@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +25,8 @@ from gf_usd.batch.verdict import Bake, judge
 from gf_usd.core.errors import GfUsdError
 from gf_usd.prepare.outputs import outputs
 from gf_usd.system.file_locks import Held, acquire
-from gf_usd.system.processes import Children, Ended
-from gf_usd.system.workers import Workers
+from gf_usd.system.processes import Ended
+from gf_usd.system.warm.workers import Commands, listening
 
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
@@ -55,29 +51,25 @@ def run_job(
     job: Job,
     limits: Limits,
     *,
-    children: Children,
+    commands: Commands,
     table: InputTable,
     emit: Emit,
-    workers: Workers | None = None,
 ) -> Outcome:
-    """Bake, unless the same is there already; nothing that happens to a bake raises.
-
-    workers : run the bake in a warm process; None: in a process of its own.
-    """
-    if children.stopping:
+    """Bake, unless the same is there already; nothing that happens to a bake raises."""
+    if commands.stopping:
         return _none(job, "stopped", "interrupted before it began")
     try:
-        held = acquire(job.root, patience=limits.patience, stopped=lambda: children.stopping)
+        held = acquire(job.root, patience=limits.patience, stopped=lambda: commands.stopping)
     except GfUsdError as error:
         return _none(job, "failed", error.message, error.hint)
     if held is None:
-        if children.stopping:
+        if commands.stopping:
             return _none(job, "stopped", "interrupted before it began")
         return _none(
             job, "busy", f"another run is baking {job.root}", "repeat the batch when it is done"
         )
     try:
-        return _run_locked(job, limits, held, children, workers, table, emit)
+        return _run_locked(job, limits, held, commands, table, emit)
     finally:
         held.release()
 
@@ -86,8 +78,7 @@ def _run_locked(
     job: Job,
     limits: Limits,
     held: Held,
-    children: Children,
-    workers: Workers | None,
+    commands: Commands,
     table: InputTable,
     emit: Emit,
 ) -> Outcome:
@@ -107,7 +98,7 @@ def _run_locked(
         return told
     before = stamps(inputs)
     seconds, cpu = spent(job, known)
-    outcome, files = _attempts(job, limits, held, children, workers, emit)
+    outcome, files = _attempts(job, limits, held, commands, emit)
     outcome = replace(
         outcome,
         host=socket.gethostname(),
@@ -135,7 +126,7 @@ def _run_locked(
 
 
 def _attempts(
-    job: Job, limits: Limits, held: Held, children: Children, workers: Workers | None, emit: Emit
+    job: Job, limits: Limits, held: Held, commands: Commands, emit: Emit
 ) -> tuple[Outcome, tuple[Path, ...]]:
     """Run the bake until it ends by itself or the retries are used up."""
     seconds = cpu = 0.0
@@ -145,7 +136,7 @@ def _attempts(
         began = time.monotonic()
         emit({"event": "started", "job": job.name, "attempt": attempt, "command": job.command})
         watch = _Watch(job, emit)
-        ended = _bake(job, limits, held, children, workers, watch)
+        ended = _bake(job, limits, held, commands, watch)
         if ended is None:
             return _none(job, "stopped", "interrupted before it began"), ()
         seconds += time.monotonic() - began
@@ -156,16 +147,14 @@ def _attempts(
             frames=bake.outcome.frames or watch.done, particles=watch.particles,
             frames_per_second=watch.rate,
         )  # fmt: skip
-        if outcome.state not in AGAIN or attempt > limits.retries or children.stopping:
+        if outcome.state not in AGAIN or attempt > limits.retries or commands.stopping:
             return outcome, bake.files
         emit({"event": "retry", "job": job.name, "attempt": attempt, "why": outcome.message})
         # what killed it, memory for one, may have passed by then
-        children.pause(min(float(attempt), 5.0))
+        commands.pause(min(float(attempt), 5.0))
 
 
-def _bake(
-    job: Job, limits: Limits, held: Held, children: Children, workers: Workers | None, watch: _Watch
-) -> Ended | None:
+def _bake(job: Job, limits: Limits, held: Held, commands: Commands, watch: _Watch) -> Ended | None:
     """One attempt; None where no more is to be started."""
     arguments = [*job.arguments(), "--overwrite"]
     if "threads" not in job.options and limits.threads:
@@ -178,45 +167,17 @@ def _bake(
     source = outputs(job.asset, job.looks, str(job.root)).source
     shared = None
     if source is not None:
-        shared = acquire(source, patience=float("inf"), stopped=lambda: children.stopping)
+        shared = acquire(source, patience=float("inf"), stopped=lambda: commands.stopping)
         if shared is None:
             return None
     watch.shared = shared
     locks = [lock.descriptor for lock in (held, shared) if lock is not None]
     try:
-        with _listening(watch) as writer:
-            if workers is not None:
-                return workers.run(
-                    arguments, lambda line: None, events=writer, timeout=limits.timeout,
-                    inherit=locks,
-                )  # fmt: skip
-            command = [sys.executable, "-m", "gf_usd", *arguments, "--events", str(writer)]
-            return children.run(
-                command, lambda line: None, timeout=limits.timeout, inherit=[*locks, writer]
-            )
+        with listening(lambda line: watch(json.loads(line))) as writer:
+            return commands.run(arguments, events=writer, timeout=limits.timeout, inherit=locks)
     finally:
         if shared is not None:
             shared.release()
-
-
-@contextmanager
-def _listening(heard: Callable[[dict[str, Any]], None]) -> Iterator[int]:
-    """A file descriptor for the events of a process; all are heard when the context ends."""
-    reader, writer = os.pipe()
-
-    def listen() -> None:
-        with open(reader, encoding="utf-8", errors="replace") as lines:
-            for line in lines:
-                if line.endswith("\n"):  # one that a crash cut short says nothing
-                    heard(json.loads(line))
-
-    thread = threading.Thread(target=listen, name="gf-usd events", daemon=True)
-    thread.start()
-    try:
-        yield writer
-    finally:
-        os.close(writer)
-        thread.join()
 
 
 class _Watch:

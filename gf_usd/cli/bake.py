@@ -33,6 +33,9 @@ def bake(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Bake in a warm process of a running gf-usd serve.")
+    ] = False,
     help_all: Annotated[
         bool,
         typer.Option(
@@ -50,6 +53,17 @@ def bake(
     NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
     glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
     """
+    if as_json and events == STDOUT:
+        raise UsageError("--json and --events - both want stdout", "give --events a file")
+    if serve:
+        if dry_run or verbose:
+            raise UsageError(
+                "--serve bakes, and shows no plan", "leave out --dry-run and --verbose"
+            )
+        from gf_usd.cli.serve import bake_by_server
+
+        bake_by_server(asset, options, as_json=as_json, quiet=quiet, events=events)
+        return
     from gf_usd.cli.console import announce, progress, show_plan, summarize
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import prepare, run
@@ -59,8 +73,6 @@ def bake(
     strict, max_hours, slice = (options.pop(name) for name in ("strict", "max_hours", "slice"))
     options["limits"] = parse_limits(options["limits"])
     options["overwrite"] |= dry_run  # which replaces nothing
-    if as_json and events == STDOUT:
-        raise UsageError("--json and --events - both want stdout", "give --events a file")
     shown = not quiet and not dry_run
     with event_stream(events) as emit:
         emit("started", asset=str(asset), version=__version__, pid=os.getpid())

@@ -29,9 +29,10 @@ from gf_usd.cli.misuse import WrongUsage, usage_words
 from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
+from gf_usd.cli.serve import serve
 from gf_usd.cli.topics import topic
 from gf_usd.cli.verify import verify
-from gf_usd.cli.worker import serve
+from gf_usd.cli.worker import follow, make_ready
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, Unfinished
 from gf_usd.system.processes import end_with_parent
@@ -41,6 +42,7 @@ STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "termin
 COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "bake": (bake, {}),
     "batch": (batch, {}),
+    "serve": (serve, {}),
     "inspect": (inspect, {}),
     "inputs": (inputs, {}),
     "preview": (preview, {}),
@@ -144,9 +146,14 @@ def execute(arguments: Sequence[str]) -> int:
     return 0
 
 
-def worker(descriptor: Annotated[int, typer.Argument(help="Its socket.")]) -> None:
-    """Run the bakes of a batch one after the other."""
-    sys.exit(serve(descriptor, execute))
+def worker(
+    descriptor: Annotated[int, typer.Argument(help="Its socket.")],
+    ready: Annotated[bool, typer.Option("--ready", help="Import all before the first.")] = False,
+) -> None:
+    """Run the bakes of a batch or of a server one after the other."""
+    if ready:
+        make_ready()
+    sys.exit(follow(descriptor, execute))
 
 
 COMMANDS["worker"] = (worker, {"hidden": True})

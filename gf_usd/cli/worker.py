@@ -1,4 +1,4 @@
-"""gf-usd worker: the process behind `system.workers`, which runs one bake after the other."""
+"""gf-usd worker: the process behind `system.warm.workers`, which runs one bake after the other."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from typing import Any
 from gf_usd.cli import exit
 from gf_usd.system.file_locks import INHERITED
 from gf_usd.system.memory_and_disk import system_file
-from gf_usd.system.workers import receive, send
+from gf_usd.system.processes import peak_memory
+from gf_usd.system.warm.workers import receive, send
 
 SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 
 
-def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
+def follow(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
     """Run requests until the other end is closed; returns the exit status.
 
     command : runs ``gf-usd`` with arguments and returns the exit status.
@@ -32,7 +33,7 @@ def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
         while (asked := receive(end)) is not None:
             jobs += 1
             request, (stderr, *others) = asked
-            reply = _run(request["arguments"], stderr, others, quiet, command)
+            reply = _run(request, stderr, others, quiet, command)
             reply["last"] = (
                 reply["status"] not in SOUND or jobs == MOST_JOBS or _resident() > MOST_MEMORY
             )
@@ -42,8 +43,19 @@ def serve(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
     return 0
 
 
+def make_ready() -> None:
+    """Import what a bake needs, so that the first does not wait for it."""
+    from gf_usd.layers import cache, root  # noqa: F401
+    from gf_usd.layers.check import run as checks  # noqa: F401
+    from gf_usd.physics import solvers  # noqa: F401
+    from gf_usd.pipeline import run  # noqa: F401
+    from gf_usd.system.taichi_runtime import import_taichi
+
+    import_taichi()
+
+
 def _run(
-    arguments: Sequence[str],
+    request: dict[str, Any],
     stderr: int,
     others: Sequence[int],
     quiet: int,
@@ -57,9 +69,10 @@ def _run(
     os.close(stderr)
     os.environ[INHERITED] = ",".join(map(str, locks))
     exit.watch(())
+    os.chdir(request["folder"])
     # the command takes the descriptor for its own, and closes it
     given = os.dup(events)
-    status = command([*arguments, "--events", str(given)])
+    status = command([*request["arguments"], "--events", str(given)])
     gc.collect()
     sys.stderr.flush()
     if _same_file(given, events):  # it ended before that
@@ -91,8 +104,7 @@ def _forget_peak() -> None:
 
 def _peak() -> int:
     """[bytes] the most that was in use since `_forget_peak`, or since the process began."""
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return _status("VmHWM") or own * (1 if sys.platform == "darwin" else 1024)
+    return _status("VmHWM") or peak_memory(resource.getrusage(resource.RUSAGE_SELF))
 
 
 def _resident() -> int:

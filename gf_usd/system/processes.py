@@ -12,13 +12,17 @@ import io
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import IO, TypeVar
+from typing import IO, TYPE_CHECKING, TypeVar
 
 from gf_usd.system.file_locks import INHERITED
+
+if TYPE_CHECKING:
+    from resource import struct_rusage
 
 TAIL = 6000  # characters of stderr that are kept
 GRACE = 10.0  # [s] between the request to end and the end
@@ -40,6 +44,11 @@ class Ended:
     timed_out: bool
     stopped: bool  # by `Child.stop`
     reply: bytes = b""  # stdout of a child whose output is binary; `out` is empty then
+
+
+def peak_memory(usage: struct_rusage) -> int:
+    """[bytes] the most that was in use at once: macOS counts bytes, other systems kilobytes."""
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 class Process:
@@ -106,8 +115,7 @@ class Process:
         with self._lock:
             self._reaped = True
         self._process.returncode = os.waitstatus_to_exitcode(code)
-        memory = usage.ru_maxrss * (1 if os.uname().sysname == "Darwin" else 1024)
-        return self._process.returncode, usage.ru_utime + usage.ru_stime, memory
+        return self._process.returncode, usage.ru_utime + usage.ru_stime, peak_memory(usage)
 
     @contextlib.contextmanager
     def _timed(self, timeout: float | None) -> Iterator[None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from client_assets import Baked, bake_blocks, bake_duck, bake_obj
+from client_assets import Baked, bake_arm, bake_blocks, bake_duck, bake_obj
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,6 +20,12 @@ def duck(tmp_path_factory: pytest.TempPathFactory) -> Baked:
 def blocks(tmp_path_factory: pytest.TempPathFactory) -> Baked:
     """Centimeters, Z up, 30 fps, nested, turned, unevenly scaled and mirrored meshes."""
     return bake_blocks(tmp_path_factory.mktemp("blocks"))
+
+
+@pytest.fixture(scope="session")
+def character(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """Flesh on a skeleton, which must not pose it a second time."""
+    return bake_arm(tmp_path_factory.mktemp("character"))
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from arm import LAST, arm
+from arm import write as write_arm
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 import gf_usd
@@ -71,6 +73,12 @@ def bake_blocks(folder: Path, combine: bool = True) -> Baked:
         _block(stage, f"/Blocks/{name}/Mesh")
     stage.Save()
     return _bake(asset, material="jelly", drop="0.1r", combine=combine)
+
+
+def bake_arm(folder: Path) -> Baked:
+    """The flesh of an arm whose skeleton bends it: the file binds it, the bake may not."""
+    asset = write_arm(folder, arm())
+    return _bake(asset, material="jelly", flesh=True, frames=LAST)
 
 
 def bake_obj(folder: Path) -> Baked:
@@ -199,7 +207,7 @@ def _material(stage: Usd.Stage, path: str, color: tuple[float, ...]) -> UsdShade
 
 def _bake(asset: Path, **options: object) -> Baked:
     out = asset.parent / f"{asset.stem}.baked.usda"
-    done = gf_usd.bake(asset, output=out, particles=300, frames=FRAMES, **options)
+    done = gf_usd.bake(asset, output=out, **{"particles": 300, "frames": FRAMES, **options})
     assert not done.findings, done.findings
     (source,) = (
         asset.parent.glob(f"{asset.stem}.source.usdc") if asset.suffix == ".obj" else [asset]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import igl
@@ -10,7 +11,7 @@ from solids import look, settings, solid, surface
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Frame
-from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec
+from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Pin
 from gf_usd.geometry.connected.bodies import find_bodies
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
@@ -29,6 +30,7 @@ def meeting(
     through: frozenset[tuple[int, int]] = frozenset(),
     through_colliders: frozenset[tuple[int, int]] = frozenset(),
     self_contact: bool = False,
+    pins: Sequence[Pin] = (),
     changes: dict[str, Any] | None = None,
     **said: Any,
 ) -> TotalLagrangian:
@@ -47,6 +49,7 @@ def meeting(
         embedded={s.path: s.points for s in surfaces},
         embedded_body={s.path: int(k) for s, k in zip(surfaces, of)},
         velocity=velocity,
+        pins=pins,
         contact_setup=ContactSetup(
             skins=skins(made, of),
             colliders=colliders,

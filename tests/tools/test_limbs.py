@@ -9,7 +9,7 @@ from pxr import Usd, UsdGeom
 from solids import CUBE_POINTS, CUBE_TRIANGLES
 
 from gf_usd.core.mesh import boundary_edges, signed_volume, weld
-from tools.acceptance.limbs import share_inside, triangles_at_the_end
+from tools.acceptance.limbs import moved, share_inside
 
 
 @pytest.mark.parametrize("name", LIMBED)
@@ -45,8 +45,8 @@ def test_the_last_frame_in_the_world_is_read_in_triangles() -> None:
     mesh.GetFaceVertexCountsAttr().Set([4, 3])
     mesh.GetFaceVertexIndicesAttr().Set([0, 1, 2, 3, 1, 4, 2])
     UsdGeom.Mesh.Define(stage, "/Still")
-    points, triangles = triangles_at_the_end(stage)
+    points, triangles = moved(stage)
     np.testing.assert_allclose(points, 2.0 * square + [0.0, 5.0, 0.0])
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [1, 4, 2]]
     mesh.GetOrientationAttr().Set(UsdGeom.Tokens.leftHanded)
-    assert triangles_at_the_end(stage)[1].tolist() == [[2, 1, 0], [3, 2, 0], [2, 4, 1]]
+    assert moved(stage)[1].tolist() == [[2, 1, 0], [3, 2, 0], [2, 4, 1]]

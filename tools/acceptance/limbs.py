@@ -58,20 +58,22 @@ class Ran:
     fault: str = ""  # "" if it was sound
 
 
-def triangles_at_the_end(stage: Usd.Stage) -> tuple[Any, Any]:
-    """Points (n, 3) in the world and triangles (t, 3) of the animated meshes, at their last frame.
+def moved(stage: Usd.Stage, time: float | None = None) -> tuple[Any, Any]:
+    """Points (n, 3) in the world and triangles (t, 3) of the animated meshes.
 
-    Polygons are fans; faces of meshes that are left handed are turned.
+    time : time code; None: of the last sample of each.  Polygons are fans; faces of meshes that are
+    left handed are turned.
     """
     points, triangles, count = [], [], 0
     for prim in stage.Traverse():
         mesh = UsdGeom.Mesh(prim)
         if not mesh or not (times := mesh.GetPointsAttr().GetTimeSamples()):
             continue
-        world = np.array(UsdGeom.XformCache(times[-1]).GetLocalToWorldTransform(prim))
-        X = np.array(mesh.GetPointsAttr().Get(times[-1]), float)
-        corners = np.array(mesh.GetFaceVertexCountsAttr().Get(times[-1]))
-        index = np.array(mesh.GetFaceVertexIndicesAttr().Get(times[-1]))
+        at = times[-1] if time is None else time
+        world = np.array(UsdGeom.XformCache(at).GetLocalToWorldTransform(prim))
+        X = np.array(mesh.GetPointsAttr().Get(at), float)
+        corners = np.array(mesh.GetFaceVertexCountsAttr().Get(at))
+        index = np.array(mesh.GetFaceVertexIndicesAttr().Get(at))
         first = np.cumsum(corners) - corners
         fan = np.repeat(first, corners - 2)
         step = np.arange(len(fan)) - np.repeat(np.cumsum(corners - 2) - (corners - 2), corners - 2)
@@ -112,7 +114,7 @@ def bake(name: str, look: str, file: Path, folder: Path) -> Ran:
     report = json.loads(printed)
     health = report["bakes"][0]["health"]
     stage = Usd.Stage.Open(report["root"])
-    inside = share_inside(*triangles_at_the_end(stage))
+    inside = share_inside(*moved(stage))
     faults = [f"warning: {w['message']}" for w in report["warnings"]]
     if inside > INSIDE:
         faults.append(f"{100.0 * inside:.2g} % of the surface lies inside at the end")

@@ -123,8 +123,8 @@ def walk(frame: int) -> dict[str, tuple[float, float, float]]:
         lifted = max(0.0, sign * c)  # the leg that comes forward
         pose[f"Leg{side}"] = (-30.0 * swing - 14.0 * lifted, 0.0, -5.0 * c)
         pose[f"Foot{side}"] = (22.0 * swing + 20.0 * lifted, 0.0, -2.0 * c)
-        pose[f"Arm{side}"] = (32.0 * swing, 0.0, -sign * (38.0 + 4.0 * np.cos(2.0 * phase)))
-        pose[f"Hand{side}"] = (10.0 * swing, 0.0, -sign * 12.0)
+        pose[f"Arm{side}"] = (32.0 * swing, 0.0, -sign * (28.0 + 4.0 * np.cos(2.0 * phase)))
+        pose[f"Hand{side}"] = (10.0 * swing, 0.0, -sign * 8.0)
         pose[f"Ear{side}"] = (0.0, 0.0, sign * 4.0 * np.cos(2.0 * phase))
     return pose
 

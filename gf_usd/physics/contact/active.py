@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.floor import move_springs
+from gf_usd.physics.contact.floor import DRIFT, GIVEN_ROW, HEIGHT, WORK, move_springs
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State
 
@@ -17,6 +17,7 @@ class ActiveSamples:
         self._body = body
         self._active: tuple[Ints, Ints] | None = None  # what the device holds
         self._height = np.zeros(0)  # [m] of the samples over the floor, without u and the offset
+        self._drift = 0.0  # [m/s] toward the floor that pins give the fastest of them
 
     def near_floor(self, state: State) -> Ints:
         """The samples within reach of the floor; clears what all of them noticed."""
@@ -28,7 +29,7 @@ class ActiveSamples:
         if contact.constants is not None:
             c, rate = now.constants
             self._height += contact.constants @ ((c + 0.5 * span * rate) @ normal)
-            state.put("sample_height", self._height)
+            self._drift = float(np.abs(contact.constants @ (rate @ normal)).max(initial=0.0))
         state.clear("sample_force", "sample_depth", "sample_capped")
         return self._within(state, span)
 
@@ -43,7 +44,7 @@ class ActiveSamples:
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal
         assert contact is not None
         now = state.view()
-        speed = float(np.abs(now.v @ normal).max())
+        speed = float(np.abs(now.v @ normal).max()) + self._drift
         g = abs(float(np.dot(body.settings.gravity, normal)))
         reach = 2.0 * span * (speed + g * span) + body.particles.spacing
         height = self._height + float(state.offset @ normal) + contact.rows.W @ (now.u @ normal)
@@ -66,16 +67,18 @@ class ActiveSamples:
 
         move_springs(state, velocity, body.settings.normal, time)
 
-    def select(self, state: State, near: Ints, meeting: Ints) -> int:
+    def select(self, state: State, near: Ints, meeting: Ints, dt: float) -> int:
         """Have the kernels look at these samples and no others; returns how many there are.
 
         near, meeting : (k,) ascending, those that the floor may reach and those that face a body or
         an obstacle or carry a plane.  The nodes' side is W^T of both alone: the others would be
-        summed as zeros, substep by substep.
+        summed as zeros, substep by substep.  dt : [s] of the substeps to come.
         """
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
+        if self._body.options.driven and self._body.settings.floor is not None:
+            self._drive(state, dt)
         samples = np.union1d(near, meeting) if len(meeting) else near
         if self._active is None or not _same(self._active, (samples, meeting)):
             self._active = samples, meeting
@@ -86,6 +89,19 @@ class ActiveSamples:
             state.put_first("node_sample_weight", of_nodes.data)
             state.put("node_sample_start", of_nodes.indptr)
         return len(samples)
+
+    def _drive(self, state: State, dt: float) -> None:
+        """Tell the kernels where pins have the samples in the middle of the first substep."""
+        body, contact, normal = self._body, self._body.contact, self._body.settings.normal
+        assert contact is not None
+        assert contact.constants is not None
+        c, rate = state.view().constants
+        height = contact.rows.X @ normal - floor_height(body.settings)
+        height += contact.constants @ ((c + 0.5 * dt * rate) @ normal)
+        given = state.rows("sample_given", GIVEN_ROW)
+        given[:, HEIGHT] = height
+        given[:, DRIFT:WORK] = contact.constants @ rate
+        state.put("sample_given", given)
 
 
 def _same(a: tuple[Ints, Ints], b: tuple[Ints, Ints]) -> bool:

@@ -42,6 +42,10 @@ REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for,
 # A kernel takes few arrays: what is constant of a sample stands in one row of `sample_constants`.
 FLOOR_ROW = 5
 K, C, K_T, MU, M_S = range(FLOOR_ROW)  # [N/m], [N s/m], [N/m] along the floor, friction, [kg]
+# What pins give a sample: its height [m] over the floor without u and the offset, its velocity
+# [m/s], and the work [J] that they did on it.
+GIVEN_ROW = 5
+HEIGHT, DRIFT, WORK = 0, 1, 4
 
 
 @dataclass(frozen=True, kw_only=True)

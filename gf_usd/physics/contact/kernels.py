@@ -33,8 +33,9 @@ the number of threads.
 
 import taichi as ti
 
+from gf_usd.physics.contact import floor
 from gf_usd.physics.contact.carriers import FLAT
-from gf_usd.physics.contact.floor import FLOOR_ROW, K_T, M_S, MU, C, K
+from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, M_S, MU, C, K
 from gf_usd.physics.contact.narrow_phase import (
     DAMPING,
     DEPTH,
@@ -77,21 +78,33 @@ def keep(A: ti.template(), o, value):
 
 
 @ti.func
-def sample_contact(body: ti.template(), s, up, lift, dt):
-    """Force of the floor on sample s; lift is the height of the moving frame of u [m]."""
+def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
+    """Force of the floor on sample s; lift is the height of the moving frame of u [m].
+
+    driven : pins move samples, and what they give moves on.
+    """
     rise = lift * 0.0
+    drift = up * 0.0
     for e in range(body.sample_start[s], body.sample_start[s + 1]):
         n = body.sample_node[e] * 3
         x = up[0] * body.u[n] + up[1] * body.u[n + 1] + up[2] * body.u[n + 2]
         rise += body.sample_weight[e] * x
-    d = 0.0 - (body.sample_height[s] + lift + rise)
-    v = up * 0.0
+    o = GIVEN_ROW * s
+    d = 0.0 - (body.sample_given[o + HEIGHT] + lift + rise)
+    if ti.static(driven):
+        drift = row(body.sample_given, o + floor.DRIFT)
+        body.sample_given[o + HEIGHT] = body.sample_given[o + HEIGHT] + dt * drift.dot(up)
+    v = drift
     # Most that are watched are above the floor: their velocity is not asked for.
     if d > 0.0:
         for e in range(body.sample_start[s], body.sample_start[s + 1]):
             n = body.sample_node[e] * 3
             v += body.sample_weight[e] * ti.Vector([body.v[n], body.v[n + 1], body.v[n + 2]])
     floor_force(body, s, d, v, up, dt)
+    if ti.static(driven):
+        f = row(body.sample_force, 3 * s)
+        work = body.sample_given[o + floor.WORK]
+        body.sample_given[o + floor.WORK] = work - dt * f.dot(drift)
 
 
 @ti.func
@@ -257,10 +270,16 @@ def pair_contact(body: ti.template(), s, dt):
 
 
 @ti.func
-def pair_total(body: ti.template(), s):
-    """sample_force += own force + what comes back of those on the planes that s carries."""
-    f = row(body.sample_force, 3 * s) + row(body.pair, ROW * s + FORCE)
+def pair_total(body: ti.template(), s, dt, driven: ti.template()):
+    """sample_force += own force + what comes back of those on the planes that s carries.
+
+    driven : pins move samples; what they work against these forces is counted.
+    """
+    f = row(body.pair, ROW * s + FORCE)
     for e in range(body.links[LINKS * s + START], body.links[LINKS * (s + 1) + START]):
         entry = body.links[LINKS * (e // 3) + PAIR_FACING + e % 3]
         f += row(body.pair, ROW * (entry // 3) + REACTION + 3 * (entry % 3))
-    keep(body.sample_force, 3 * s, f)
+    if ti.static(driven):
+        o = ROW * s
+        body.pair[o + WORK] = body.pair[o + WORK] - dt * f.dot(row(body.pair, o + DRIFT))
+    keep(body.sample_force, 3 * s, row(body.sample_force, 3 * s) + f)

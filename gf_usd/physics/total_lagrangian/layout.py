@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact
+from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, FloorContact
 from gf_usd.physics.grid.mass import NodalMass
 from gf_usd.physics.grid.reference import Stencil
 
@@ -187,7 +187,7 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
     """The contact part of the pack; without a floor, one sample that is never active."""
     if contact is None:
         return {
-            "sample_height": np.zeros(1),
+            "sample_given": np.zeros(GIVEN_ROW),
             "sample_constants": np.zeros(FLOOR_ROW),
             "sample_start": np.zeros(2, int),
             "sample_node": np.zeros(1, int),
@@ -205,8 +205,10 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
     transposed = W.T.tocsr()
     transposed.sort_indices()
     n = W.shape[0]
+    given = np.zeros((n, GIVEN_ROW))
+    given[:, HEIGHT] = height
     return {
-        "sample_height": height,
+        "sample_given": given.ravel(),
         "sample_constants": contact.law.ravel(),
         "sample_start": W.indptr,
         "sample_node": W.indices,

@@ -36,6 +36,7 @@ class Options:
     plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
     slides: bool = False  # a pin holds some axes and lets the others slide
     goals: bool = False  # springs draw the nodes to a given pose
+    driven: bool = False  # pins move contact samples
 
 
 DEFAULT = Options()
@@ -47,6 +48,7 @@ def options_of(
     plain: bool = False,
     slides: bool = False,
     goals: bool = False,
+    driven: bool = False,
 ) -> Options:
     """The options that the settings ask for."""
     return Options(
@@ -58,6 +60,7 @@ def options_of(
         plain=plain,
         slides=slides,
         goals=goals,
+        driven=driven,
     )
 
 

@@ -173,8 +173,9 @@ def build_body(
         contact_setup = None
     plain = settings.device != "cpu" if plain is None else plain
     options = limits.options_of(
-        settings, contact_setup is not None, plain, stencil.factors is not None, goals is not None
-    )
+        settings, contact_setup is not None, plain, stencil.factors is not None, goals is not None,
+        driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
+    )  # fmt: skip
     step = largest_step(particles, h, contact, settings, per, frequency)
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())

@@ -124,7 +124,7 @@ class TotalLagrangian(Solver):
             dt = chunk * whole / parts
             if dt != last:  # springs stand where the forces before are taken, half a step back
                 self.active.move_springs(state, 0.5 * (last - dt))
-            watched = self.active.select(state, low, meeting)
+            watched = self.active.select(state, low, meeting, dt)
             active = max(active, watched)
             self.launches.run(state, parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt

@@ -15,7 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
-from gf_usd.physics.contact.floor import spring_energy
+from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
@@ -119,6 +119,10 @@ class State(DeviceState):
     def prescribe(self, index: int) -> None:
         """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
         self.clear("work")
+        if self._body.options.driven:
+            given = self.rows("sample_given", GIVEN_ROW)
+            given[:, WORK] = 0.0
+            self.put("sample_given", given)
         if goals := self._body.goals:
             self.put("goal", goals.between(index, self._body.settings.frame_time))
         pin_constraint, nodes = self._body.pin_constraint, self._body.stencil
@@ -137,7 +141,9 @@ class State(DeviceState):
     def work(self) -> float:
         """[J] that pins and goals did on the body since `prescribe`."""
         drawn = work_of(self.get("goal")) if self._body.goals else 0.0
-        return float(self.get("work").astype(float).sum()) + drawn
+        samples = self.get("sample_given").reshape(-1, GIVEN_ROW)[:, WORK]
+        held = self.get("work").astype(float).sum() + samples.astype(float).sum()
+        return float(held) + drawn
 
     def recenter(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""

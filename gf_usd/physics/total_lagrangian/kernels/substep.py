@@ -85,7 +85,7 @@ def pack_type(real, epoch: int):
     reals = (
         *("u", "v", "node_mass"),
         *("acceleration", "anchor", "anchor_rate", "work"),
-        *("sample_height", "sample_constants", "sample_spring"),
+        *("sample_given", "sample_constants", "sample_spring"),
         *("sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight", "slide", "springs"),
         *("numbers", "pair"),
@@ -180,11 +180,11 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         elif ti.static(part.name == "sample motion"):
             sample_motion(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "contact"):
-            sample_contact(body, body.sample_active[1 + n], up, lift, dt)
+            sample_contact(body, body.sample_active[1 + n], up, lift, dt, options.driven)
         elif ti.static(part.name == "pair contact"):
             pair_contact(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "pair total"):
-            pair_total(body, body.sample_active[1 + n])
+            pair_total(body, body.sample_active[1 + n], dt, options.driven)
         elif ti.static(part.name == "share"):
             follower_share(body, n, free, dt, options.plain, options.slides)
         elif ti.static(part.name == "move"):

@@ -79,7 +79,6 @@ class Worker(Process):
         request: dict[str, Any],
         descriptors: Sequence[int],
         stderr: tuple[int, int],
-        on_line: Callable[[str], None],
         timeout: float | None,
     ) -> Ended:
         """Run one command to its end.
@@ -94,7 +93,7 @@ class Worker(Process):
                 send(self._end, request, [writer, *descriptors])
             os.close(writer)
             with os.fdopen(reader, "rb") as lines:
-                tail = tail_of(lines, on_line)
+                tail = tail_of(lines, lambda line: None)
             answer = receive(self._end)
         if answer is not None and not answer[0]["last"]:
             reply = answer[0]
@@ -126,7 +125,7 @@ class Workers:
     Parameters
     ----------
     children : its `stop` ends the workers that run a command.
-    command : what starts a worker, which calls `cli.worker.serve`.
+    command : what starts a worker, which calls `cli.worker.follow`.
     """
 
     def __init__(self, children: Children, command: Sequence[str] = WORKER) -> None:
@@ -137,37 +136,46 @@ class Workers:
     def run(
         self,
         arguments: Sequence[str],
-        on_line: Callable[[str], None],
         *,
         events: int,
         timeout: float | None = None,
         inherit: Sequence[int] = (),
+        folder: str | None = None,
+        started: Callable[[Worker], None] = lambda worker: None,
     ) -> Ended | None:
         """Run ``gf-usd`` with these arguments; None where nothing is to be started any more.
 
         events : file descriptor to which it writes its events (`--events`).
         inherit : descriptors of locks that it holds while it runs.
+        folder : its working directory; None: the one of this process.
+        started : called with the process before the command begins.
         """
         stderr = os.pipe()
 
         def start() -> Worker:
             with self._lock:
-                if self._idle:
-                    return self._idle.pop()
-            return Worker(self._command, err=stderr[1])
+                worker = self._idle.pop() if self._idle else None
+            return worker or Worker(self._command, err=stderr[1])
 
         with self._children.running(start) as worker:
             if worker is None:
                 for descriptor in stderr:
                     os.close(descriptor)
                 return None
-            ended = worker.run(
-                {"arguments": list(arguments)}, [events, *inherit], stderr, on_line, timeout
-            )
+            started(worker)
+            request = {"arguments": list(arguments), "folder": folder or os.getcwd()}
+            ended = worker.run(request, [events, *inherit], stderr, timeout)
         if not worker.spent:
             with self._lock:
                 self._idle.append(worker)
         return ended
+
+    def start_one(self) -> None:
+        """Start a process before there is a command for it."""
+        with open(os.devnull, "wb") as quiet:
+            worker = Worker(self._command, err=quiet.fileno())
+        with self._lock:
+            self._idle.append(worker)
 
     def close(self) -> None:
         """End the workers, none of which runs a command."""
@@ -177,14 +185,72 @@ class Workers:
             worker.close()
 
 
+class Commands:
+    """Runs commands of gf-usd, each in a process of its own or in one of the warm processes.
+
+    Parameters
+    ----------
+    children : its `stop` ends the commands that run and keeps the others from starting.
+    workers : the warm processes; None: each command has a process of its own.
+    """
+
+    def __init__(self, children: Children, workers: Workers | None = None) -> None:
+        self._children, self._workers = children, workers
+        self.pause = children.pause
+
+    @property
+    def stopping(self) -> bool:
+        """Nothing more is to be started."""
+        return self._children.stopping
+
+    def run(
+        self,
+        arguments: Sequence[str],
+        *,
+        events: int,
+        timeout: float | None = None,
+        inherit: Sequence[int] = (),
+    ) -> Ended | None:
+        """Run ``gf-usd`` with these arguments; see `Workers.run`."""
+        if self._workers is not None:
+            return self._workers.run(arguments, events=events, timeout=timeout, inherit=inherit)
+        return self._children.run(
+            [sys.executable, "-m", "gf_usd", *arguments, "--events", str(events)],
+            lambda line: None, timeout=timeout, inherit=[*inherit, events],
+        )  # fmt: skip
+
+
 @contextlib.contextmanager
-def warm_workers(children: Children, wanted: bool) -> Iterator[Workers | None]:
-    """Workers for a block; None where they are not wanted, or the system passes no descriptors."""
-    if not wanted or not AVAILABLE:
-        yield None
+def commands(children: Children, *, warm: bool) -> Iterator[Commands]:
+    """Commands for a block, in warm processes where they are wanted and the system has them."""
+    if not warm or not AVAILABLE:
+        yield Commands(children)
         return
     workers = Workers(children)
     try:
-        yield workers
+        yield Commands(children, workers)
     finally:
         workers.close()
+
+
+@contextlib.contextmanager
+def listening(heard: Callable[[str], None]) -> Iterator[int]:
+    """A file descriptor for the events of a process; all are heard when the context ends.
+
+    heard : called with each whole line, in a thread; one that a crash cut short is left out.
+    """
+    reader, writer = os.pipe()
+
+    def listen() -> None:
+        with open(reader, encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                if line.endswith("\n"):
+                    heard(line)
+
+    thread = threading.Thread(target=listen, name="gf-usd events", daemon=True)
+    thread.start()
+    try:
+        yield writer
+    finally:
+        os.close(writer)
+        thread.join()

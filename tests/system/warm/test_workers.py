@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import sys
@@ -10,42 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from warm_commands import SCRIPT
 
 from gf_usd.system.file_locks import acquire
 from gf_usd.system.processes import Children, Ended
-from gf_usd.system.workers import Workers, warm_workers
-
-# Commands of a worker in place of those of gf-usd, which take a second to load.
-SCRIPT = """
-import os, signal, sys, time
-from gf_usd.cli.worker import serve
-from gf_usd.system.file_locks import inherited
-from pathlib import Path
-
-def command(arguments):
-    name, *rest = arguments[: arguments.index("--events")]
-    if name == "early":
-        return 2
-    events = os.fdopen(int(arguments[-1]), "w")
-    events.write(f"{os.getpid()} {name}\\n")
-    events.close()
-    print("says", name, file=sys.stderr)
-    if name == "raise":
-        raise KeyError("unforeseen")
-    if name == "kill":
-        os.kill(os.getpid(), signal.SIGSEGV)
-    if name == "sleep":
-        time.sleep(60)
-    if name == "spin":
-        end = time.process_time() + 0.2
-        while time.process_time() < end:
-            pass
-    if name == "locked":
-        return 0 if inherited(Path(rest[0])) else 1
-    return int(rest[0]) if rest else 0
-
-sys.exit(serve(int(sys.argv[1]), command))
-"""
+from gf_usd.system.warm.workers import Workers
 
 
 @pytest.fixture
@@ -59,13 +29,13 @@ def run(workers: Workers, *arguments: str, **how: object) -> tuple[Ended, int]:
     """How a command ended, and the process that ran it."""
     reader, writer = os.pipe()
     try:
-        ended = workers.run(arguments, lambda line: None, events=writer, **how)  # type: ignore[arg-type]
+        ended = workers.run(arguments, events=writer, **how)  # type: ignore[arg-type]
     finally:
         os.close(writer)
         with os.fdopen(reader) as file:
             told = file.read()
     assert ended is not None
-    return ended, int(told.split()[0]) if told else 0
+    return ended, json.loads(told)["process"] if told else 0
 
 
 def test_commands_follow_each_other_in_one_process(workers: Workers) -> None:
@@ -89,7 +59,7 @@ def test_a_refusal_leaves_the_worker_and_a_failure_ends_it(workers: Workers) -> 
 
 def test_events_end_also_where_the_command_never_opened_them(workers: Workers) -> None:
     reader, writer = os.pipe()
-    ended = workers.run(["early"], lambda line: None, events=writer)
+    ended = workers.run(["early"], events=writer)
     os.close(writer)
     assert ended is not None
     assert ended.status == 2
@@ -139,11 +109,10 @@ def test_a_worker_holds_the_locks_that_it_is_given(workers: Workers, tmp_path: P
 
 def test_closing_ends_the_processes_and_leaves_no_descriptor() -> None:
     before = len(os.listdir("/proc/self/fd")) if Path("/proc").is_dir() else 0
-    with warm_workers(Children(), wanted=True) as workers:
-        assert workers is not None
-        workers._command = [sys.executable, "-c", SCRIPT]
-        _, pid = run(workers, "well")
-        assert os.kill(pid, 0) is None
+    workers = Workers(Children(), [sys.executable, "-c", SCRIPT])
+    _, pid = run(workers, "well")
+    assert os.kill(pid, 0) is None
+    workers.close()
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
     if before:
@@ -154,6 +123,6 @@ def test_nothing_is_started_once_it_is_time_to_stop() -> None:
     children = Children()
     children.stop()
     reader, writer = os.pipe()
-    assert Workers(children).run(["bake"], lambda line: None, events=writer) is None
+    assert Workers(children).run(["bake"], events=writer) is None
     os.close(reader)
     os.close(writer)

@@ -1,0 +1,202 @@
+"""gf-usd serve: bakes of other programs in warm processes; and the bake that uses it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gf_usd.cli.events import STDOUT, event_stream
+from gf_usd.core import __version__
+from gf_usd.core.errors import GfUsdError, UsageError
+
+if TYPE_CHECKING:
+    from gf_usd.system.warm.server import Server
+
+Socket = Annotated[
+    Path | None,
+    typer.Option("--socket", help="Where it listens.", show_default="GF_USD_SOCKET, else the"
+                 " user's runtime folder"),
+]  # fmt: skip
+STOPPED = (signal.SIGINT, signal.SIGTERM)
+READY = (sys.executable, "-m", "gf_usd", "worker", "--ready")
+
+
+def serve(
+    *,
+    socket: Socket = None,
+    at_once: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Bakes at once; others wait.")
+    ] = 1,
+    timeout: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Of a bake that gives none [s].", show_default="none"),
+    ] = None,
+    idle: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="End after so long without a bake [s].", show_default="never"),
+    ] = None,
+    status: Annotated[
+        bool, typer.Option("--status", help="Show what the running server does, as JSON.")
+    ] = False,
+    stop: Annotated[bool, typer.Option("--stop", help="End the running server.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors.")] = False,
+) -> None:
+    """Keep warm processes for the bakes of other programs, over a local socket.
+
+    The second bake starts at once: imports, kernels and caches are loaded.  Programs send jobs as
+    JSON (docs/farm.md); from a shell: gf-usd bake --serve.
+    """
+    from gf_usd.system.warm.local_socket import listening_socket, require_available, socket_path
+
+    require_available()
+    path = (socket or socket_path()).absolute()
+    if status or stop:
+        _ask(path, stop=stop)
+        return
+    from gf_usd.system.processes import Children
+    from gf_usd.system.warm.server import Server
+    from gf_usd.system.warm.workers import Workers
+
+    children = Children()
+    workers = Workers(children, READY)
+    server = Server(words_of, workers, children, at_once=at_once, timeout=timeout, idle=idle)
+    with listening_socket(path) as end:
+        for number in STOPPED:
+            signal.signal(number, lambda number, frame: _stop(server))
+        workers.start_one()
+        try:
+            if not quiet:
+                typer.echo(f"gf-usd {__version__} listens at {path} (process {os.getpid()})",
+                           err=True)  # fmt: skip
+            server.run(end)
+        finally:
+            workers.close()
+    if not quiet:
+        typer.echo("ended", err=True)
+
+
+def _stop(server: Server) -> None:
+    """End the server; a second signal ends the process at once."""
+    for number in STOPPED:
+        signal.signal(number, signal.SIG_DFL)
+    server.stop()
+
+
+def _ask(path: Path, *, stop: bool) -> None:
+    from gf_usd.system.warm.client import status
+
+    told = status(path, stop=stop)
+    if told is None:
+        raise UsageError(f"no gf-usd serve listens at {path}", "start one with: gf-usd serve")
+    typer.echo(json.dumps({k: v for k, v in told.items() if k not in ("event", "time")}))
+
+
+def words_of(request: Mapping[str, Any]) -> list[str]:
+    """The arguments of ``gf-usd`` for a request: a job of a batch, or the arguments themselves.
+
+    Raises UsageError for anything but a bake, and for a client of another version.
+    """
+    if (version := request.get("version", __version__)) != __version__:
+        raise UsageError(
+            f"the server is gf-usd {__version__}, and its client {version}",
+            "end it with gf-usd serve --stop, and start it again",
+        )
+    if "arguments" in request:
+        words = request["arguments"]
+        if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+            raise UsageError(f'"arguments" is {words!r}', "give a list of strings")
+        if words[:1] != ["bake"] or "--serve" in words:
+            raise UsageError(
+                f"{' '.join(words[:2])!r} is no bake", 'the first of "arguments" is "bake"'
+            )
+        return words
+    from gf_usd.batch.job import Job
+
+    named = {"asset", "root"} - request.keys()
+    if named or not isinstance(request.get("options", {}), dict):
+        raise UsageError(
+            f"a job has no {', '.join(sorted(named)) or 'object of options'}",
+            'give {"asset": PATH, "root": PATH, "options": {...}}, with absolute paths',
+        )
+    return Job.of({"name": "", "options": {}, **request}).arguments()
+
+
+def bake_by_server(
+    asset: Path, options: Mapping[str, Any], *, as_json: bool, quiet: bool, events: str | None
+) -> None:
+    """``gf-usd bake --serve``: bake in a warm process of the running server.
+
+    Raises UsageError where none runs, or one of another version; SystemExit where the bake fails.
+    """
+    from gf_usd.prepare.options.table import OPTIONS, arguments
+    from gf_usd.system.warm.client import events as events_of
+    from gf_usd.system.warm.local_socket import socket_path
+    from gf_usd.system.warm.server import ENDED
+
+    asked = {
+        k: v for k, v in options.items()
+        if v != (list(OPTIONS[k].default) if OPTIONS[k].repeated else OPTIONS[k].default)
+    }  # fmt: skip
+    request = {
+        "arguments": ["bake", str(asset), *arguments(asked)],
+        "folder": os.getcwd(),
+        "version": __version__,
+    }
+    last: dict[str, dict[str, Any]] = {}
+    warnings: list[dict[str, Any]] = []
+    with event_stream(events) as emit:
+        for event in events_of(socket_path(), request):
+            kind = event["event"]
+            last[kind] = event
+            if kind == "warning":
+                warnings.append(event)
+            if kind == ENDED:
+                break
+            emit(kind, **{k: v for k, v in event.items() if k not in ("event", "time")})
+            if not quiet:
+                _tell(event)
+    ended, result = last[ENDED], last.get("finished")
+    if result is not None:
+        if as_json:
+            shown = {k: v for k, v in result.items() if k not in ("event", "time")}
+            typer.echo(json.dumps(shown, indent=1))
+        elif not quiet and events != STDOUT:
+            typer.echo(_summary(result, warnings))
+    if ended["status"]:
+        typer.echo(_why(ended, last), err=True)
+        raise SystemExit(ended["status"])
+
+
+def _tell(event: Mapping[str, Any]) -> None:
+    """Notes, and the progress at every tenth of the way, on stderr."""
+    if event["event"] == "note":
+        typer.echo(f"note: {event['message']}", err=True)
+    elif event["event"] == "frame":
+        done, total = event["done"], event["total"]
+        if done % max(1, total // 10) == 0 or done == total:
+            typer.echo(f"frame {done}/{total}, {event['particles']} particles", err=True)
+
+
+def _summary(result: Mapping[str, Any], warnings: Sequence[Mapping[str, Any]]) -> str:
+    """What was written, and what is out of the ordinary."""
+    told = [f"warning: {w['look']}: {w['message']}\n  hint: {w['hint']}" for w in warnings]
+    particles, seconds = result["particles"], result["seconds"]
+    return "\n".join([*result["outputs"], f"{particles} particles, {seconds:.1f} s", *told])
+
+
+def _why(ended: Mapping[str, Any], last: Mapping[str, Mapping[str, Any]]) -> str:
+    """Why a bake did not succeed, in words."""
+    if ended["timed_out"]:
+        return "error: it took longer than the timeout of the server"
+    if "sliced" in last:
+        return f"{last['sliced']['done']} of {last['sliced']['frames']} frames are done"
+    if "error" in last:
+        return f"error: {GfUsdError(last['error']['message'], last['error']['hint'])}"
+    return f"error: its process ended with status {ended['status']}: {ended['log'][-300:].strip()}"

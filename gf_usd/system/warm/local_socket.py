@@ -1,0 +1,127 @@
+"""A socket in the file system that only the user who owns it may use."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.system.file_locks import acquire
+
+AVAILABLE = hasattr(socket, "AF_UNIX") and os.name == "posix"
+VARIABLE = "GF_USD_SOCKET"  # environment variable with another path
+PRIVATE = 0o700  # mode of the folder
+LONGEST = 100  # bytes of a path: systems take 104 to 108
+CREDENTIALS = struct.Struct("3i")  # process, user and group at the other end
+
+
+def socket_path() -> Path:
+    """Where the server of this user listens unless another path is given."""
+    if named := os.environ.get(VARIABLE):
+        return Path(named)
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime and Path(runtime).is_dir():
+        return Path(runtime) / "gf-usd" / "serve.sock"
+    return Path(tempfile.gettempdir()) / f"gf-usd-{os.getuid()}" / "serve.sock"
+
+
+def require_available() -> None:
+    """Raise UsageError where the system has no such sockets."""
+    if not AVAILABLE:
+        raise UsageError(
+            "gf-usd serve needs Unix sockets, which this system does not have",
+            "run it under Linux, macOS or the Windows Subsystem for Linux, or bake without --serve",
+        )
+
+
+@contextlib.contextmanager
+def listening_socket(path: Path) -> Iterator[socket.socket]:
+    """Listen at a path; the socket and its lock are removed when the block ends.
+
+    A socket that a killed server left there is replaced.
+
+    Raises
+    ------
+    UsageError : another server listens there, the path is too long or no socket, or the folder may
+        be used by others.
+    BakeError : the folder cannot be written.
+    """
+    require_available()
+    if len(os.fsencode(path)) > LONGEST:
+        raise UsageError(
+            f"{path}: the path of a socket has at most {LONGEST} bytes, and this one"
+            f" {len(os.fsencode(path))}",
+            "give a shorter one: --socket PATH",
+        )
+    _make_private(path.parent)
+    held = acquire(path)
+    if held is None:
+        raise UsageError(
+            f"another gf-usd serve listens at {path}",
+            "use that one, end it with gf-usd serve --stop, or give another --socket",
+        )
+    try:
+        if path.exists() and not path.is_socket():
+            raise UsageError(f"{path} is there and is no socket", "give another --socket")
+        # its server holds no lock, so it was killed
+        path.unlink(missing_ok=True)
+        with socket.socket(socket.AF_UNIX) as end:
+            end.bind(str(path))
+            path.chmod(0o600)
+            end.listen()
+            yield end
+    finally:
+        if path.is_socket():
+            path.unlink(missing_ok=True)
+        held.release(remove=True)
+
+
+def _make_private(folder: Path) -> None:
+    """Make a folder for this user alone, or see that it is one."""
+    try:
+        folder.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
+        found = folder.stat()
+    except OSError as error:
+        raise BakeError(
+            f"{folder} cannot be made: {error.strerror}", "give another --socket PATH"
+        ) from error
+    if found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise UsageError(
+            f"{folder} belongs to user {found.st_uid} and has mode {found.st_mode & 0o777:o}:"
+            " others could take the place of the socket in it",
+            f"chmod 700 {folder}, or give another --socket in a folder of your own",
+        )
+
+
+def connect(path: Path) -> socket.socket | None:
+    """A connection to the server at a path; None where none listens.
+
+    Raises UsageError where the server belongs to another user.
+    """
+    require_available()
+    end = socket.socket(socket.AF_UNIX)
+    try:
+        end.connect(str(path))
+    except OSError:
+        end.close()
+        return None
+    if not is_same_user(end):
+        end.close()
+        raise UsageError(f"the server at {path} belongs to another user", "give another --socket")
+    return end
+
+
+def is_same_user(end: socket.socket) -> bool:
+    """Whether the process at the other end belongs to this user; True where no system call tells.
+
+    The mode of the folder keeps others away there.
+    """
+    if not hasattr(socket, "SO_PEERCRED"):
+        return True
+    told = end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+    return CREDENTIALS.unpack(told)[1] == os.getuid()

@@ -1,0 +1,243 @@
+"""The server of ``gf-usd serve``: commands from a local socket, run in warm processes.
+
+A client sends one line of JSON and gets lines of JSON until the connection ends; docs/farm.md lists
+them.  A command ends with its connection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gf_usd.core import __version__
+from gf_usd.core.errors import GfUsdError, UsageError
+from gf_usd.system.processes import Children, Ended
+from gf_usd.system.warm.local_socket import is_same_user
+from gf_usd.system.warm.workers import Worker, Workers, listening
+
+LONGEST = 1 << 20  # bytes of a request
+PATIENCE = 10.0  # [s] for the whole request to arrive
+TICK = 0.25  # [s] between looks at the clock
+
+ENDED, SERVER = "ended", "server"  # events of the server's own
+
+Words = Callable[[dict[str, Any]], list[str]]  # from a request to the arguments of gf-usd
+
+
+class Server:
+    """Runs the commands that clients ask for.
+
+    Parameters
+    ----------
+    words : the arguments of a request; it raises GfUsdError for one that is refused.
+    at_once : commands that run at the same time; others wait for their turn.
+    timeout : [s] after which a command that gives no time of its own is ended; None: never.
+    idle : [s] without a command after which `run` returns; None: never.
+    workers : the warm processes, ended by `children`.
+    """
+
+    def __init__(
+        self,
+        words: Words,
+        workers: Workers,
+        children: Children,
+        *,
+        at_once: int = 1,
+        timeout: float | None = None,
+        idle: float | None = None,
+    ) -> None:
+        self._words, self._workers, self._children = words, workers, children
+        self._timeout, self._idle = timeout, idle
+        self._at_once = at_once
+        self._turns = threading.Semaphore(at_once)
+        self._lock = threading.Lock()
+        self._clients: set[threading.Thread] = set()
+        self._commands = 0  # that run or wait
+        self._done = 0
+        self._last = time.monotonic()  # when a command ended, or the server began
+        self._wake, self._woken = socket.socketpair()
+
+    def stop(self) -> None:
+        """End the commands that run, and let `run` return; it may be called by a signal handler."""
+        with contextlib.suppress(OSError):  # it ends already
+            self._wake.send(b".")
+
+    def run(self, end: socket.socket) -> None:
+        """Serve the clients of a listening socket until `stop` is called or nothing is asked."""
+        with self._wake, self._woken:
+            while True:
+                ready, _, _ = select.select([end, self._woken], [], [], TICK)
+                if self._woken in ready or self._is_idle():
+                    break
+                if end in ready:
+                    client, _ = end.accept()
+                    thread = threading.Thread(target=self._serve, args=(client,), daemon=True)
+                    with self._lock:
+                        self._clients.add(thread)
+                    thread.start()
+            end.close()
+            self._children.stop()
+            with self._lock:
+                clients = list(self._clients)
+            for thread in clients:
+                thread.join()
+
+    def _is_idle(self) -> bool:
+        with self._lock:
+            if self._idle is None or self._commands:
+                return False
+            return time.monotonic() - self._last > self._idle
+
+    def _serve(self, client: socket.socket) -> None:
+        with client:
+            say = _Voice(client)
+            if is_same_user(client):
+                self._answer(client, say)
+            else:
+                say("error", status=2, message="this server belongs to another user", hint="")
+        with self._lock:
+            self._clients.discard(threading.current_thread())
+
+    def _answer(self, client: socket.socket, say: _Voice) -> None:
+        try:
+            asked = _request(client)
+            if asked.get("ask"):
+                self._tell(str(asked["ask"]), say)
+                return
+            words, folder = self._words(asked), _folder(asked)
+            timeout = asked.get("timeout", self._timeout)
+        except GfUsdError as error:
+            say("error", status=error.exit_status, message=error.message, hint=error.hint)
+            say(ENDED, status=error.exit_status, seconds=0.0, cpu_seconds=0.0, peak_memory=0,
+                timed_out=False, log="")  # fmt: skip
+            return
+        with self._lock:
+            self._commands += 1
+        try:
+            ended = self._run(client, say, words, folder, timeout)
+        finally:
+            with self._lock:
+                self._commands -= 1
+                self._done += 1
+                self._last = time.monotonic()
+        status = None if ended is None else ended.status
+        say(
+            ENDED, status=143 if status is None else status,
+            seconds=round(ended.seconds, 3) if ended else 0.0,
+            cpu_seconds=round(ended.cpu_seconds, 3) if ended else 0.0,
+            peak_memory=ended.peak_memory if ended else 0,
+            timed_out=bool(ended and ended.timed_out), log=ended.err if ended and status else "",
+        )  # fmt: skip
+
+    def _tell(self, what: str, say: _Voice) -> None:
+        """Answer a question that is no command."""
+        with self._lock:
+            say(SERVER, pid=os.getpid(), version=__version__, at_once=self._at_once,
+                running=self._commands, done=self._done)  # fmt: skip
+        if what == "stop":
+            self.stop()
+
+    def _run(
+        self,
+        client: socket.socket,
+        say: _Voice,
+        words: list[str],
+        folder: str,
+        timeout: float | None,
+    ) -> Ended | None:
+        """Run a command; it is stopped when its client is gone."""
+        over = threading.Event()
+        running: list[Worker] = []
+
+        def follow() -> None:
+            """Stop the command once the connection ends."""
+            while not over.wait(0.0):
+                if select.select([client], [], [], TICK)[0] and not _is_open(client):
+                    for worker in running:
+                        worker.stop()
+                    return
+
+        watcher = threading.Thread(target=follow, daemon=True)
+        watcher.start()
+        try:
+            while not self._turns.acquire(timeout=TICK):
+                if self._children.stopping or not watcher.is_alive():
+                    return None
+            try:
+                if not watcher.is_alive():
+                    return None
+                with listening(say.line) as events:
+                    return self._workers.run(
+                        words, events=events, timeout=timeout, folder=folder,
+                        started=running.append,
+                    )  # fmt: skip
+            finally:
+                self._turns.release()
+        finally:
+            over.set()
+            watcher.join()
+
+
+class _Voice:
+    """Says events to a client, for as long as it listens."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+
+    def __call__(self, event: str, **values: object) -> None:
+        self.line(json.dumps({"event": event, "time": round(time.time(), 3), **values}) + "\n")
+
+    def line(self, line: str) -> None:
+        """One that is JSON already."""
+        with contextlib.suppress(OSError):  # it is gone, which `_run` finds out
+            self._client.sendall(line.encode())
+
+
+def _request(client: socket.socket) -> dict[str, Any]:
+    """The line that a client sends.  Raises UsageError where it is no JSON object."""
+    client.settimeout(PATIENCE)
+    line = b""
+    try:
+        while not line.endswith(b"\n") and len(line) <= LONGEST:
+            more = client.recv(1 << 16)
+            if not more:
+                break
+            line += more
+    except OSError:
+        line = b""
+    client.settimeout(None)
+    try:
+        asked = json.loads(line)
+    except ValueError:  # of the syntax, or of UTF-8
+        asked = None
+    if not line.endswith(b"\n") or not isinstance(asked, dict):
+        raise UsageError(
+            f"a request is one line with a JSON object of at most {LONGEST} bytes, and this is"
+            f" none: {line[:80]!r}",
+            "docs/farm.md shows requests",
+        )
+    return asked
+
+
+def _folder(asked: dict[str, Any]) -> str:
+    """The working directory of a request.  Raises UsageError where it is no folder."""
+    folder = Path(asked.get("folder") or Path.cwd())
+    if not folder.is_absolute() or not folder.is_dir():
+        raise UsageError(f"{folder} is no absolute path of a folder", 'give "folder" the path')
+    return str(folder)
+
+
+def _is_open(client: socket.socket) -> bool:
+    """Whether the other end is open still, where there is something to read."""
+    try:
+        return bool(client.recv(1 << 16))  # no client has anything more to say
+    except OSError:
+        return False
