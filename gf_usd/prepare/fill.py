@@ -29,6 +29,7 @@ from gf_usd.core.frames import (
 )
 from gf_usd.core.materials import LAWS, Material
 from gf_usd.core.stage import Pin, StageSpec
+from gf_usd.core.units import PLAUSIBLE
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -194,6 +195,11 @@ def fill(
         )
         for m in made
     )  # fmt: skip
+    weak = body_materials.require_standing(
+        asset.facts.path, [m for table in tables for m in table],
+        max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
+        abs(float(np.dot(settings.gravity, asset.facts.up))),
+    )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
     embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
@@ -232,7 +238,7 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
-            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
+            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak, *physics.notes,
             *embedded_points, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
@@ -307,9 +313,14 @@ def _chosen(
         shapes=request.parsed["only"] or SHAPES,
         half=request.half,
         flat=request.flatten or files.flat,
+        settled=request.settle_only,
     )
     size = frame_bytes(asset, particles, settings, choices)
-    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    length = (
+        0
+        if choices.flat or choices.settled
+        else clip_length(request.clip_frames, size, written(settings))
+    )
     notes = ()
     if length and request.clip_frames is None:
         notes = (
@@ -359,7 +370,6 @@ def _resolution(
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
-PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 
 

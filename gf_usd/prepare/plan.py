@@ -106,9 +106,10 @@ class Plan:
         }
 
     @property
-    def frame_bytes(self) -> int:
-        """[bytes] on the disk of a frame of one variant, with all its samples."""
-        return frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
+    def frame_bytes(self) -> float:
+        """[bytes] on the disk of a frame of one variant, with all its samples; a mean."""
+        size = frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
+        return size / self.settings.frames if self.choices.settled else size
 
 
 def riding_points(asset: Asset) -> dict[str, Floats]:

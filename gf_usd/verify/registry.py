@@ -34,7 +34,7 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
-from gf_usd.verify.cases.plastic import expansion, slump, taylor, uniaxial
+from gf_usd.verify.cases.plastic import expansion, membrane, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -60,6 +60,7 @@ CASES: tuple[Case, ...] = (
     *uniaxial.CASES,
     *expansion.CASES,
     *slump.CASES,
+    *membrane.CASES,
     *taylor.CASES,
     *sides.CASES,
     *flesh.CASES,

@@ -89,12 +89,28 @@ class Request(RequestOptions):
                 " --wls or --procrustes",
                 "leave them out: what they do once a frame would be done at every sample",
             )
+        self._check_settling()
         if self.self_contact and self.preset:
             raise UsageError(
                 f"--preset {self.preset} does not know --self-contact",
                 "leave one of the two out: there every particle meets the floor, and nothing else",
             )
         _ = self.parsed  # raises for a text that says nothing
+
+    def _check_settling(self) -> None:
+        """Raise UsageError for options that ask for frames of a bake that writes one pose."""
+        for option, given in (
+            ("--range", self.range),
+            ("--handles", self.handles),
+            ("--samples-per-frame", (self.samples_per_frame or 1) > 1),
+            ("--clip-frames", self.clip_frames),
+            ("--flesh", self.flesh),
+        ):
+            if self.settle_only and given:
+                raise UsageError(
+                    f"--settle-only does not go with {option}: it writes one pose, that at rest",
+                    f"leave {option} out",
+                )
 
     def _check_flesh(self) -> None:
         """Raise UsageError for options that do not go with --flesh, or only with it."""

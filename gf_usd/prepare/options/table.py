@@ -60,8 +60,9 @@ class AssetOptions:
         write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
-        ASSET, "Size of the file's unit [m], e.g. 0.01.",
-        shown="what the file says; 1 for obj, ply, stl, off and splat files", commands=INSPECT,
+        ASSET, "Length of one unit of the file [m]: 0.01 for centimeters.",
+        shown="what the file says; where it says nothing 1, or 0.01 or 0.001 if only that makes a"
+        " body of a plausible size", commands=INSPECT,
     )] = None
     up_axis: Annotated[str | None, Option(
         ASSET, "Y or Z; -Y or -Z for splat files that appear upside down.",
@@ -107,6 +108,10 @@ class RequestOptions:
         " 1 m.",
         shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
+    settle_only: Annotated[bool, Option(
+        TIME, "Simulate until everything is at rest, --frames at most, and write that pose alone,"
+        " without time samples.",
+    )] = False
     drop: Annotated[float | str | None, Option(
         SCENE, "Height of the fall [stage units], or in radii of the body: 3r.",
         shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
