@@ -24,7 +24,6 @@ from tools.documents import ROOT, blocks
 PAGE = ROOT / "docs" / "gallery.md"
 PICTURE = re.compile(r"^!\[[^\]]*\]\((images/\S+)\)$", re.M)
 LARGEST = 400_000  # bytes of a picture in the repository
-COLORS = 255
 
 
 def pictures() -> dict[str, str]:
@@ -64,7 +63,7 @@ def make(name: str, commands: str, folder: Path) -> None:
     drawn = folder / target.name
     if target.suffix == ".png":
         with Image.open(drawn) as picture:
-            picture.convert("RGB").quantize(COLORS).save(target, optimize=True)
+            picture.convert("RGB").save(target, optimize=True)
     else:
         shutil.copyfile(drawn, target)
     size = target.stat().st_size

@@ -94,6 +94,6 @@ def test_the_commands_of_the_readme_run_in_order(tmp_path: Path) -> None:
         else:
             script += [line.rpartition("pip install . && ")[2] for line in command_lines(block)]
     paste("\n".join(script), tmp_path, particles=300, frames=8)
-    for name in ("duck.rubber.usda", "duck.png", "duck.mp4", "duck.html", "clay.png"):
+    for name in ("duck.rubber.usda", "duck.png", "duck.mp4", "duck.html", "jelly.png"):
         assert (tmp_path / name).stat().st_size > 1000
     assert (tmp_path / "duck.jelly.usda").exists()

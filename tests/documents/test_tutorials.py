@@ -33,7 +33,7 @@ def script(name: str) -> str:
 def fewer(text: str) -> str:
     """The same with fewer particles and frames than a reader would like to see."""
     for many, few in (
-        ("--particles 2000", "--particles 300"), ("--particles 1500", "--particles 300"),
+        ("--particles 2000", "--particles 200"), ("--particles 1500", "--particles 200"),
         ("--particles 500", "--particles 200"), ("--frames 60", "--frames 12"),
         ("--frames 48", "--frames 22"), ("--sheet 6", "--sheet 2"), ("--sheet 8", "--sheet 2"),
     ):  # fmt: skip
@@ -58,6 +58,6 @@ def test_the_parts_of_the_shot_are_those_of_the_sample() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MADE)
 def test_the_commands_of_a_tutorial_run_in_order(name: str, tmp_path: Path) -> None:
-    paste(fewer(script(name)), tmp_path, particles=300)
+    paste(fewer(script(name)), tmp_path, particles=200, frames=8)
     for made in MADE[name]:
         assert (tmp_path / made).stat().st_size > 1000, made
