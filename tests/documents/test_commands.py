@@ -60,6 +60,13 @@ def test_a_wrong_command_of_a_document_is_found(tmp_path: Path) -> None:
     ]
 
 
+def test_every_block_of_code_is_closed() -> None:
+    for page in PAGES:
+        fences = [line for line in page.read_text("utf-8").splitlines() if line[:3] == "```"]
+        assert len(fences) % 2 == 0, page
+        assert set(fences[1::2]) <= {"```"}, page
+
+
 def test_nothing_is_installed_by_a_name_that_is_not_published() -> None:
     sources = [*PAGES, *(ROOT / "gf_usd").rglob("*.py")]
     assert [path for path in sources if INSTALLS.search(path.read_text("utf-8"))] == []
