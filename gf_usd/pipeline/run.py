@@ -212,7 +212,7 @@ def _flying(plan: Plan) -> int:
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0
     frame = first_contact(s, plan.drop)
-    return s.frames if frame is None else max(0, frame - 1)
+    return s.frames if frame is None else max(0, frame - 2)  # one more is near enough
 
 
 def _folder(plan: Plan) -> Path:

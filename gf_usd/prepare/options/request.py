@@ -145,6 +145,8 @@ class Request(RequestOptions):
             ("--procrustes", self.procrustes),
             ("--preset paper", self.preset),
             ("--drop", self.drop),
+            ("--velocity", self.velocity),
+            ("--spin", self.spin),
         ):
             if given:
                 raise UsageError(
