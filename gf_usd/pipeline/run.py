@@ -36,8 +36,8 @@ from gf_usd.pipeline.forecast import (
     Stages,
     Watch,
 )
-from gf_usd.pipeline.frames import FrameBuilder, Rest, SplatDeformer, with_held
-from gf_usd.pipeline.health import HealthLog, Period, health_warnings, plan_warnings
+from gf_usd.pipeline.frames import FrameBuilder, Period, Rest, SplatDeformer, with_held
+from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
