@@ -21,6 +21,7 @@ from gf_usd.cli import exit, folder_options
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.deliver import deliver
 from gf_usd.cli.exit import leave, prepare_to_leave
 from gf_usd.cli.help import HelpfulCommand
 from gf_usd.cli.info import inputs, materials, schema_path
@@ -32,7 +33,7 @@ from gf_usd.cli.report import report, view
 from gf_usd.cli.serve import serve
 from gf_usd.cli.topics import topic
 from gf_usd.cli.verify import verify
-from gf_usd.cli.worker import follow, make_ready
+from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
 from gf_usd.core.errors import GfUsdError, Unfinished
 from gf_usd.system.processes import end_with_parent
@@ -47,6 +48,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "inputs": (inputs, {}),
     "preview": (preview, {}),
     "report": (report, {}),
+    "deliver": (deliver, {}),
     "view": (view, {}),
     "check": (check, {}),
     "verify": (verify, {}),
@@ -151,9 +153,10 @@ def worker(
     ready: Annotated[bool, typer.Option("--ready", help="Import all before the first.")] = False,
 ) -> None:
     """Run the bakes of a batch or of a server one after the other."""
+    forks = forked_readers()
     if ready:
         make_ready()
-    sys.exit(follow(descriptor, execute))
+    sys.exit(follow(descriptor, execute, forks))
 
 
 COMMANDS["worker"] = (worker, {"hidden": True})

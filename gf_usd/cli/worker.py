@@ -9,7 +9,7 @@ import resource
 import socket
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gf_usd.cli import exit
 from gf_usd.system.file_locks import INHERITED
@@ -17,15 +17,28 @@ from gf_usd.system.memory_and_disk import system_file
 from gf_usd.system.processes import peak_memory
 from gf_usd.system.warm.workers import receive, send
 
+if TYPE_CHECKING:
+    from gf_usd.system.warm.fork_server import ForkServer
+
 SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
+# what a child that reads USD imports
+READERS = (
+    "gf_usd.readers.isolated",
+    "gf_usd.readers.usd.asset",
+    "gf_usd.readers.usd_bake.spec",
+    "gf_usd.system.usd_schema",
+)
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 
 
-def follow(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
+def follow(
+    descriptor: int, command: Callable[[Sequence[str]], int], forks: ForkServer | None = None
+) -> int:
     """Run requests until the other end is closed; returns the exit status.
 
     command : runs ``gf-usd`` with arguments and returns the exit status.
+    forks : of the children that read files; its time is the commands'.
     """
     quiet = os.open(os.devnull, os.O_RDWR)
     with socket.socket(fileno=descriptor) as end:
@@ -33,7 +46,9 @@ def follow(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
         while (asked := receive(end)) is not None:
             jobs += 1
             request, (stderr, *others) = asked
+            before = _cpu_seconds(forks)
             reply = _run(request, stderr, others, quiet, command)
+            reply["cpu_seconds"] = _cpu_seconds(forks) - before
             reply["last"] = (
                 reply["status"] not in SOUND or jobs == MOST_JOBS or _resident() > MOST_MEMORY
             )
@@ -41,6 +56,18 @@ def follow(descriptor: int, command: Callable[[Sequence[str]], int]) -> int:
             if reply["last"]:
                 return reply["status"]
     return 0
+
+
+def forked_readers() -> ForkServer | None:
+    """Have the children that read files forked from here on; None where the system cannot."""
+    from gf_usd.system import sandbox
+    from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
+
+    if not AVAILABLE:
+        return None
+    forks = ForkServer(READERS)
+    sandbox.start_by(forks.start)
+    return forks
 
 
 def make_ready() -> None:
@@ -63,7 +90,6 @@ def _run(
 ) -> dict[str, Any]:
     """One command with its stderr, events and locks."""
     events, *locks = others
-    before = _cpu_seconds()
     _forget_peak()
     os.dup2(stderr, 2)
     os.close(stderr)
@@ -80,7 +106,7 @@ def _run(
     for descriptor in others:
         os.close(descriptor)
     os.dup2(quiet, 2)
-    return {"status": status, "cpu_seconds": _cpu_seconds() - before, "memory": _peak()}
+    return {"status": status, "memory": _peak()}
 
 
 def _same_file(one: int, other: int) -> bool:
@@ -91,9 +117,11 @@ def _same_file(one: int, other: int) -> bool:
         return False
 
 
-def _cpu_seconds() -> float:
+def _cpu_seconds(forks: ForkServer | None) -> float:
+    """[s] that this process and its children have used."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    forked = 0.0 if forks is None else forks.cpu_seconds
+    return sum(one.ru_utime + one.ru_stime for one in used) + forked
 
 
 def _forget_peak() -> None:

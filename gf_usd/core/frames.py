@@ -181,6 +181,11 @@ class Health:
     inside_depth: float | None = None  # [m] of the deepest of it
 
 
+# Of m g0 r: bodies with less kinetic energy for T = sqrt(r / g0) are at rest.  That is a speed of
+# 4.5e-4 sqrt(g0 r), 1.4 mm/s for a ball of 1 m.
+AT_REST = 1e-7
+
+
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """One frame out of a solver."""
@@ -256,6 +261,7 @@ class Choices:
     half: bool = False  # half precision where the schema has it and it is safe
     clip_frames: int = 0  # frames of a value clip; 0: the cache is one file
     flat: bool = False  # one file instead of layers
+    settled: bool = False  # one pose, that at rest, without time samples
 
     @property
     def mesh(self) -> bool:

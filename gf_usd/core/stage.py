@@ -344,6 +344,7 @@ class Pin:
     # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
     # the particles there are as elastic as any: a core in a solid.
     sharp: bool = True
+    rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,7 @@ from gf_usd.layers.stage import (
     author_facts,
     clock,
     find_home,
+    hold_still,
     new_layer,
     open_source,
     require,
@@ -111,6 +112,7 @@ class CacheWriter:
         self._layer.startTimeCode = time.start
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
+        self._settled = choices.settled
         self._clips = None
         if choices.clip_frames:
             length = choices.clip_frames * self._per_frame
@@ -260,6 +262,8 @@ class CacheWriter:
         self._settle()
         if self._frames:
             self._layer.endTimeCode = self._time_code
+            if self._settled:
+                hold_still(self._layer)
         self._guarded(self._save_layers)
 
     def _save_layers(self) -> None:
@@ -281,7 +285,12 @@ class CacheWriter:
             raise
 
     def _notes(self) -> tuple[str, ...]:
-        of_meshes = (note for track in self._meshes.values() for note in track.notes)
+        of_meshes = [note for track in self._meshes.values() for note in track.notes]
+        of_meshes += [
+            f"<{path}> moves as its source is animated, with the pose at rest"
+            for path, track in self._meshes.items()
+            if self._settled and track.space.animated
+        ]
         return (*of_meshes, *(self._particles.notes if self._particles else ()))
 
     def _release(self) -> None:

@@ -111,7 +111,7 @@ def write_root(
     stage = open_source(source_path)
     home = find_home(stage, asset, choices)
     layer = new_layer(path, source_path)
-    _author_metadata(layer, stage, asset, home, bakes)
+    _author_metadata(layer, stage, asset, home, bakes, settled=choices.settled)
     reference_roots(layer, stage, asset, asset_path(source_path, path.parent))
     display_set = free_display_set(stage, asset, home)
     switches = roots_of(asset, home)
@@ -146,6 +146,8 @@ def _author_metadata(
     asset: Asset,
     home: Home,
     bakes: Sequence[BakedVariant],
+    *,
+    settled: bool,
 ) -> None:
     theirs = stage.GetRootLayer()
     for key in set(theirs.pseudoRoot.ListInfoKeys()) - OWN:
@@ -159,12 +161,16 @@ def _author_metadata(
     layer.defaultPrim = home.root.name
     times = [clock(stage, bake.info.settings) for bake in bakes]
     scale = times[0].rate / times[0].source_rate
-    starts, ends = [t.start for t in times], [t.end for t in times]
+    starts = [] if settled else [t.start for t in times]
+    ends = [] if settled else [t.end for t in times]
     if theirs.HasStartTimeCode():
         starts.append(theirs.startTimeCode * scale)
     if theirs.HasEndTimeCode():
         ends.append(theirs.endTimeCode * scale)
-    layer.startTimeCode, layer.endTimeCode = min(starts), max(ends)
+    if starts:
+        layer.startTimeCode = min(starts)
+    if ends:
+        layer.endTimeCode = max(ends)
     layer.customLayerData = {
         **theirs.customLayerData,
         VARIANT_SET: {

@@ -23,6 +23,9 @@ from gf_usd.system.atomic_files import partial_path
 VARIANT_SET = "gaussianFlesh"
 SCOPE = "GaussianFlesh"
 
+# Attributes that say how others change with time.
+RATES = ("velocities", "accelerations", "angularVelocities")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Home:
@@ -165,6 +168,26 @@ def save(layer: Sdf.Layer) -> None:
         raise _unsaved(layer) from error
     if not saved:
         raise _unsaved(layer)
+
+
+def hold_still(layer: Sdf.Layer) -> None:
+    """Make the last time sample of every attribute its value at all times; nothing moves.
+
+    Velocities and accelerations are blocked, so that none of the source shows through.
+    """
+    paths: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+    with Sdf.ChangeBlock():
+        for path in paths:
+            times = layer.ListTimeSamplesForPath(path) if path.IsPropertyPath() else []
+            if not times:
+                continue
+            spec = layer.GetAttributeAtPath(path)
+            moves = path.name.split(":")[-1] in RATES
+            spec.default = Sdf.ValueBlock() if moves else layer.QueryTimeSample(path, times[-1])
+            spec.ClearInfo("timeSamples")
+    layer.ClearStartTimeCode()
+    layer.ClearEndTimeCode()
 
 
 def refresh(path: Path) -> None:

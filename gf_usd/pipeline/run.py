@@ -10,8 +10,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.core.errors import OutOfResources, SolverError, UsageError
-from gf_usd.core.frames import BakeInfo, sampled
+from gf_usd.core.errors import BakeError, OutOfResources, SolverError, UsageError
+from gf_usd.core.frames import BakeInfo, Health, sampled
 from gf_usd.core.scene import Scene
 from gf_usd.pipeline.budget import (
     Cost,
@@ -36,7 +36,7 @@ from gf_usd.pipeline.forecast import (
     Stages,
     Watch,
 )
-from gf_usd.pipeline.frames import FrameBuilder, SplatDeformer, with_held
+from gf_usd.pipeline.frames import FrameBuilder, Rest, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
@@ -86,9 +86,9 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             meeting=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
+            first_contact=None if plan.held else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
-            fall=0.0 if plan.pins or plan.goals else max(0.0, plan.drop),
+            fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
         )
@@ -322,7 +322,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=bool(plan.pins),
+        held=plan.held,
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
@@ -343,6 +343,8 @@ def _run_variant(
         _again(plan),
     )
     failure = None
+    rest = Rest(settings.frame_time, plan.particles.radius) if plan.choices.settled else None
+    settled = False
     with CacheWriter(
         variant.cache,
         plan.asset,
@@ -357,11 +359,12 @@ def _run_variant(
                 index = sample.index
                 if index < 0 and sample.splats:
                     sample = splats.held(sample)
-                if index >= settings.first:
+                settled = rest is not None and rest.reached(sample.health)
+                if index >= settings.first and (settled or rest is None):
                     guard.require(index, cache.unsaved)
                     cache.write(sample)
                     if index % n == 0:
-                        splats.export(sample, (index - settings.first) // n)
+                        splats.export(sample, 0 if settled else (index - settings.first) // n)
                 if index < 0:
                     continue
                 log.add(sample.health)
@@ -373,6 +376,8 @@ def _run_variant(
                     stages.begin(
                         SIMULATING, variant.name, done=number * total + frame, left=forecast.left
                     )
+                if settled:
+                    break
                 if cache.full:
                     last, state = sample.health, builder.state()
                     full = {"last": last, "log": log.state(), "cache": cache.state(), **state}
@@ -382,9 +387,12 @@ def _run_variant(
                         raise checkpoints.unfinished(number, variant.name, frame, total)
         except SolverError as error:
             failure = error
+        if rest is not None and not settled and failure is None:
+            raise _restless(plan, variant.name, rest, log.frames[-1])
         stages.begin(WRITING, variant.name)
         summary = cache.close()
     health = log.summary()
+    at = (f"{variant.name}: at rest at frame {len(log.frames)}",) if settled else ()
     result = VariantResult(
         look=variant.name,
         cache=plan.outputs.root if plan.outputs.flat else variant.cache,
@@ -404,7 +412,19 @@ def _run_variant(
         warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
     )
-    return result, baked, (*summary.notes, *splats.notes), failure
+    return result, baked, (*at, *summary.notes, *splats.notes), failure
+
+
+def _restless(plan: Plan, look: str, rest: Rest, last: Health) -> BakeError:
+    """For --settle-only where something still moves in the last frame."""
+    frames = plan.settings.frames
+    return BakeError(
+        f"{plan.asset.facts.path}, {look}: not at rest within {frames} frames: the kinetic energy"
+        f" of the last one is {last.kinetic:.3g} J, and {rest.limit(last):.3g} J counts as rest",
+        f"simulate longer with --frames {2 * frames}, or calm it with --drag, --friction or another"
+        " material; what is driven by a moving pin or obstacle, or drifts without gravity, never"
+        " rests",
+    )
 
 
 def solver_of(plan: Plan, variant: Variant) -> Solver:

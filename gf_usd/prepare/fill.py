@@ -144,7 +144,10 @@ def fill(
     flesh = Flesh()
     if file is not None:
         names = request.listed("pins")
-        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
+        every = sampled(settings)
+        pins += make_pins(names, asset, solid, every, file, rest=request.start)
+        names = request.listed("rigid")
+        pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
     if animation and file is not None:
         flesh = flesh_of(
             asset, solid, samples, sampled(settings), animation, file,
@@ -187,9 +190,10 @@ def fill(
         replace(_main(table, index, particles.V0), name=preset.name)
         for preset, table in zip(presets, tables)
     )
+    held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
-            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            settings, m, radius, paper=paper, pinned=held, wls=request.wls,
             procrustes=request.procrustes, clamp=request.parsed["clamp"],
             stress_cap=request.parsed["stress_cap"],
             given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},
@@ -323,9 +327,14 @@ def _chosen(
         shapes=request.parsed["only"] or SHAPES,
         half=request.half,
         flat=request.flatten or files.flat,
+        settled=request.settle_only,
     )
     size = frame_bytes(asset, particles, settings, choices)
-    length = 0 if choices.flat else clip_length(request.clip_frames, size, written(settings))
+    length = (
+        0
+        if choices.flat or choices.settled
+        else clip_length(request.clip_frames, size, written(settings))
+    )
     notes = ()
     if length and request.clip_frames is None:
         notes = (

@@ -77,6 +77,11 @@ class Plan:
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
 
     @property
+    def held(self) -> bool:
+        """Whether pins or bones say where a part of the body is."""
+        return any(not pin.rigid for pin in self.pins)
+
+    @property
     def version(self) -> str:
         return __version__
 
@@ -106,9 +111,10 @@ class Plan:
         }
 
     @property
-    def frame_bytes(self) -> int:
-        """[bytes] on the disk of a frame of one variant, with all its samples."""
-        return frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
+    def frame_bytes(self) -> float:
+        """[bytes] on the disk of a frame of one variant, with all its samples; a mean."""
+        size = frame_bytes(self.asset, len(self.particles), self.settings, self.choices)
+        return size / self.settings.frames if self.choices.settled else size
 
 
 def riding_points(asset: Asset) -> dict[str, Floats]:
@@ -164,7 +170,8 @@ def describe(plan: Plan) -> dict[str, Any]:
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),
         "drop_m": plan.drop,
-        "pins": [p.name for p in plan.pins],
+        "pins": [p.name for p in plan.pins if not p.rigid],
+        "rigid": [p.name for p in plan.pins if p.rigid],
         "outputs": [str(p) for p in plan.outputs.all],
         "notes": list(plan.notes),
     }

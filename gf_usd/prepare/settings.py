@@ -47,6 +47,8 @@ PAPER_SUBSTEPS = 10
 PAPER_DRAG = 0.5 * PAPER_T
 PAPER_CONTACT = 2000.0 * PAPER_T**2
 
+SETTLING = 4  # times as long as a shot may everything take to come to rest
+
 
 def span(
     range: tuple[float | None, float | None] | None,
@@ -184,6 +186,8 @@ def resolve(
     if animation:
         start = animation.first
         shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
+    if request.settle_only:
+        shot = SETTLING * (shot - 1) + 1
     frames = request.frames or (PAPER_FRAMES if paper else shot)
     first, frames = span(
         asked["range"], request.handles or 0, start=start, step=step,

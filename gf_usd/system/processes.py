@@ -51,43 +51,19 @@ def peak_memory(usage: struct_rusage) -> int:
     return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-class Process:
-    """A process in a session of its own, so that a signal reaches all that it started.
+class Running:
+    """A process that runs, and how it is stopped and read.
 
     Parameters
     ----------
-    inherit : file descriptors that it gets, with their numbers.
-    out, err : its stdout and stderr, as `subprocess` takes them.
     grace : [s] between the request to end and the end; 0: it is ended without a request.  None:
         GRACE.
     """
 
-    def __init__(
-        self,
-        command: Sequence[str],
-        *,
-        inherit: Sequence[int] = (),
-        out: int = subprocess.DEVNULL,
-        err: int = subprocess.DEVNULL,
-        grace: float | None = None,
-    ) -> None:
+    def __init__(self, grace: float | None = None) -> None:
         self._began = time.monotonic()
         self._grace = GRACE if grace is None else grace
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL, stdout=out, stderr=err,
-            start_new_session=True,
-            pass_fds=tuple(inherit),
-            env={
-                **os.environ, PARENT: str(os.getpid()), INHERITED: ",".join(map(str, inherit)),
-            },
-        )  # fmt: skip
-        self._lock = threading.Lock()
-        self._reaped = self._stopped = self._timed_out = False
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
+        self._stopped = self._timed_out = False
 
     def stop(self) -> None:
         """Ask it to end, and end it if it does not within the grace."""
@@ -106,16 +82,11 @@ class Process:
         Returns its exit status (negative: the signal that ended it), CPU time [s] and peak memory
         [bytes].
         """
-        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
-            # ended but not yet reaped, its number still names its group
-            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
-            self._signal(signal.SIGKILL)
-        # not Popen.wait: only this call also tells what the process used
-        _, code, usage = os.wait4(self.pid, 0)
-        with self._lock:
-            self._reaped = True
-        self._process.returncode = os.waitstatus_to_exitcode(code)
-        return self._process.returncode, usage.ru_utime + usage.ru_stime, peak_memory(usage)
+        raise NotImplementedError
+
+    def _signal(self, number: int) -> None:
+        """Send a signal to it and all that it started, unless it is reaped."""
+        raise NotImplementedError
 
     @contextlib.contextmanager
     def _timed(self, timeout: float | None) -> Iterator[None]:
@@ -132,6 +103,86 @@ class Process:
     def _time_out(self) -> None:
         self._timed_out = True
         self.stop()
+
+    def _read(
+        self,
+        stdout: IO[bytes],
+        stderr: IO[bytes],
+        on_line: Callable[[str], None],
+        timeout: float | None,
+        *,
+        binary: bool,
+    ) -> Ended:
+        """Read its output to the end; see `Child.wait`."""
+        out: list[bytes] = []
+        reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
+        reader.start()
+        with self._timed(timeout):
+            tail = tail_of(stderr, on_line)
+            reader.join()
+            status, cpu_seconds, peak_memory = self.reap()
+        stdout.close()
+        return Ended(
+            status=status,
+            out="" if binary else out[0].decode(errors="replace"),
+            err=tail,
+            seconds=time.monotonic() - self._began,
+            cpu_seconds=cpu_seconds,
+            peak_memory=peak_memory,
+            timed_out=self._timed_out,
+            stopped=self._stopped and not self._timed_out,
+            reply=out[0] if binary else b"",
+        )
+
+
+class Process(Running):
+    """A process in a session of its own, so that a signal reaches all that it started.
+
+    Parameters
+    ----------
+    inherit : file descriptors that it gets, with their numbers.
+    out, err : its stdout and stderr, as `subprocess` takes them.
+    grace : as of `Running`.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        inherit: Sequence[int] = (),
+        out: int = subprocess.DEVNULL,
+        err: int = subprocess.DEVNULL,
+        grace: float | None = None,
+    ) -> None:
+        super().__init__(grace)
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL, stdout=out, stderr=err,
+            start_new_session=True,
+            pass_fds=tuple(inherit),
+            env={
+                **os.environ, PARENT: str(os.getpid()), INHERITED: ",".join(map(str, inherit)),
+            },
+        )  # fmt: skip
+        self._lock = threading.Lock()
+        self._reaped = False
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def reap(self) -> tuple[int, float, int]:
+        """See `Running`."""
+        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
+            # ended but not yet reaped, its number still names its group
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            self._signal(signal.SIGKILL)
+        # not Popen.wait: only this call also tells what the process used
+        _, code, usage = os.wait4(self.pid, 0)
+        with self._lock:
+            self._reaped = True
+        self._process.returncode = os.waitstatus_to_exitcode(code)
+        return self._process.returncode, usage.ru_utime + usage.ru_stime, peak_memory(usage)
 
     def _signal(self, number: int) -> None:
         with self._lock:
@@ -183,25 +234,7 @@ class Child(Process):
         stdout, stderr = self._process.stdout, self._process.stderr
         assert stdout is not None
         assert stderr is not None
-        out: list[bytes] = []
-        reader = threading.Thread(target=lambda: out.append(stdout.read()), daemon=True)
-        reader.start()
-        with self._timed(timeout):
-            tail = tail_of(stderr, on_line)
-            reader.join()
-            status, cpu_seconds, peak_memory = self.reap()
-        stdout.close()
-        return Ended(
-            status=status,
-            out="" if self._binary else out[0].decode(errors="replace"),
-            err=tail,
-            seconds=time.monotonic() - self._began,
-            cpu_seconds=cpu_seconds,
-            peak_memory=peak_memory,
-            timed_out=self._timed_out,
-            stopped=self._stopped and not self._timed_out,
-            reply=out[0] if self._binary else b"",
-        )
+        return self._read(stdout, stderr, on_line, timeout, binary=self._binary)
 
     def end(self) -> None:
         """End it and all that it started, at once, where `wait` was broken off."""

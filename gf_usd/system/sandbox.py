@@ -26,7 +26,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 from gf_usd.core import errors
 from gf_usd.core.errors import GfUsdError, InputError, UsageError
@@ -103,6 +103,32 @@ def attempt(path: Path, task: str, limits: Limits | None, *args: Any) -> Any:
         return isolated.result()
 
 
+class Reader(Protocol):
+    """A child that does a task."""
+
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+        """Read its output to the end."""
+        ...
+
+    def stop(self) -> None:
+        """End it."""
+        ...
+
+
+def start(request: Path) -> Reader:
+    """A new process for a request; see `serve`."""
+    command = [sys.executable, "-P", "-c", START, json.dumps(sys.path), str(request)]
+    return Child(command, binary=True, grace=0.0)
+
+
+_starts: list[Callable[[Path], Reader]] = [start]
+
+
+def start_by(other: Callable[[Path], Reader]) -> None:
+    """From here on have another function start the children of this process, as `start` does."""
+    _starts[:] = [other]
+
+
 class Isolated:
     """A task that reads a file in a child process, next to what this process does meanwhile.
 
@@ -118,7 +144,7 @@ class Isolated:
         self._path, self._task, self._args = path, task, args
         self._limits = limits
         self._delivered = False
-        self._child: Child | None = None
+        self._child: Reader | None = None
         self._ended: list[Ended] = []
         if limits is None or os.name != "posix" or not path.is_file():
             return
@@ -127,15 +153,11 @@ class Isolated:
         request = self.scratch.path / "request"
         with request.open("wb") as file:
             exchange.write({"task": task, "args": args, "limits": asdict(limits)}, file)
-        self._child = Child(
-            [sys.executable, "-P", "-c", START, json.dumps(sys.path), str(request)],
-            binary=True,
-            grace=0.0,
-        )
+        self._child = _starts[-1](request)
         self._reader = threading.Thread(target=self._read, args=(self._child, limits), daemon=True)
         self._reader.start()
 
-    def _read(self, child: Child, limits: Limits) -> None:
+    def _read(self, child: Reader, limits: Limits) -> None:
         self._ended.append(child.wait(lambda line: None, limits.time))
 
     @property

@@ -5,7 +5,7 @@ Setting and reading the state of a solver from outside.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 FPS = 24.0
 MIDDLE = np.array([0.25, 0.75])  # of a cell: where strata have their middles
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)  # exact for cubics on a cell
+FINE = 16  # points along the edge of a stratum, of which its share in a figure is counted
 
 
 def sphere(radius: float = 1.0, subdivisions: int = 3) -> Surface:
@@ -108,6 +109,35 @@ def block(low: Any, cells: Any, h: float, *, places: Floats = GAUSS) -> Particle
     return cloud(low + h * at, volume=float(cells.prod()) * h**3, lattice=0.5 * h, corner=low)
 
 
+def strata(inside: Callable[[Floats, Floats], Any], counts: Any, h: float) -> tuple[Floats, Floats]:
+    """Points (n, 2) [m] for the strata that a plane figure fills, and their areas (n,) [m^2].
+
+    A stratum is a quarter of a cell of edge h [m]; `counts` cells stand along each axis from 0.  A
+    full one has its Gauss point, one that the figure cuts the middle of what is inside.
+    inside : of x and y [m].
+    """
+    a = 0.5 * h
+    fine = (np.arange(FINE) + 0.5) / FINE * a
+    places, share = [], []
+    for i, j in np.ndindex(2 * counts[0], 2 * counts[1]):
+        x, y = np.meshgrid(i * a + fine, j * a + fine, indexing="ij")
+        here = inside(x, y)
+        if here.all():
+            places.append((h * (i // 2 + GAUSS[i % 2]), h * (j // 2 + GAUSS[j % 2])))
+        elif here.any():
+            places.append((x[here].mean(), y[here].mean()))
+        share.extend([here.mean()] * bool(here.any()))
+    return np.array(places), np.array(share) * a * a
+
+
+def slice_of(flat: Floats, area: Floats, h: float) -> Particles:
+    """The points (n, 2) of `strata` with their areas (n,) [m^2], one cell of edge h [m] thick."""
+    X = np.column_stack([np.repeat(flat, 2, axis=0), np.tile(h * GAUSS, len(flat))])
+    V0 = np.repeat(area, 2) * 0.5 * h
+    body = cloud(X, volume=float(V0.sum()), lattice=0.5 * h, corner=np.zeros(3))
+    return replace(body, V0=V0)
+
+
 def boxes(bounds: Sequence[tuple[Any, Any]], h: float, corner: Any) -> Particles:
     """Boxes [m] that do not overlap, with particles that integrate cubics in every cell exactly.
 
@@ -170,6 +200,12 @@ def mirror_plane(axis: int, at: float) -> Pin:
     """A symmetry plane: what lies above a coordinate [m] slides along it."""
     x, y, z = (axis == a for a in range(3))
     return replace(clamp(axis, at), name="plane", axes=(x, y, z))
+
+
+def plane_strain(h: float) -> tuple[Pin, Pin]:
+    """Symmetry planes at z = 0 and z = h [m]."""
+    above = replace(mirror_plane(2, h), name="above", inside=lambda at: at[:, 2] > h)
+    return mirror_plane(2, 0.0), above
 
 
 def look(name: str, body: Particles, **changes: Any) -> Material:

@@ -14,7 +14,6 @@ from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     drop,
-    flesh,
     flight,
     floor,
     law,
@@ -34,7 +33,8 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
-from gf_usd.verify.cases.plastic import expansion, slump, taylor, uniaxial
+from gf_usd.verify.cases.flesh import driven, rigid
+from gf_usd.verify.cases.plastic import expansion, membrane, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -60,9 +60,11 @@ CASES: tuple[Case, ...] = (
     *uniaxial.CASES,
     *expansion.CASES,
     *slump.CASES,
+    *membrane.CASES,
     *taylor.CASES,
     *sides.CASES,
-    *flesh.CASES,
+    *driven.CASES,
+    *rigid.CASES,
 )
 
 

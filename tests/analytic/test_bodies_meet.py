@@ -11,6 +11,7 @@ from meetings import bricks, depth, half_space, meeting, momenta, obstacle, tilt
 from solids import cube, sphere, surface
 
 from gf_usd.core.materials import G0
+from gf_usd.physics.contact.self_contact import OFFSET
 from gf_usd.pipeline.health import gain_of_frames
 
 LEFT = sphere(center=(-1.3, 0.0, 0.0), path="/Left")
@@ -253,9 +254,11 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
         gap[asked] = [(a[right].min() - a[left].max()) / solver.particles.spacing for a in x]
         p = np.array([f.health.momentum for f in frames])
         assert np.abs(p - p[0]).max() <= ROUNDING * solver.body.m.sum() * 3.0 * rate
-        assert (max(f.health.overlap for f in frames) > 0.0) == asked
+        assert (max(f.health.contact for f in frames) > 0.0) == asked
+        assert max(f.health.overlap for f in frames) == 0.0
     assert gap[False][-1] < -1.0, "nothing else keeps the prongs apart"
-    assert -0.5 <= min(gap[True]) < 0.5  # measured: -0.19 and -0.22
+    # Springs push from OFFSET on, and yield by less than that: measured 0.21 and 0.22.
+    assert 0.0 <= min(gap[True]) < OFFSET
 
 
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
@@ -274,6 +277,9 @@ def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):
     assert max(x.let_go for x in h) == 0
     given = np.cumsum([x.injected for x in h])
     assert given.max() < 1e-3 * h[0].kinetic
-    assert max(gain_of_frames(h)) <= 1e-5 * h[0].kinetic  # rounding, as of two balls
-    # As of two bodies, which this is but for the body that joins them.
-    assert 0.0 < max(x.overlap for x in h) <= 0.5 * solver.particles.spacing
+    # Of the whole motion, for a frame may end half a substep after samples came into their springs,
+    # whose force acts at the next: rounding, as of two balls.
+    assert np.cumsum(gain_of_frames(h)).max() <= 1e-5 * h[0].kinetic
+    assert max(x.contact for x in h) > 0.0
+    # Two bodies yield by half a spacing at most; this one is pushed sooner.
+    assert max(x.overlap for x in h) <= (0.5 - OFFSET) * solver.particles.spacing

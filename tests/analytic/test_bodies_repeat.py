@@ -87,11 +87,11 @@ def closing(frames: int = 10):
 def test_a_body_that_meets_itself_goes_on_to_the_bit():
     solver, last, kept, ends = closing(), Health(), {}, []
     for frame in solver.frames():
-        if not kept and frame.health.overlap > 0.0:
+        if not kept and frame.health.contact > 0.0:
             kept, last = solver.save(), frame.health
         ends.append(frame.health)
     assert kept, "they touch"
-    met = next(k for k, health in enumerate(ends) if health.overlap > 0.0)
+    met = next(k for k, health in enumerate(ends) if health.contact > 0.0)
     assert met < 9
     other = closing()
     other.load(kept)

@@ -73,6 +73,20 @@ def unknown() -> object:
     return object()
 
 
+def parent() -> int:
+    return os.getppid()
+
+
+def folder() -> str:
+    return os.getcwd()
+
+
+def spin(seconds: float) -> None:
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+
+
 def talk() -> str:
     """Print, from Python and from a program."""
     print("x" * 100_000)

@@ -50,7 +50,7 @@ def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path
 def test_a_crash_and_a_changed_file_are_failures(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    def crash(*words: str) -> tuple[int, str, str]:
+    def crash(*words: str, patience: float) -> tuple[int, str, str]:
         (folder / "notes.txt").write_text("changed")
         return 1, "", "Traceback\nKeyError: 'up'\n"
 
@@ -66,7 +66,9 @@ def test_a_crash_and_a_changed_file_are_failures(
 def test_a_refusal_without_a_hint_or_with_files_left_is_a_failure(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    def refuse(*words: str, hint: str = "yes", left: str = "") -> tuple[int, str, str]:
+    def refuse(
+        *words: str, patience: float, hint: str = "yes", left: str = ""
+    ) -> tuple[int, str, str]:
         if left:
             Path(words[3], left).write_text("")
         event = {"event": "error", "status": 3, "message": "no", "hint": hint}
@@ -92,8 +94,9 @@ def test_particles_inside_out_and_frames_redone_are_failures(
 ) -> None:
     asked = []
 
-    def unsound(*words: str) -> tuple[int, str, str]:
+    def unsound(*words: str, patience: float) -> tuple[int, str, str]:
         asked.append(words)
+        assert patience == 99.0
         if words[0] == "check":
             return 0, json.dumps({"findings": []}), ""
         report = folder.parent / "report.json"
@@ -104,7 +107,8 @@ def test_particles_inside_out_and_frames_redone_are_failures(
         return 0, json.dumps(end) + "\n", ""
 
     monkeypatch.setattr(bake_assets, "gf_usd", unsound)
-    status, page = run(monkeypatch, folder, "--plain", "--material", "rubber", "--only", "block")
+    words = ("--plain", "--material", "rubber", "--only", "block", "--patience", "99")
+    status, page = run(monkeypatch, folder, *words)
     assert status == 1
     assert page.count("| failed | ") == 1
     assert said in page

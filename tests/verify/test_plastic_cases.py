@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gf_usd.verify.case import Measure
-from gf_usd.verify.cases.plastic import taylor
+from gf_usd.verify.cases.plastic import membrane, taylor
 
 COARSE = (0.08, 0.01, 0.1)  # bounds with two cells a radius
 
@@ -36,3 +36,15 @@ def test_a_quarter_of_the_rod_has_its_volume_and_second_moment() -> None:
     second = rod.V0 @ (rod.X[:, 0] ** 2 + rod.X[:, 2] ** 2)
     # A cut stratum is one point in the middle of its share: (a / R)^2 / 12 of the rim, a = R / 6.
     assert second == pytest.approx(0.5 * area * taylor.LENGTH * taylor.RADIUS**2, rel=5e-3)
+
+
+def test_the_panel_has_the_moments_of_its_trapezoid() -> None:
+    cells = 12
+    panel, h = membrane.panel(cells)
+    wide, left, right = membrane.WIDTH, membrane.LEFT, membrane.RIGHT
+    area = 0.5 * (left + right) * wide
+    assert panel.V0.sum() == pytest.approx(area * h, rel=1e-12)
+    x = panel.V0 @ panel.X[:, 0] / panel.V0.sum()
+    # Points on the slanted edges count whole strata of h / 32 as inside or not.
+    assert x == pytest.approx(wide * (left + 2.0 * right) / (3.0 * (left + right)), rel=1e-3)
+    assert panel.X[:, 1].max() < membrane.RISE + right

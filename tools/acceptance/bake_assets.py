@@ -2,6 +2,7 @@
 
     python -m tools.acceptance.bake_assets FOLDER [--write FILE.md] [--particles N] [--frames N]
     python -m tools.acceptance.bake_assets FOLDER --plain [--material NAME] [--only TEXT]...
+                                                  [--patience SECONDS]
 
 Every file but pictures and texts is baked by the program in a process of its own, and the result
 checked.  It is baked, or refused in words with a hint; anything else is a failure, and so is a file
@@ -26,7 +27,7 @@ from typing import Any
 
 BESIDE = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
 BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
-TIMEOUT = 600.0  # [s] for one asset
+PATIENCE = 600.0  # [s] for one asset of few particles and frames
 REFUSED = 3  # the exit status of gf-usd for an input that it refuses
 
 
@@ -61,34 +62,37 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def gf_usd(*words: str) -> tuple[int, str, str]:
+def gf_usd(*words: str, patience: float) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of the program; a signal or the time limit is status -1."""
     try:
         done = subprocess.run(
             [sys.executable, "-m", "gf_usd", *words],
             capture_output=True,
             text=True,
-            timeout=TIMEOUT,
+            timeout=patience,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return -1, "", f"error: it took longer than {TIMEOUT:g} s"
+        return -1, "", f"error: it took longer than {patience:g} s"
     return done.returncode, done.stdout, done.stderr
 
 
-def bake(path: Path, folder: Path, out: Path, options: Sequence[str]) -> Outcome:
+def bake(
+    path: Path, folder: Path, out: Path, options: Sequence[str], patience: float = PATIENCE
+) -> Outcome:
     """Bake one asset into a folder of its own, and check what was written."""
     name = str(path.relative_to(folder))
     target = out / name.replace("/", "_")
     target.mkdir()
     began = cpu()
     status, stdout, stderr = gf_usd(
-        "bake", str(path), "-o", f"{target}/", "--events", "-", "--quiet", *options
-    )
+        "bake", str(path), "-o", f"{target}/", "--events", "-", "--quiet", *options,
+        patience=patience,
+    )  # fmt: skip
     seconds = cpu() - began
     events = {event["event"]: event for event in map(json.loads, stdout.splitlines())}
     if status == 0:
-        ending, words = _checked(events["finished"])
+        ending, words = _checked(events["finished"], patience)
     elif "error" in events:
         refused = status == REFUSED and events["error"]["hint"] and not any(target.iterdir())
         ending = "refused" if refused else "failed"
@@ -98,9 +102,9 @@ def bake(path: Path, folder: Path, out: Path, options: Sequence[str]) -> Outcome
     return Outcome(asset=name, ending=ending, words=words, seconds=seconds)
 
 
-def _checked(result: dict[str, Any]) -> tuple[str, str]:
+def _checked(result: dict[str, Any], patience: float) -> tuple[str, str]:
     report = json.loads(Path(str(result["report"])).read_text(encoding="utf-8"))
-    status, stdout, _ = gf_usd("check", str(result["root"]), "--json")
+    status, stdout, _ = gf_usd("check", str(result["root"]), "--json", patience=patience)
     found = [f for f in json.loads(stdout)["findings"] if f["severity"] == "error"]
     ours = report["check"]
     bodies = len(report["bodies"])
@@ -159,6 +163,9 @@ def main() -> int:
     parser.add_argument("--plain", action="store_true", help="neither of the two")
     parser.add_argument("--material", help="a preset in place of what the files say")
     parser.add_argument("--only", action="append", default=[], help="files with this in their path")
+    parser.add_argument(
+        "--patience", type=float, default=PATIENCE, metavar="SECONDS", help="for one asset"
+    )
     asked = parser.parse_args()
     folder: Path = asked.folder
     few = ("--particles", str(asked.particles), "--frames", str(asked.frames))
@@ -171,7 +178,7 @@ def main() -> int:
         for path in assets(folder):
             if asked.only and not any(text in str(path) for text in asked.only):
                 continue
-            outcomes.append(bake(path, folder, Path(out), options))
+            outcomes.append(bake(path, folder, Path(out), options, asked.patience))
             one = outcomes[-1]
             print(f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}", flush=True)
     changed = [name for name, digest in digests(folder).items() if before.get(name) != digest]

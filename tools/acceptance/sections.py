@@ -211,9 +211,11 @@ def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
     for ran in runs:
         seen = ran["figures"] or {}
         inside = "none" if ran["inside"] is None else f"{100.0 * ran['inside']:.2f} %"
+        at_rest = ran.get("at_rest")
         rows.append(
             (
                 ran["asset"], ran["look"], str(ran["particles"]), inside,
+                "none" if at_rest is None else f"{100.0 * at_rest:.2f} %",
                 figure(seen.get("min_J")), str(seen.get("inverted_max", "none")),
                 str(seen.get("rollbacks", "none")),
                 figure(seen.get("deepest_overlap_spacings")),
@@ -222,13 +224,13 @@ def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
         )  # fmt: skip
     bad = [f"{ran['asset']} {ran['look']}" for ran in runs if ran["fault"]]
     head = (
-        "asset", "look", "particles", "inside at the end", "smallest J", "inverted", "repeated",
-        "deepest overlap [spacings]", "verdict",
+        "asset", "look", "particles", "inside at the end", "besides, at rest", "smallest J",
+        "inverted", "repeated", "deepest overlap [spacings]", "verdict",
     )  # fmt: skip
     return Outcome(
         passed=done.returncode == 0 and not bad,
         summary=f"{len(runs) - len(bad)} of {len(runs)} bakes of assets with limbs warned of"
-        " nothing, and at most 1 % of their surface is inside a body at the end"
+        " nothing, and at most 1 % of their surface is inside a body at the end and not at rest"
         + (f"; not: {', '.join(bad)}" if bad else ""),
         table=(head, *rows),
         data={"runs": runs},

@@ -179,11 +179,28 @@ class BodyContact:
             self.planes.forget(self._members[k])
         self._detected = time
 
+    @property
+    def _offset(self) -> Floats:
+        """(n,) [m] from what it faces at which each sample begins to be pushed; not 0: its own."""
+        out = np.zeros(len(self._of))
+        facing = self.planes.carried
+        facing = facing[self._of[self.planes.partner[facing]] == self._of[facing]]
+        for k in np.unique(self._of[facing]):
+            m = self._members[k]
+            rows = facing[self._of[facing] == k]
+            out[rows] = self._own[int(k)].offset[np.searchsorted(m, rows)]
+        return out
+
+    def _note_overlap(self, state: State) -> float:
+        """Count how deep samples were under the present planes; returns the deepest so far [m]."""
+        depth = state.rows("pair", narrow_phase.ROW)[:, narrow_phase.DEPTH]
+        self._overlap = max(self._overlap, float((depth - self._offset).max()))
+        return self._overlap
+
     def totals(self, state: State) -> tuple[float, float, float]:
         """Work of the obstacles [J], energy given by detections [J] and deepest overlap [m]."""
-        pair = state.rows("pair", narrow_phase.ROW)
-        deepest = max(self._overlap, float(pair[:, narrow_phase.DEPTH].max()))
-        return float(pair[:, narrow_phase.WORK].sum()), self.injected, deepest
+        work = state.rows("pair", narrow_phase.ROW)[:, narrow_phase.WORK]
+        return float(work.sum()), self.injected, self._note_overlap(state)
 
     def _motion(self, now: StateView) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the samples, (n, 3)."""
@@ -235,6 +252,7 @@ class BodyContact:
         if np.isfinite(self._gap).all():
             budget = self._budget * (time - self._detected)
             new = continued(old, new, ease=EASE * self._spacing, budget=budget)
+        self._note_overlap(state)
         self.planes, self._k = new.planes, new.stiffness
         self.injected += new.energy - old.energy
         self._gap, self._detected, self._x = search.gap, time, x
@@ -257,7 +275,7 @@ class BodyContact:
     def _untouched(self, v: Floats) -> float:
         """[s] for which no sample touches what it faces, at the speeds v (n, 3) [m/s] and more."""
         f = self.planes
-        gap = self._gap - NEARLY * self._spacing
+        gap = self._gap - self._offset - NEARLY * self._spacing
         closing = -((v - f.ridden(v) - f.velocity) * f.normal).sum(1)
         faces = f.partner != narrow_phase.NOBODY
         if (gap[faces] <= 0.0).any():
@@ -348,7 +366,8 @@ class BodyContact:
             hold = min(hold, found.hold)
             order = np.argsort(-found.weights, axis=1, kind="stable")
             search.offer(
-                m[found.rows], found.gap, found.normal, found.point,
+                m[found.rows], found.gap, found.normal,
+                found.point + own.offset[found.rows, None] * found.normal,
                 m[np.take_along_axis(found.carriers, order, 1)],
                 np.take_along_axis(found.weights, order, 1), sure=True,
             )  # fmt: skip
@@ -360,7 +379,7 @@ class BodyContact:
         depth : (n,) [m] under the planes until now.  Where a place ends, at an edge or at a crease,
         none may be found; a sample is not inside any more once it is STAY beside what it faced.
         """
-        f = self.planes
+        f, offset = self.planes, self._offset
         unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
         rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
         point = (f.ridden(search.x) + f.point)[rows]
@@ -368,10 +387,9 @@ class BodyContact:
         beside = away + depth[rows, None] * f.normal[rows]
         near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
         rows, point = rows[near], point[near]
-        self._own_gap[rows] = -depth[rows]
-        search.offer(
-            rows, -depth[rows], f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True
-        )
+        gap = offset[rows] - depth[rows]
+        self._own_gap[rows] = gap
+        search.offer(rows, gap, f.normal[rows], point, f.carriers[rows], f.weights[rows], sure=True)
 
     def _before(self, body: int, x: Floats) -> Floats:
         """Where the samples of a body were at the last detection.
@@ -400,7 +418,7 @@ class BodyContact:
         dt: float,
         f: ContactPlanes,
     ) -> None:
-        constants = self.contact.constants
+        constants = self.contact.driven
         pair = state.rows("pair", narrow_phase.ROW)
         pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
         pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X
@@ -411,6 +429,7 @@ class BodyContact:
         point = f.point - 0.5 * dt * f.velocity
         point[f.partner == narrow_phase.OBSTACLE] -= now.offset
         pair[:, narrow_phase.FORCE : narrow_phase.POINT] = 0.0
+        pair[:, narrow_phase.DEPTH] = 0.0
         pair[:, narrow_phase.SPRING : narrow_phase.WEIGHT] = f.spring
         pair[:, narrow_phase.WEIGHT : narrow_phase.REACTION] = f.weights
         pair[:, narrow_phase.REACTION : narrow_phase.HARDENING] = 0.0

@@ -39,6 +39,7 @@ CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for 
 FACE = 1.5  # [spacings] from where a sample faces a place
 SAME = 0.25  # [spacings] that a place may have lain deeper than the one that a sample was inside of
 NEARLY = 0.25  # [spacings] from where something is about to touch
+OFFSET = 0.3  # [spacings] before it touches from where a body pushes itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +65,7 @@ class SelfContact:
         self._skin, self._X, self._normal, self._spacing = skin, X, normal, spacing
         self._patches = Patches(X, normal, spacing, see=2.0 * SEE, thick=THICK)
         self._made: tuple[SampleMesh, Neighbors] | None = None
+        self._offset: Floats | None = None
 
     @property
     def _mesh(self) -> tuple[SampleMesh, Neighbors]:
@@ -73,6 +75,16 @@ class SelfContact:
             far = THICK * self._spacing
             self._made = mesh, Neighbors(mesh, self._X, self._normal, HOPS, far)
         return self._made
+
+    @property
+    def offset(self) -> Floats:
+        """(n,) [m] from what it faces at which each sample begins to be pushed."""
+        if self._offset is None:
+            most, still = OFFSET * self._spacing, np.zeros_like(self._X)
+            seen = self.find(self._X, still, most, self._X, np.full(len(self._X), np.inf))
+            self._offset = np.full(len(self._X), most)
+            self._offset[seen.rows] = np.clip(seen.gap, 0.0, most)
+        return self._offset
 
     def judge(self, x: Floats, v: Floats, span: float = np.inf) -> tuple[bool, float]:
         """Whether anything may be near itself, and for how long [s] that holds.
@@ -110,7 +122,8 @@ class SelfContact:
         found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap)
         theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
         closing = -((v[found.rows] - theirs) * found.normal).sum(1)
-        left = found.gap - AHEAD * span * np.maximum(closing, 0.0)
+        away = found.gap - self.offset[found.rows]
+        left = away - AHEAD * span * np.maximum(closing, 0.0)
         return bool((left < NEARLY * self._spacing).any())
 
     def find(self, x: Floats, v: Floats, reach: float, before: Floats, gap: Floats) -> Facing:

@@ -9,8 +9,9 @@ with c the slowest wave speed among the materials: a vibration with that speed h
 size.  It moves by the closed form, x += vbar t + g t^2 / 2 and v += g t for all its nodes alike;
 what little strain and vibration it has stays as it is.
 
-A body sleeps once its kinetic energy has been at most REST m g0 r for T = sqrt(r / g0).  It stands
-still with v = 0 until something reaches it: another body that is awake, or an obstacle that moves.
+A body sleeps once its kinetic energy has been at most AT_REST m g0 r for T = sqrt(r / g0).  It
+stands still with v = 0 until something reaches it: another body that is awake, or an obstacle that
+moves.
 Without gravity to press it on something it does not sleep, since it may drift.
 
 All bodies share their substeps, so these are left out in the frames in which every body flies or
@@ -25,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import AT_REST
 from gf_usd.core.materials import G0, time_scale
 from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact.pairs import BodyContact
@@ -36,7 +38,6 @@ from gf_usd.physics.total_lagrangian.shape_correction import acts
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 FLIGHT = 1e-5  # strain, and speed over that of waves; far below what is seen, above rounding
-REST = 1e-7  # of m g0 r: a speed of 4.5e-4 sqrt(g0 r), 1.4 mm/s for a ball of 1 m
 PRESSING = 1e-2  # [g0] gravity that would have moved a body without support within T
 
 
@@ -47,7 +48,7 @@ class Shortcuts:
         s = body.settings
         bodies = bodies_of(body.particles, body.per["density"])
         held = body.in_place
-        asked = s.shortcuts and not acts(s)
+        asked = s.shortcuts and not acts(s) and body.regions is None
         self._body = body
         self._g = np.asarray(s.gravity, float)
         self._free = asked and not held and s.drag == 0.0
@@ -55,7 +56,7 @@ class Shortcuts:
         pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
         self._sleeps = asked and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
-        self._limit = REST * bodies.mass * G0 * bodies.radius
+        self._limit = AT_REST * bodies.mass * G0 * bodies.radius
         self._patience = np.array([time_scale(float(r)) for r in bodies.radius])
         self.at_rest = np.zeros(bodies.count)  # [s] since each body last moved
         self.depth = np.zeros(2)  # [m] penetration and overlap of the last frame with substeps

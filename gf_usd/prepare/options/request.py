@@ -72,6 +72,11 @@ class Request(RequestOptions):
                 " mean, and --pin holds it elsewhere",
                 "leave one of the two out",
             )
+        if self.rigid and (self.preset or self.wls or self.procrustes):
+            raise UsageError(
+                "--rigid does not go with --preset paper, --wls or --procrustes",
+                "leave them out: they change the shape of all particles alike",
+            )
         if self.particles and self.spacing:
             raise UsageError(
                 f"--particles {self.particles} and --spacing {self.spacing:g} were both given",
@@ -89,12 +94,28 @@ class Request(RequestOptions):
                 " --wls or --procrustes",
                 "leave them out: what they do once a frame would be done at every sample",
             )
+        self._check_settling()
         if self.self_contact and self.preset:
             raise UsageError(
                 f"--preset {self.preset} does not know --self-contact",
                 "leave one of the two out: there every particle meets the floor, and nothing else",
             )
         _ = self.parsed  # raises for a text that says nothing
+
+    def _check_settling(self) -> None:
+        """Raise UsageError for options that ask for frames of a bake that writes one pose."""
+        for option, given in (
+            ("--range", self.range),
+            ("--handles", self.handles),
+            ("--samples-per-frame", (self.samples_per_frame or 1) > 1),
+            ("--clip-frames", self.clip_frames),
+            ("--flesh", self.flesh),
+        ):
+            if self.settle_only and given:
+                raise UsageError(
+                    f"--settle-only does not go with {option}: it writes one pose, that at rest",
+                    f"leave {option} out",
+                )
 
     def _check_flesh(self) -> None:
         """Raise UsageError for options that do not go with --flesh, or only with it."""
@@ -127,6 +148,7 @@ class Request(RequestOptions):
         finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
         for option, given in (
             ("--pin", self.pins),
+            ("--rigid", self.rigid),
             ("--flesh", self.flesh),
             ("--filter-rate", finite),
             ("--self-contact", self.self_contact),

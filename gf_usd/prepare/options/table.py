@@ -108,6 +108,10 @@ class RequestOptions:
         " 1 m.",
         shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
+    settle_only: Annotated[bool, Option(
+        TIME, "Simulate until everything is at rest, --frames at most, and write that pose alone,"
+        " without time samples.",
+    )] = False
     drop: Annotated[float | str | None, Option(
         SCENE, "Height of the fall [stage units], or in radii of the body: 3r.",
         shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
@@ -149,6 +153,11 @@ class RequestOptions:
         " GeomSubset, a mesh or a prim above meshes, box:x0,y0,z0,x1,y1,z1 [stage units],"
         " paint:PRIMVAR for the faces with a painted weight of 0.5 and more, or joint:NAME for"
         " those that follow a joint as much.",
+        shown="nothing", write=values.pins,
+    )] = ()
+    rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
+        SCENE, "Region that moves as a rigid body; repeatable. Regions as of --pin; a GeomSubset"
+        " stands for what lies nearest to its faces.",
         shown="nothing", write=values.pins,
     )] = ()
     flesh: Annotated[bool, Option(

@@ -30,9 +30,11 @@ def read_regions(
     *,
     rest: float | None,
     times: Sequence[float],
+    option: str = "--pin",
 ) -> tuple[Region, ...]:
     """The regions that prim paths name, with their motion.
 
+    option : that names them, for messages.
     file : the USD file; facts.path is what messages call it.
     rest : time code of the rest pose; None: the stage's start, or 1.
     times : time codes of the frames.
@@ -42,7 +44,7 @@ def read_regions(
     with reading(file):
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
-        return tuple(_region(stage, facts, name, first, times) for name in names)
+        return tuple(_region(stage, facts, name, first, times, option) for name in names)
 
 
 HALF = 0.5
@@ -57,6 +59,7 @@ def read_weighted(
     *,
     rest: float | None,
     times: Sequence[float],
+    option: str = "--pin",
 ) -> tuple[Region, ...]:
     """The regions where meshes have a weight, with their motion; arguments as of `read_regions`.
 
@@ -65,10 +68,12 @@ def read_weighted(
 
     Raises InputError where no mesh has that weight, or none of HALF.
     """
+    said = f"{option} {name}"
     with reading(file):
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
-        made, known = [], []
+        made: list[Region] = []
+        known: list[str] = []
         for path in meshes:
             prim = named_prim(stage, facts.path, path)
             weight = _painted(prim, name, first) if name.startswith(PAINT) else None
@@ -77,10 +82,10 @@ def read_weighted(
                 known += joints
             if weight is None:
                 continue
-            points, triangles = _triangles([prim], facts, first, name)
+            points, triangles = _triangles([prim], facts, first, said)
             if len(weight) != len(points):
                 raise InputError(
-                    f"{facts.path}: --pin {name}: <{path}> has {len(weight)} weights for"
+                    f"{facts.path}: {said}: <{path}> has {len(weight)} weights for"
                     f" {len(points)} points",
                     "paint a weight on each point",
                 )
@@ -105,7 +110,7 @@ def read_weighted(
     if not made:
         what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "none has it"
         raise InputError(
-            f"{facts.path}: --pin {name}: no face of {len(meshes)} mesh(es) has a weight of"
+            f"{facts.path}: {said}: no face of {len(meshes)} mesh(es) has a weight of"
             f" {HALF:g} and more",
             f"name a float primvar on points, or a joint of the skeleton; {what}",
         )
@@ -120,14 +125,14 @@ def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
     values = np.atleast_1d(np.asarray(primvar.ComputeFlattened(time)))
     numeric = values.ndim == 1 and np.issubdtype(values.dtype, np.number)
     on_points = primvar.GetInterpolation() in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
-    return values.astype(float) if numeric and on_points else None
+    return values.astype(np.float64) if numeric and on_points else None
 
 
 def _of_joint(prim: Usd.Prim, name: str) -> tuple[Floats | None, list[str]]:
     """(V,) by which points follow a joint, None where there is none; and all joints' names."""
     binding = UsdSkel.BindingAPI(prim)
     skeleton = UsdSkel.Skeleton(binding.GetInheritedSkeleton())
-    joints = list(binding.GetJointsAttr().Get() or ())
+    joints: list[str] = list(binding.GetJointsAttr().Get() or ())
     if not joints and skeleton:
         joints = list(skeleton.GetJointsAttr().Get() or ())
     indices, weights = binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()
@@ -143,8 +148,14 @@ def _of_joint(prim: Usd.Prim, name: str) -> tuple[Floats | None, list[str]]:
 
 
 def _region(
-    stage: Usd.Stage, facts: StageFacts, name: str, rest: Usd.TimeCode, times: Sequence[float]
+    stage: Usd.Stage,
+    facts: StageFacts,
+    name: str,
+    rest: Usd.TimeCode,
+    times: Sequence[float],
+    option: str,
 ) -> Region:
+    said = f"{option} {name}"
     prim = named_prim(stage, facts.path, name)
     subset = UsdGeom.Subset(prim)
     if subset:
@@ -153,12 +164,12 @@ def _region(
         prims = [p for p in Usd.PrimRange(prim, PROXIES) if _has_surface(p)]
     if not prims:
         raise InputError(
-            f"{facts.path}: --pin {name}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
+            f"{facts.path}: {said}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
             " without a mesh under it",
             "name a GeomSubset, a mesh or a prim above meshes, or give a box:"
-            " --pin box:x0,y0,z0,x1,y1,z1",
+            f" {option} box:x0,y0,z0,x1,y1,z1",
         )
-    points, triangles = _triangles(prims, facts, rest, name)
+    points, triangles = _triangles(prims, facts, rest, said)
     moving = _posed(prims, facts, times)
     path = points[None]
     if moving is not None:
@@ -166,7 +177,7 @@ def _region(
         path = moving
     if not subset:
         return Region(name=name, kind="volume", points=points, triangles=triangles, path=path)
-    chosen = _chosen(subset, prims[0], triangles, rest, facts, name)
+    chosen = _chosen(subset, prims[0], triangles, rest, facts, said)
     used, renumbered = np.unique(chosen, return_inverse=True)
     return Region(
         name=name,
@@ -183,7 +194,7 @@ def _has_surface(prim: Usd.Prim) -> bool:
 
 
 def _triangles(
-    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, name: str
+    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, said: str
 ) -> tuple[Floats, Ints]:
     """All points (V, 3) [m] and triangles (T, 3) of some prims."""
     context, points, triangles, count = bare_reading(facts, rest), [], [], 0
@@ -192,7 +203,7 @@ def _triangles(
             surface = read_surface(prim, context)
         except LeftAlone as reason:
             raise InputError(
-                f"{facts.path}: --pin {name}: <{prim.GetPath()}> {reason}", "name other prims"
+                f"{facts.path}: {said}: <{prim.GetPath()}> {reason}", "name other prims"
             ) from reason
         points.append(surface.points)
         triangles.append(surface.triangles + count)
@@ -217,7 +228,7 @@ def _chosen(
     triangles: Ints,
     rest: Usd.TimeCode,
     facts: StageFacts,
-    name: str,
+    said: str,
 ) -> Ints:
     """Triangles (n, 3) of the mesh that belong to a subset of its faces or points."""
     indices = np.asarray(subset.GetIndicesAttr().Get(rest) or [], dtype=np.int64)
@@ -232,12 +243,12 @@ def _chosen(
         mine = np.isin(np.repeat(np.arange(len(counts)), per_face), indices)
     else:
         raise InputError(
-            f"{facts.path}: --pin {name} is a subset of elementType {kind!r}",
+            f"{facts.path}: {said} is a subset of elementType {kind!r}",
             "name a subset of faces or points",
         )
     if not mine.any():
         raise InputError(
-            f"{facts.path}: --pin {name} holds {len(indices)} indices but no face of its mesh",
+            f"{facts.path}: {said} holds {len(indices)} indices but no face of its mesh",
             "name a subset that has faces",
         )
     return triangles[mine]

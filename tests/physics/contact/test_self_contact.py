@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from two_legs import SPACING, legs, sampled
 
-from gf_usd.physics.contact.self_contact import FACE, SelfContact, closest_weights
+from gf_usd.physics.contact.self_contact import FACE, OFFSET, SelfContact, closest_weights
 
 GAP = 0.5  # [m] at rest
 REACH = FACE * SPACING
 
 
-def made():
-    """Two legs half a meter apart, and their samples at rest."""
-    skin, samples = sampled(legs(GAP))
+def made(gap: float = GAP):
+    """Two legs half a meter apart, or as asked, and their samples at rest."""
+    skin, samples = sampled(legs(gap))
     return SelfContact(skin, samples.X, samples.normal, SPACING), samples
 
 
@@ -53,6 +53,20 @@ def test_nothing_is_near_a_body_at_rest():
     # The legs meet after 0.5 s at 1 m/s; it is looked again before that.
     hold = min(own.judge(x, v)[1], own.find(x, v, REACH, x, nothing).hold)
     assert 0.05 < hold < GAP
+
+
+def test_a_sample_is_pushed_before_it_touches_but_not_where_it_is_at_rest():
+    most = OFFSET * SPACING
+    assert (made()[0].offset == most).all()
+    for gap in (0.5 * most, 0.1 * most):
+        own, samples = made(gap)
+        # Of the inner faces; beyond an edge of theirs nothing is faced.
+        inner = np.abs(samples.X[:, 0] - 0.4 - 0.5 * gap) < 0.5 * gap + 1e-6
+        inner &= (samples.X[:, 1] > 0.8) & (samples.X[:, 1] < 1.0)
+        assert inner.any()
+        np.testing.assert_allclose(own.offset[inner], gap, atol=1e-9)
+        outer = np.abs(samples.X[:, 0] - 0.4) > 0.35
+        assert (own.offset[outer] == most).all()
 
 
 def test_legs_that_close_face_each_other():

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -32,10 +33,10 @@ PERIODS, SAMPLES = 2, 12
 FINE = 4  # subdivisions of the sphere: with 3 its facets alone are worth .3 % of T3
 
 
-def first_root(f: Callable[[float], float], low: float, high: float) -> float:
-    """The least x in (low, high) at which f changes its sign."""
+def first_root(f: Callable[[Any], Any], low: float, high: float) -> float:
+    """The least x in (low, high) at which f changes its sign; f takes arrays."""
     x = np.linspace(low, high, 2001)
-    y = np.array([f(float(one)) for one in x])
+    y = np.asarray(f(x))
     k = int(np.flatnonzero(y[:-1] * y[1:] < 0.0)[0])
     return float(root_scalar(f, bracket=(x[k], x[k + 1])).root)
 

@@ -1,0 +1,188 @@
+"""Children that read files, forked from a process that has loaded all they need.
+
+The process has one thread and opens no file, so that a fork inherits no lock that is held and
+nothing of another file.  Without it a child loads Python, NumPy and USD for every file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import resource
+import select
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gf_usd.system import sandbox
+from gf_usd.system.processes import PARENT, Ended, Process, Running, peak_memory
+from gf_usd.system.warm.workers import receive, send
+
+AVAILABLE = hasattr(os, "pidfd_open") and Path("/proc/self/task").is_dir()  # Linux
+# no threads of libraries, which a child would not have
+ALONE = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+START = (
+    f"import json, os, sys; os.environ.update(dict.fromkeys({ALONE}, '1'));"
+    " sys.path[:] = json.loads(sys.argv[1]);"
+    " from gf_usd.system.warm.fork_server import run; run(int(sys.argv[2]), sys.argv[3:])"
+)
+
+
+class ForkServer:
+    """The process, which ends with this one.
+
+    Parameters
+    ----------
+    modules : that it imports.
+    """
+
+    def __init__(self, modules: Sequence[str]) -> None:
+        self._end, other = socket.socketpair()
+        with other:
+            command = [sys.executable, "-P", "-c", START, json.dumps(sys.path)]
+            number = other.fileno()
+            self._process = Process([*command, str(number), *modules], inherit=[number], grace=0.0)
+        self._busy = threading.Lock()
+        self.cpu_seconds = 0.0  # of the process and its children, at the end of the last one
+
+    def start(self, request: Path) -> sandbox.Reader:
+        """A child for a request, as `sandbox.start` starts one.
+
+        That starts it where the process cannot: it is busy, gone, or has several threads.
+        """
+        if not self._busy.acquire(blocking=False):
+            return sandbox.start(request)
+        out, err = os.pipe(), os.pipe()
+        asked = {"request": str(request), "folder": os.getcwd()}
+        try:
+            send(self._end, asked, [out[1], err[1]])
+            answer = receive(self._end)
+        except (BrokenPipeError, ConnectionResetError):  # somebody ended it
+            answer = None
+        for writer in (out[1], err[1]):
+            os.close(writer)
+        if answer is None or not answer[0]["started"]:
+            for reader in (out[0], err[0]):
+                os.close(reader)
+            self._busy.release()
+            return sandbox.start(request)
+        return Forked(self, out[0], err[0])
+
+    def kill(self) -> None:
+        """End the child that runs."""
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            send(self._end, {"kill": True})
+
+    def ended(self) -> tuple[int, float, int]:
+        """Wait for the end of the child that runs; see `Running.reap`."""
+        answer = receive(self._end)
+        if answer is None:
+            return -signal.SIGKILL, 0.0, 0
+        reply = answer[0]
+        self.cpu_seconds = reply["spent"]
+        return reply["status"], reply["cpu_seconds"], reply["memory"]
+
+    def release(self) -> None:
+        """Be free for another child."""
+        self._busy.release()
+
+    def close(self) -> None:
+        """End the process, which has no child."""
+        self._end.close()
+        self._process.reap()
+
+
+class Forked(Running):
+    """A child of a `ForkServer`.
+
+    Parameters
+    ----------
+    out, err : descriptors of what it writes.
+    """
+
+    def __init__(self, server: ForkServer, out: int, err: int) -> None:
+        super().__init__(grace=0.0)
+        self._server, self._out, self._err = server, out, err
+        self._lock = threading.Lock()
+        self._reaped = False
+
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+        """See `Child.wait`."""
+        with os.fdopen(self._out, "rb") as out, os.fdopen(self._err, "rb") as err:
+            return self._read(out, err, on_line, timeout, binary=True)
+
+    def reap(self) -> tuple[int, float, int]:
+        """See `Running`."""
+        ended = self._server.ended()
+        with self._lock:
+            self._reaped = True
+        self._server.release()  # not before: `_signal` would reach the next child
+        return ended
+
+    def _signal(self, number: int) -> None:
+        with self._lock:
+            if not self._reaped:
+                self._server.kill()
+
+
+def run(descriptor: int, modules: Sequence[str]) -> None:
+    """The process: fork a child for each request until the other end is closed."""
+    os.environ[PARENT] = str(os.getpid())
+    for module in modules:
+        importlib.import_module(module)
+    end = socket.socket(fileno=descriptor)
+    while (asked := receive(end)) is not None:
+        request, descriptors = asked
+        if "request" not in request:  # to end a child that has ended
+            continue
+        process = os.fork() if len(os.listdir("/proc/self/task")) == 1 else -1
+        if not process:
+            end.close()
+            os.setsid()
+            for number, descriptor in enumerate(descriptors, 1):
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            os.chdir(request["folder"])
+            sandbox.serve(request["request"])
+        for descriptor in descriptors:
+            os.close(descriptor)
+        send(end, {"started": process > 0})
+        if process > 0:
+            _follow(end, process)
+
+
+def _follow(end: socket.socket, process: int) -> None:
+    """Wait for a child, and end it where that is asked or nobody is there to ask."""
+    watched = os.pidfd_open(process)
+    while watched not in (ready := select.select([end, watched], [], [])[0]):
+        assert end in ready
+        gone = receive(end) is None
+        _kill(process)
+        if gone:
+            break
+    os.close(watched)
+    os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT)
+    _kill(process)  # what it leaves running
+    _, code, usage = os.wait4(process, 0)
+    own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    reply = {
+        "status": os.waitstatus_to_exitcode(code),
+        "cpu_seconds": usage.ru_utime + usage.ru_stime,
+        "memory": peak_memory(usage),
+        "spent": own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime,
+    }
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+        send(end, reply)
+
+
+def _kill(process: int) -> None:
+    """End a child that is not reaped, and all that it started."""
+    try:
+        os.killpg(process, signal.SIGKILL)
+    except ProcessLookupError:  # it has not come to making its group
+        os.kill(process, signal.SIGKILL)

@@ -1,0 +1,92 @@
+"""--settle-only: the pose at rest as a static asset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+
+import gf_usd
+from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.core.frames import Health
+from gf_usd.core.materials import G0, time_scale
+from gf_usd.layers.stage import hold_still
+from gf_usd.pipeline.frames import Rest
+
+SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
+BODY = "/Sphere/Geom/Body"
+SMALL: dict[str, Any] = {"material": "clay", "particles": 300}
+
+
+def test_rest_is_less_than_a_ten_millionth_of_m_g_r_for_a_time_T() -> None:
+    rest = Rest(0.25 * time_scale(2.0), 2.0)
+    still = Health(mass=3.0, kinetic=0.9e-7 * 3.0 * G0 * 2.0)
+    moving = Health(mass=3.0, kinetic=1.1e-7 * 3.0 * G0 * 2.0)
+    assert [rest.reached(h) for h in (still, still, still)] == [False] * 3
+    assert not rest.reached(moving)
+    assert [rest.reached(still) for _ in range(4)] == [False, False, False, True]
+
+
+def test_a_layer_that_is_held_still_has_its_last_sample_at_all_times() -> None:
+    layer = Sdf.Layer.CreateAnonymous()
+    layer.startTimeCode, layer.endTimeCode = 1.0, 2.0
+    stage = Usd.Stage.Open(layer)
+    points = UsdGeom.Points.Define(stage, "/P")
+    for time in (1.0, 2.0):
+        points.GetPointsAttr().Set([(time, 0.0, 0.0)], time)
+        points.GetVelocitiesAttr().Set([(1.0, 0.0, 0.0)], time)
+    points.GetWidthsAttr().Set([1.0])
+    hold_still(layer)
+    assert not any(a.GetNumTimeSamples() for a in points.GetPrim().GetAttributes())
+    assert points.GetPointsAttr().Get() == [(2.0, 0.0, 0.0)]
+    assert points.GetVelocitiesAttr().Get() is None
+    assert points.GetWidthsAttr().Get() == [1.0]
+    assert not layer.HasStartTimeCode()
+    assert not layer.HasEndTimeCode()
+
+
+@pytest.mark.parametrize(
+    "more", [{"range": (1, 2)}, {"handles": 2}, {"samples_per_frame": 2}, {"clip_frames": 5}]
+)
+def test_what_asks_for_frames_does_not_go_with_one_pose(
+    tmp_path: Path, more: dict[str, Any]
+) -> None:
+    with pytest.raises(UsageError, match="settle_only=True does not go with"):
+        gf_usd.bake(SPHERE, output=tmp_path / "s.usda", settle_only=True, **SMALL, **more)
+
+
+def test_what_is_not_at_rest_is_refused_with_its_energy(tmp_path: Path) -> None:
+    few: dict[str, Any] = {"particles": 60, "frames": 5}
+    with pytest.raises(BakeError, match="not at rest within 5 frames: the kinetic energy"):
+        gf_usd.bake(SPHERE, output=tmp_path / "s.usda", settle_only=True, **few)
+    assert not (tmp_path / "s.usda").exists()
+
+
+@pytest.mark.slow
+def test_the_pose_at_rest_is_that_of_the_frame_in_which_all_rests(tmp_path: Path) -> None:
+    still = gf_usd.bake(
+        SPHERE, output=tmp_path / "still.usda", settle_only=True, internal=True, **SMALL
+    )
+    assert still.frames == 1
+    rests = still.bakes[0].health["frames"]
+    assert f"clay: at rest at frame {rests}" in still.notes
+    moving = gf_usd.bake(
+        SPHERE, output=tmp_path / "moving.usda", frames=rests, internal=True, **SMALL
+    )
+    one, many = (Usd.Stage.Open(str(result.root)) for result in (still, moving))
+    assert not one.HasAuthoredTimeCodeRange()
+    paths = (BODY, "/Sphere/GaussianFlesh/Points", "/Sphere/GaussianFlesh/Gaussians")
+    for prim in map(one.GetPrimAtPath, paths):
+        assert not any(a.GetNumTimeSamples() for a in prim.GetAttributes())
+        last = many.GetPrimAtPath(prim.GetPath())
+        for name in ("points", "extent", "gaussianFlesh:plasticStrain"):
+            value, sampled = prim.GetAttribute(name), last.GetAttribute(name)
+            if value and value.HasValue():
+                expected = np.asarray(sampled.Get(many.GetEndTimeCode()))
+                np.testing.assert_array_equal(np.asarray(value.Get()), expected)
+    points = np.asarray(one.GetPrimAtPath(BODY).GetAttribute("points").Get())
+    assert points[:, 1].min() == pytest.approx(0.0, abs=0.05)
+    assert not [fault for fault in still.findings if fault["level"] == "error"]
