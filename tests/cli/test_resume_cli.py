@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm import arm, write
 from captures import ball, write_ply
 from resumed import require_same, require_whole, samples, start, wait_for
 from small_bakes import names
@@ -214,3 +215,17 @@ def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> N
     assert len(names(here / "all")) == 9
     for name in names(here / "all"):
         assert (here / "all" / name).read_bytes() == (here / "parts" / name).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "more", [(), ("--goal-frequency", "4"), ("--rigid", "box:1.5,-1,-1,3,1,1")]
+)
+def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
+    write(here, arm())
+    words = ("bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "400", "--preroll", "6",
+             "--clip-frames", "4", *more)  # fmt: skip
+    assert gf_usd(*words, "-o", "whole/").status == 0
+    assert gf_usd(*words, "-o", "parts/", "--slice", "1").status == 5
+    assert gf_usd(*words, "-o", "parts/", "--resume").status == 0
+    require_same(here / "whole", here / "parts")
