@@ -14,6 +14,7 @@ from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import RenderMesh
 from gf_usd.view.render.textures import corner_normals
 
+DIGITS = 4  # of normals
 QUALITY = 92  # of a picture as JPEG
 
 
@@ -68,7 +69,8 @@ def _primitive(
     shading = mesh.normals
     if shading is None:
         shading = corner_normals(mesh.points, mesh.triangles, mesh.crease_angle)
-    normals = np.asarray(shading)[mine].reshape(-1, 3)
+    # sums over the triangles around a point come out a little different at each of its corners
+    normals = np.round(np.asarray(shading, np.float64)[mine].reshape(-1, 3), DIGITS)
     uvs = None
     if texture >= 0 and mesh.uvs is not None:
         uvs = np.asarray(mesh.uvs)[mine].reshape(-1, 2) * (1.0, -1.0) + (0.0, 1.0)
