@@ -19,6 +19,7 @@ from gf_usd.system.atomic_files import partial_path, publish
 
 USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
+OFFSET_BYTES = 12  # of a point in a shape
 JOINT_BYTES = 20  # a key of a joint in the smallest form: a rotation of 16 bits, a translation
 MOST_JOINTS = 400  # of a body
 MOST_SHAPES = 64  # of a body
@@ -108,8 +109,8 @@ def _smallest(
     made: list[tuple[int, Path, Sequence[Look], float, tuple[str, ...]]] = []
     reasons = []
     for one in kinds:
-        if made:  # of joints, no more than a smaller file can hold
-            most_joints = min(most_joints, made[0][0] // (JOINT_BYTES * len(looks[0].time_codes)))
+        if made:
+            most_joints = min(most_joints, _room(made[0][2]))
         fit = _fitter(one, max(1, most_joints), most_shapes, reasons)
         found = _within(looks, fit, error, files)
         if found is None:
@@ -254,6 +255,15 @@ def _fitter(
         return None
 
     return fit
+
+
+def _room(looks: Sequence[Look]) -> int:
+    """How many joints take about the bytes of the shapes: with more, their file is larger."""
+    most = 0
+    for look in looks:
+        points = sum(len(rig.body.rest) * rig.blend_shapes for rig in look.rigs)
+        most = max(most, points * OFFSET_BYTES // (JOINT_BYTES * len(look.time_codes)))
+    return most
 
 
 def _within(
