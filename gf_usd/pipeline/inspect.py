@@ -253,7 +253,9 @@ def inspect(
     request, presets = parse_request(material, law, options)
     source = Path(path)
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
-        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+        found = read_stage(
+            read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
+        )
     asset, spec = found.asset, found.spec
     seen = examine(asset, mend(asset, request, spec)[2] if repair else ())
     files = outputs(source, [preset.name for preset in found.presets], None)
