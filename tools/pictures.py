@@ -77,7 +77,7 @@ def walk(path: Path, folder: Path) -> None:
     baked = folder / "twice.jelly.usda"
     side_by_side(twice, baked, both, apart=62.0, height=70.0, away=190.0)
     frames = f"{cycle + 1}:{2 * cycle}"
-    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--frames", frames,
+    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--time-codes", frames,
            "--size", "560x340")  # fmt: skip
     require(path, LARGEST_FILM)
 

@@ -29,7 +29,8 @@ def make_pins(
     rest: float | None,
     option: str = "--pin",
 ) -> tuple[Pin, ...]:
-    """One pin for each name: "box:x0,y0,z0,x1,y1,z1" [stage units] or a prim path.
+    """The pins of each name: "box:x0,y0,z0,x1,y1,z1" [stage units], "paint:PRIMVAR", "joint:NAME"
+    or a prim path.
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     option : --pin, or --rigid for regions that move by the forces on them.
@@ -38,7 +39,7 @@ def make_pins(
     and for a region that holds nothing of the body.
     """
     from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid
-    from gf_usd.readers.usd_bake.regions import read_regions
+    from gf_usd.readers.usd_bake.regions import JOINT, PAINT, read_regions, read_weighted
 
     if not names:
         return ()
@@ -48,7 +49,8 @@ def make_pins(
         return read_regions(file, paths, asset.facts, rest=rest, times=times, option=option)
 
     boxes = [name for name in names if name.startswith(BOX)]
-    prims = [name for name in names if not name.startswith(BOX)]
+    weights = [name for name in names if name.startswith((PAINT, JOINT))]
+    prims = [name for name in names if not name.startswith(BOX) and name not in weights]
     regions = {region.name: region for region in read(prims)} if prims else {}
     if boxes:
         bodies = read([s.path for s in asset.surfaces])
@@ -59,10 +61,16 @@ def make_pins(
         )
         unit = asset.facts.units.length
         regions |= {name: box_region(name, unit, points, path, option) for name in boxes}
-    for name in names:
-        _require_hold(regions[name], asset, option)
+    filled = [s.path for s in solid.surfaces]
+    every = {name: (regions[name],) for name in regions} | {
+        name: read_weighted(file, name, asset.facts, filled, rest=rest, times=times, option=option)
+        for name in weights
+    }
+    found = [region for name in names for region in every[name]]
+    for region in found:
+        _require_hold(region, asset, option)
     make = make_rigid if option == "--rigid" else make_pin
-    return tuple(make(regions[name], solid) for name in names)
+    return tuple(make(region, solid) for region in found)
 
 
 def _require_hold(region: Region, asset: Asset, option: str) -> None:

@@ -149,8 +149,10 @@ class RequestOptions:
         METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
-        SCENE, "Region with prescribed motion, that of the asset's animation; repeatable. A"
-        " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
+        SCENE, "Region that is held, or moves as the asset's animation does; repeatable. A"
+        " GeomSubset, a mesh or a prim above meshes, box:x0,y0,z0,x1,y1,z1 [stage units],"
+        " paint:PRIMVAR for the faces with a painted weight of 0.5 and more, or joint:NAME for"
+        " those that follow a joint as much.",
         shown="nothing", write=values.pins,
     )] = ()
     rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
