@@ -26,12 +26,13 @@ VERSION = "import sys; print(*sys.version_info[:2], sep='.')"
 
 @dataclass(frozen=True)
 class Client:
-    """A program, as packages of PyPI."""
+    """A program, as packages of PyPI, or of npm."""
 
     requirements: tuple[str, ...]
-    proof: str  # Python that must run once it is installed
+    proof: str  # Python, or JavaScript for Node.js, that must run once it is installed
     python: str | None = None  # the one version it runs on; None: any that gf-usd runs on
     libraries: tuple[str, ...] = ()  # Debian packages that it links to
+    npm: bool = False
 
 
 CLIENTS = {
@@ -45,6 +46,9 @@ CLIENTS = {
         # the converter has no release for Python 3.13 yet
         ("gsply[spz]>=0.4,<1", "usd-convert-gsplat[usd]>=0.1.15,<1; python_version < '3.13'"),
         "import gsply",
+    ),
+    "gltf": Client(
+        ("gltf-validator@2.0.0-dev.3.10", "three@0.187.0"), "require('gltf-validator')", npm=True
     ),
     "blender": Client(
         ("bpy>=5.2,<5.3",),
@@ -104,6 +108,10 @@ def set_up(name: str, into: Path, pythons: list[str]) -> str:
     if stamp.is_file() and stamp.read_text() == wanted:
         return f"is in {folder}"
     began = time.perf_counter()
+    if client.npm:
+        _install_packages(client, folder)
+        stamp.write_text(wanted)
+        return f"installed into {folder} in {time.perf_counter() - began:.0f} s"
     python = find_python(client.python, pythons)
     shutil.rmtree(folder, ignore_errors=True)
     _run([python, "-m", "venv", str(folder)])
@@ -120,6 +128,17 @@ def set_up(name: str, into: Path, pythons: list[str]) -> str:
         ) from error
     stamp.write_text(wanted)
     return f"installed into {folder} in {time.perf_counter() - began:.0f} s"
+
+
+def _install_packages(client: Client, folder: Path) -> None:
+    """Packages of npm into ``folder/node_modules``; their proof runs there."""
+    if not (shutil.which("npm") and shutil.which("node")):
+        raise NotInstalled("npm was not found\nhint: on Debian: apt-get install npm")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    quiet = ("--no-audit", "--no-fund", "--loglevel=error")
+    _run(["npm", "install", *quiet, "--prefix", str(folder), *client.requirements])
+    _run(["node", "-e", client.proof.replace("'", f"'{folder}/node_modules/", 1)])
 
 
 def find_python(version: str | None, named: list[str]) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from gf_usd.system.atomic_files import partial_path, publish
 
 USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
+OFFSET_BYTES = 12  # of a point in a shape
 JOINT_BYTES = 20  # a key of a joint in the smallest form: a rotation of 16 bits, a translation
 MOST_JOINTS = 400  # of a body
 MOST_SHAPES = 64  # of a body
@@ -73,18 +75,48 @@ def deliver(
     suffix = target.suffix.lower()
     looks, recordings, notes = _looks(bake, variant, whole=suffix in GLB)
     files = _Usd(bake, target) if suffix in USD else _Glb(target, recordings[0])
+    with _no_partial_files(target):
+        return _smallest(bake, target, looks, files, error, kind, most_joints, most_shapes, notes)
+
+
+@contextmanager
+def _no_partial_files(target: Path) -> Iterator[None]:
+    """However it ends, nothing is left under a partial name."""
+    try:
+        yield
+    finally:
+        for path in (target, *(_kept(target, kind) for kind in KINDS)):
+            partial_path(path).unlink(missing_ok=True)
+
+
+def _kept(target: Path, kind: str) -> Path:
+    return target.with_name(f"{target.stem}.{kind}{target.suffix}")
+
+
+def _smallest(
+    bake: Path,
+    target: Path,
+    looks: Sequence[Look],
+    files: _Usd | _Glb,
+    error: float,
+    kind: str,
+    most_joints: int,
+    most_shapes: int,
+    notes: Sequence[str],
+) -> Delivered:
+    """Write with each kind, and publish the smallest file."""
     kinds = KINDS[1:] if kind == "auto" else (kind,)
     made: list[tuple[int, Path, Sequence[Look], float, tuple[str, ...]]] = []
     reasons = []
     for one in kinds:
-        if made:  # of joints, no more than a smaller file can hold
-            most_joints = min(most_joints, made[0][0] // (JOINT_BYTES * len(looks[0].time_codes)))
+        if made:
+            most_joints = min(most_joints, _room(made[0][2]))
         fit = _fitter(one, max(1, most_joints), most_shapes, reasons)
         found = _within(looks, fit, error, files)
         if found is None:
             continue
         rigs, off, said = found
-        kept = target.with_name(f"{target.stem}.{one}{target.suffix}")
+        kept = _kept(target, one)
         partial_path(target).replace(partial_path(kept))
         made.append((partial_path(kept).stat().st_size, partial_path(kept), rigs, off, said))
         if not any(rig.joints or rig.blend_shapes for look in rigs for rig in look.rigs):
@@ -97,8 +129,6 @@ def deliver(
         )
     made.sort(key=lambda row: row[0])
     size, smallest, chosen, off, said = made[0]
-    for _, other, *_ in made[1:]:
-        other.unlink()
     smallest.replace(partial_path(target))
     publish(target)
     return Delivered(
@@ -225,6 +255,15 @@ def _fitter(
         return None
 
     return fit
+
+
+def _room(looks: Sequence[Look]) -> int:
+    """How many joints take about the bytes of the shapes: with more, their file is larger."""
+    most = 0
+    for look in looks:
+        points = sum(len(rig.body.rest) * rig.blend_shapes for rig in look.rigs)
+        most = max(most, points * OFFSET_BYTES // (JOINT_BYTES * len(look.time_codes)))
+    return most
 
 
 def _within(

@@ -12,8 +12,9 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Texture
 from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import RenderMesh
-from gf_usd.view.render.textures import corner_normals
+from gf_usd.view.report.surface import smooth_groups
 
+DIGITS = 4  # of normals, so that those of one surface are one vertex
 QUALITY = 92  # of a picture as JPEG
 
 
@@ -67,8 +68,8 @@ def _primitive(
     corners = np.asarray(mesh.triangles)[mine].reshape(-1)
     shading = mesh.normals
     if shading is None:
-        shading = corner_normals(mesh.points, mesh.triangles, mesh.crease_angle)
-    normals = np.asarray(shading)[mine].reshape(-1, 3)
+        shading = _smooth_normals(mesh)
+    normals = np.round(np.asarray(shading, np.float64)[mine].reshape(-1, 3), DIGITS)
     uvs = None
     if texture >= 0 and mesh.uvs is not None:
         uvs = np.asarray(mesh.uvs)[mine].reshape(-1, 2) * (1.0, -1.0) + (0.0, 1.0)
@@ -90,6 +91,17 @@ def _primitive(
         roughness=roughness,
         metallic=metallic,
     )
+
+
+def _smooth_normals(mesh: RenderMesh) -> Floats:
+    """(T, 3, 3) area-weighted normals at corners, one for the corners between two creases."""
+    spots = np.asarray(mesh.points, np.float64)[np.asarray(mesh.triangles)]
+    across = np.cross(spots[:, 1] - spots[:, 0], spots[:, 2] - spots[:, 0])
+    crease = np.full(len(spots), mesh.crease_angle)
+    group = smooth_groups(mesh.points, mesh.triangles, crease)
+    corners = np.repeat(across, 3, axis=0)
+    total = np.stack([np.bincount(group, corners[:, k]) for k in range(3)], axis=1)
+    return _unit(total)[group].reshape(-1, 3, 3)
 
 
 def _unit(rows: Floats) -> Floats:

@@ -22,6 +22,7 @@ INFLUENCES = 4  # joints of a point: what glTF's first set and most engines take
 STEPS = 255  # weights are multiples of 1/255, as glTF's normalized bytes
 CANDIDATES = 12  # joints that a point chooses its four from
 FIRST = 8  # joints to begin with
+LEAST = 0.06  # of the joints there are: so many come at once where few are needed
 GROWTH = 1.35  # of the number of joints from one try to the next
 SWEEPS = 5  # of weights and transforms for each number of joints
 CHUNK = 2_000_000  # numbers of a temporary table
@@ -181,7 +182,8 @@ class _Fit:
     def add_joints(self, count: int, tolerance: float) -> None:
         """Joints where the error is largest, each fitted to the points around it.
 
-        At most `count`, and at least one; none where the error is within the tolerance.
+        At most `count`; fewer, down to a share of those there are, once the error is within the
+        tolerance around all of them.
         """
         tiny = np.finfo(float).tiny
         spread_out = not len(self.R)
@@ -191,7 +193,7 @@ class _Fit:
         d: list[Floats] = []
         for _ in range(count):
             at = int(left.argmax())
-            if R and not spread_out and left[at] <= tolerance:
+            if len(R) >= LEAST * len(self.R) and not spread_out and left[at] <= tolerance:
                 break
             gap = ((self.p - self.p[at]) ** 2).sum(axis=1)
             mine = np.argpartition(gap, near - 1)[:near]

@@ -135,6 +135,13 @@ def test_gltf_is_where_it_says_by_an_independent_reader(
     assert 0.0 < done.error <= TOLERANCE
 
 
+def test_vertices_are_split_only_where_something_differs(ball: Path, tmp_path: Path) -> None:
+    done = deliver(ball, tmp_path / "out.glb", error=TOLERANCE)
+    smooth = world_points(ball)["/Ball/Skin"].shape[1]
+    # faces of this coarse ball meet at less than the crease angle
+    assert gltf_vertices(done.path).shape[1] == smooth
+
+
 def test_keys_stay_where_programs_clamp_them(ball: Path, tmp_path: Path) -> None:
     done = deliver(ball, tmp_path / "out.usda", error=TOLERANCE, kind="shapes")
     stage = Usd.Stage.Open(str(done.path))
