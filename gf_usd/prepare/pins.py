@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
-from gf_usd.core.stage import Goals, Pin, Region
+from gf_usd.core.stage import Goals, Pin, Region, Skeleton
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
@@ -91,6 +91,8 @@ def _require_hold(region: Region, asset: Asset, option: str) -> None:
 BONE_RADIUS = 0.5  # of the distance to the skin
 GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
 GOAL_DAMPING = 0.5
+SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
+JUMP = 2.0  # times the longest way between two frames: a cycle whose end is farther is none
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
@@ -104,9 +106,12 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     first, last = animation_range(file, paths, asset.facts)
     if start is not None:
         first, last = first_time_code(asset.facts, start), max(start, last)
-    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first]).bones
+    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first, last]).bones
     reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
-    return Animation(first=first, last=last, reach=reach)
+    steps = [float(np.linalg.norm(b.path[1] - b.path[0], axis=1).max()) for b in bones]
+    size = float(np.linalg.norm(bones[0].anchors[1] - bones[0].anchors[0]))
+    closed = last > first and max(steps) < SAME_POSE * size
+    return Animation(first=first, last=last, reach=reach, closed=closed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,12 +136,16 @@ def flesh_of(
     damping: float | None,
     lattice: float,
     spacing: float,
+    cycle: int = 0,
+    repeats: int = 0,
 ) -> Flesh:
     """The cores of the bones, and the springs that are asked for.
 
     settings : as `sampled`.  share, frequency [Hz], damping : of --bone-radius, --goal-frequency
     and --goal-damping; None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the
-    samples.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
+    samples.  cycle : samples of a period, which comes `repeats` times before it is written; 0: the
+    animation is none.  Raises InputError as `read_animation`, where no bone lies in the flesh, and
+    for a cycle that does not close.
     """
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
@@ -144,11 +153,15 @@ def flesh_of(
     from gf_usd.readers.usd_bake.settings import read_goals
 
     step = settings.time_codes_per_second / settings.fps
-    lead = round((animation.first - settings.start) / step)
-    times = animation.first + (np.arange(settings.frames) - lead) * step
+    lead = round((animation.first - settings.start) / step) - cycle * repeats
+    frame = np.arange(settings.frames) - lead
+    frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
+    times = animation.first + frame * step
     paths = [s.path for s in asset.surfaces]
     skeleton = read_skeleton(file, paths, asset.facts, first=animation.first, times=times.tolist())
     bones = skeleton.bones
+    if cycle and repeats:
+        _require_closed(asset, skeleton, lead, cycle)
     cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
@@ -168,3 +181,20 @@ def flesh_of(
         frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes)
+
+
+def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) -> None:
+    """Raise InputError where the way from the end of a cycle to its start is a jump.
+
+    first : sample at which the animation begins; cycle : samples of a period.
+    """
+    path = np.concatenate([b.path[first : first + cycle + 1] for b in skeleton.bones], axis=1)
+    ways = np.linalg.norm(np.diff(path, axis=0), axis=2).max(1)
+    size = float(np.linalg.norm(skeleton.bones[0].anchors[1] - skeleton.bones[0].anchors[0]))
+    if ways[-1] > JUMP * ways[:-1].max(initial=0.0) + SAME_POSE * size:
+        raise InputError(
+            f"{asset.facts.path}: --loop: the animation is no cycle: from its last frame to its"
+            f" first is {ways[-1]:.3g} m, and at most {ways[:-1].max(initial=0.0):.3g} m between"
+            " others",
+            "give a stage whose time range is one cycle, in place, or leave --loop out",
+        )

@@ -189,6 +189,11 @@ class RequestOptions:
         " simulated and not written.",
         shown="as many as keep accelerations below that of gravity, at least a second", low=1,
     )] = None
+    loop: Annotated[int | None, Option(
+        SCENE, "Times that --flesh runs through the animation, a cycle, before it has become"
+        " periodic; the last one is written.",
+        shown="1", low=1,
+    )] = None
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
     )] = False
