@@ -15,7 +15,7 @@ def test_the_tables_of_the_guide_are_up_to_date() -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("| Frames per second. |", "| Pictures per second. |"),
+        ("| Bake this prim and those below it; repeatable. |", "| Bake that prim. |"),
         ("| `--seed` | the stage's, else 0 |", "| `--seed` | 0 |"),
         ("| `--repair` | off | Show what", "| `--repair` | on | Show what"),
     ],

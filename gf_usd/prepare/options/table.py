@@ -56,7 +56,8 @@ class AssetOptions:
         shown="NAME.MATERIAL.usda in this folder", short="-o", commands=BAKE, write=values.path,
     )] = None
     prims: Annotated[str | Sequence[str], Option(
-        ASSET, "Prim path to bake; repeatable.", shown="the default prim", commands=INSPECT,
+        ASSET, "Bake this prim and those below it; repeatable.",
+        shown="the default prim", commands=INSPECT,
         write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
@@ -74,7 +75,8 @@ class AssetOptions:
         " and give sheets thickness; the mesh itself does not change.",
     )] = False
     law: Annotated[str | None, Option(
-        MATERIAL, "Constitutive law: corotated or neoHookean.", shown="the material's",
+        MATERIAL, "Compute stresses by this constitutive law, such as corotated or neoHookean.",
+        shown="the material's",
     )] = None
 
 
@@ -83,24 +85,28 @@ class RequestOptions:
     """What a plan hangs on; None where nothing was said."""
 
     particles: Annotated[int | None, Option(
-        PARTICLES, "Approximate number of particles.",
+        PARTICLES, "Fill the bodies with about this many particles.",
         shown="8000; to 32000 for thin parts", above_zero=True, commands=INSPECT,
     )] = None
     spacing: Annotated[float | None, Option(
-        PARTICLES, "Mean distance of particles [stage units].", above_zero=True, commands=INSPECT,
+        PARTICLES, "Place particles about this far apart [stage units].",
+        above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Seed of the random places of --preset paper; no other sampling is random.",
+        PARTICLES, "Seed the random places of --preset paper with this; no other sampling is"
+        " random.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | None, Option(
-        TIME, "Number of frames.", shown="13.6 T of the body", above_zero=True, commands=INSPECT,
+        TIME, "Simulate this many frames, at --fps.",
+        shown="13.6 T of the body", above_zero=True, commands=INSPECT,
     )] = None
     fps: Annotated[float | None, Option(
-        TIME, "Frames per second.", shown="the asset's, else 24", above_zero=True, commands=INSPECT,
+        TIME, "Write this many frames for each second of playback.",
+        shown="the asset's, else 24", above_zero=True, commands=INSPECT,
     )] = None
     start: Annotated[float | None, Option(
-        TIME, "Time code of the first frame.",
+        TIME, "Give the first frame this time code.",
         shown="the asset's start, else 1", noun="time code", commands=INSPECT,
     )] = None
     time_scale: Annotated[float | str | None, Option(
@@ -113,16 +119,17 @@ class RequestOptions:
         " without time samples.",
     )] = False
     drop: Annotated[float | str | None, Option(
-        SCENE, "Height of the fall [stage units], or in radii of the body: 3r.",
+        SCENE, "Let the body fall from this height [stage units], or in radii of the body: 3r.",
         shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
         parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
-        SCENE, "Gravity [m/s^2], downward, or a vector x,y,z.",
+        SCENE, "Pull with this gravity [m/s^2], downward, or along a vector x,y,z.",
         shown="9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
     floor: Annotated[Floor | None, Option(
-        SCENE, "none, a height [stage units], a normal x,y,z, or both: 0.5:0.2,1,0.",
+        SCENE, "Put the floor at this height [stage units], give it the normal x,y,z, or both:"
+        " 0.5:0.2,1,0; none leaves it out.",
         shown="0", parse=texts.parse_floor, write=values.floor,
     )] = None
     velocity: Annotated[Vector | str | None, Option(
@@ -140,13 +147,14 @@ class RequestOptions:
         shown="none", commands=INSPECT, write=values.paths,
     )] = ()
     drag: Annotated[float | None, Option(
-        SCENE, "Drag on velocity [1/s].", shown="0", low=0.0, high=1e6,
+        SCENE, "Slow all motion down by this drag [1/s], as air does.",
+        shown="0", low=0.0, high=1e6,
     )] = None
     device: Annotated[Literal["cpu", "cuda"], Option(
-        METHOD, "cpu or cuda.", choices=("cpu", "cuda"),
+        METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),
     )] = "cpu"
     threads: Annotated[int | None, Option(
-        METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
+        METHOD, "Use this many CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
         SCENE, "Region that is held, or moves as the asset's animation does; repeatable. A"
@@ -194,13 +202,15 @@ class RequestOptions:
         shown="yes, but for nearly convex bodies; no with --preset paper and --solver ul",
     )] = None
     damping_time: Annotated[float | None, Option(
-        MATERIAL, "Kelvin-Voigt damping time [s].", shown="the material's", low=0.0, high=1e6,
+        MATERIAL, "Damp vibrations with this Kelvin-Voigt time [s]; more is calmer, and takes"
+        " longer.", shown="the material's", low=0.0, high=1e6,
     )] = None
     friction: Annotated[float | None, Option(
-        MATERIAL, "Coulomb friction coefficient.", shown="the material's", low=0.0, high=100.0,
+        MATERIAL, "Rub with this Coulomb friction coefficient; 0 is ice.",
+        shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Restitution of the contact springs, 0 to 1.",
+        MATERIAL, "Bounce with this restitution of the contact springs, 0 to 1.",
         shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Boxes, Option(
@@ -270,7 +280,7 @@ class RequestOptions:
         WRITE, "Store Gaussians in half precision where it is safe.",
     )] = False
     samples_per_frame: Annotated[int | None, Option(
-        WRITE, "Simulated states written per frame, for motion blur.", shown="1", low=1,
+        WRITE, "Write this many simulated states per frame, for motion blur.", shown="1", low=1,
     )] = None
     range: Annotated[tuple[float | None, float | None] | str | None, Option(
         WRITE, "FIRST:LAST, time codes to write; either may be omitted.",
@@ -306,7 +316,9 @@ class BakeOptions(RequestOptions, AssetOptions):
         WRITE, "End after this many full clips (status 5), to continue with --resume.",
         shown="never", low=1, commands=BAKE,
     )] = None
-    overwrite: Annotated[bool, Option(ASSET, "Replace existing results.", commands=BAKE)] = False
+    overwrite: Annotated[bool, Option(
+        ASSET, "Replace results that are there already.", commands=BAKE,
+    )] = False
     strict: Annotated[bool, Option(
         WRITE, "Treat warnings about the result as an error (status 4).", decides=False,
     )] = False
