@@ -20,9 +20,9 @@ SUBSTEPS = 20
 
 
 def strained(kind: Any, law: str, solver: str) -> tuple[float, float, dict[str, float]]:
-    """Von Mises stress [Pa], energy lost to flow [J] and internal variables of a heavy block; means.
+    """Mean stress [Pa], energy lost to flow [J] and mean internal variables of a heavy block.
 
-    It is so heavy that stress does not move it: the strain is that of its velocity.
+    Stress is that of von Mises.  Such a block is not moved by it: its strain follows its velocity.
     """
     own = {YIELD_STRESS.name: YIELD} if LAWS[law].flows else {}
     made = elastic(E=E, nu=0.3, density=1e12, law=law, parameters=own)
