@@ -18,9 +18,10 @@ from gf_usd.core import __version__
 if TYPE_CHECKING:
     from gf_usd.api.bake import bake
     from gf_usd.api.check import check
+    from gf_usd.api.deliver import deliver
+    from gf_usd.api.drawing.preview import Preview, preview
     from gf_usd.api.inspect import inspect
     from gf_usd.api.materials import materials
-    from gf_usd.api.preview import Preview, preview
     from gf_usd.api.read import Bake, BakeFrame, read
     from gf_usd.api.report import report
     from gf_usd.api.scene import Scene
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     )
     from gf_usd.core.frames import Health, Settings
     from gf_usd.core.materials import Material
+    from gf_usd.delivery.deliver import Delivered, DeliveredBody
     from gf_usd.layers.check.run import CheckResult
     from gf_usd.pipeline.inspect import Inspection
     from gf_usd.pipeline.result import BakeResult, VariantResult
@@ -43,9 +45,10 @@ if TYPE_CHECKING:
 _HOMES = {
     "bake": "gf_usd.api.bake",
     "check": "gf_usd.api.check",
+    "deliver": "gf_usd.api.deliver",
     "inspect": "gf_usd.api.inspect",
     "materials": "gf_usd.api.materials",
-    "preview": "gf_usd.api.preview",
+    "preview": "gf_usd.api.drawing.preview",
     "read": "gf_usd.api.read",
     "report": "gf_usd.api.report",
     "simulate": "gf_usd.api.simulate",
@@ -53,10 +56,12 @@ _HOMES = {
     "BakeFrame": "gf_usd.api.read",
     "BakeResult": "gf_usd.pipeline.result",
     "CheckResult": "gf_usd.layers.check.run",
+    "Delivered": "gf_usd.delivery.deliver",
+    "DeliveredBody": "gf_usd.delivery.deliver",
     "Health": "gf_usd.core.frames",
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials",
-    "Preview": "gf_usd.api.preview",
+    "Preview": "gf_usd.api.drawing.preview",
     "Scene": "gf_usd.api.scene",
     "Settings": "gf_usd.core.frames",
     "Simulation": "gf_usd.api.simulate",
@@ -77,6 +82,8 @@ __all__ = [
     "BakeFrame",
     "BakeResult",
     "CheckResult",
+    "Delivered",
+    "DeliveredBody",
     "GfUsdError",
     "Health",
     "InputError",
@@ -95,6 +102,7 @@ __all__ = [
     "__version__",
     "bake",
     "check",
+    "deliver",
     "inspect",
     "materials",
     "preview",

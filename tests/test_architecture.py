@@ -36,6 +36,7 @@ MAY_IMPORT = {
     "prepare": BASE | {"readers", "geometry"},
     # view: the picture that an advisor is shown
     "pipeline": BASE | {"readers", "geometry", "physics", "layers", "prepare", "view"},
+    "delivery": BASE | {"readers", "layers", "view"},  # view: normals of meshes without any
     "verify": BASE | {"geometry", "physics"},
     "batch": BASE | {"readers", "prepare", "pipeline", "view"},
 }
@@ -79,7 +80,7 @@ def libraries_stay_in_their_packages(file: Path, tree: ast.Module) -> Iterator[s
     """pxr, taichi and what talks to a terminal are imported in few packages."""
     package = file.parts[0]
     homes = {
-        "pxr": package in ("readers", "layers") or str(file) == "system/usd_schema.py",
+        "pxr": package in ("readers", "layers", "delivery") or str(file) == "system/usd_schema.py",
         "taichi": package in ("physics", "view") or file.match("system/taichi_*.py"),
         "typer": package == "cli",
         "rich": package == "cli",

@@ -1,4 +1,4 @@
-"""Write the samples: a duck, a sphere, a deformed sphere, a rigged creature, and ten ducks.
+"""Write the samples: a duck, its capture, two spheres, a rigged creature, and two shots.
 
     python tools/make_samples.py [--out FOLDER]
 
@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tools.samples.capture import write_capture
 from tools.samples.creature_usd import write_creature
 from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
 from tools.samples.implicit import unit_normals
 from tools.samples.quads import Quads
+from tools.samples.shot import write_shot
 from tools.samples.sphere import deformed, level, sphere_atlas, sphere_quads
 from tools.samples.ten_ducks import write_ten_ducks
 from tools.samples.usd import Look, Sample, file_name, write_sample
@@ -76,13 +78,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=SAMPLES, help="folder (default: samples)")
     folder: Path = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
-    for sample in (duck_sample(), *sphere_samples()):
+    swimmer = duck_sample()
+    for sample in (swimmer, *sphere_samples()):
         path = folder / file_name(sample)
         write_sample(path, sample)
         print(f"{path}: {len(sample.mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "duck_capture.spz"
+    count = write_capture(path, swimmer)
+    print(f"{path}: {count} Gaussians, {path.stat().st_size / 1e3:.0f} kB")
     path = folder / "creature.usda"
     mesh = write_creature(path)
     print(f"{path}: {len(mesh.faces)} quads, {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "shot.usda"
+    write_shot(path)
+    print(path)
     path = folder / "ten_ducks.usda"
     write_ten_ducks(path, "./duck.usda")
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")

@@ -47,6 +47,9 @@ def bake(
     prims : prim path to bake, or a list of them.
     drop : height of the fall [stage units], or in radii of the body: "3r".
     gravity : [m/s^2] downward, or a vector (3,).
+    velocity : (3,) [stage units/s] of all bodies at the start; spin : (3,) [degrees/s] about the
+        center of each.
+    colliders : file whose meshes are obstacles, or a list of them.
     floor : a height [stage units], a normal (3,), (height, normal), or False for none.
     range : (first, last) time code to write, None where it is open.
     pins : prim paths, or boxes of two corners [stage units].

@@ -74,7 +74,7 @@ def _connect(address: str) -> Client:
     except ImportError as error:
         raise UsageError(
             "--scheduler needs dask.distributed, which is not installed",
-            "install it: pip install 'gf-usd[cluster]'",
+            "install it: pip install distributed",
         ) from error
     try:
         return Client(address, timeout=CONNECT, set_as_default=False)

@@ -215,7 +215,7 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     Parameters
     ----------
     where : what to name in an error.
-    folder : that paths of material files are relative to.
+    folder : that paths of material files and obstacles are relative to.
 
     Raises UsageError for an unknown option, a value of the wrong type or out of range.
     """
@@ -238,6 +238,8 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
         parse_limits(out.get("limits"))
         if "material" in out:
             out["material"] = _materials(out["material"], folder)
+        if "colliders" in out:
+            out["colliders"] = [str((folder / name).resolve()) for name in out["colliders"]]
     except UsageError as error:
         raise UsageError(f"{where}: {error.message}", error.hint) from error
     return out
@@ -298,6 +300,11 @@ def material_files(options: Mapping[str, Any]) -> tuple[Path, ...]:
     """The material files among a job's materials."""
     parts = str(options.get("material", "")).split(",")
     return tuple(Path(part) for part in parts if Path(part).suffix.lower() in USD)
+
+
+def obstacle_files(options: Mapping[str, Any]) -> tuple[Path, ...]:
+    """The files whose meshes are obstacles of a job."""
+    return tuple(Path(part) for part in options.get("colliders", ()))
 
 
 def decisive(options: Mapping[str, Any]) -> dict[str, Any]:

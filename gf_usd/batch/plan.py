@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from gf_usd.batch.job import RECORD, Job
-from gf_usd.batch.manifest import Group, Manifest, material_files
+from gf_usd.batch.manifest import Group, Manifest, material_files, obstacle_files
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.prepare.outputs import outputs, sequences
 
@@ -238,6 +238,8 @@ def _job_mapped(job: Job, change: Callable[[str], str]) -> Job:
     options = dict(job.options)
     for file in material_files(options):
         options["material"] = options["material"].replace(str(file), change(str(file)))
+    if "colliders" in options:
+        options["colliders"] = [change(str(file)) for file in obstacle_files(options)]
     return replace(
         job, asset=Path(change(str(job.asset))), root=Path(change(str(job.root))), options=options
     )

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.batch.job import Job, Outcome
-from gf_usd.batch.manifest import decisive, material_files
+from gf_usd.batch.manifest import decisive, material_files, obstacle_files
 from gf_usd.core.errors import InputError
 from gf_usd.readers.inputs import digest
 from gf_usd.system.atomic_files import publish_text
@@ -104,7 +104,7 @@ def intact(path: Path, row: Mapping[str, Any]) -> bool:
 
 def read_by(job: Job) -> tuple[Path, ...]:
     """The files that a job names itself: the asset, and files with a material."""
-    return (job.asset, *material_files(job.options))
+    return (job.asset, *material_files(job.options), *obstacle_files(job.options))
 
 
 def describe(job: Job, inputs: Mapping[str, Any]) -> dict[str, Any]:

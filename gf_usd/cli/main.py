@@ -21,6 +21,7 @@ from gf_usd.cli import exit, folder_options
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.deliver import deliver
 from gf_usd.cli.exit import leave, prepare_to_leave
 from gf_usd.cli.help import HelpfulCommand
 from gf_usd.cli.info import inputs, materials, schema_path
@@ -47,6 +48,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "inputs": (inputs, {}),
     "preview": (preview, {}),
     "report": (report, {}),
+    "deliver": (deliver, {}),
     "view": (view, {}),
     "check": (check, {}),
     "verify": (verify, {}),

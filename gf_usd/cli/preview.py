@@ -140,7 +140,7 @@ def draw(
     InputError : the stage cannot be read, or does not hold what is to be shown.
     """
     # pxr and taichi take a second to import, which --help must not wait for
-    from gf_usd.api.preview import draw as draw_preview
+    from gf_usd.api.drawing.preview import draw as draw_preview
 
     with progress() if options.film else nullcontext() as advance:
         done = draw_preview(

@@ -47,7 +47,7 @@ def view(
     """Play the motion in a window, in real time and over and over.
 
     Space plays and pauses, the arrow keys step, G changes between mesh and Gaussians, R resets, Q
-    quits. It needs the extra open3d: pip install 'gf-usd[open3d]'.
+    quits. It needs the extra open3d: pip install open3d.
     """
     # what is missing is said before the file is read, which takes a second
     from gf_usd.view.window import import_open3d, require_display

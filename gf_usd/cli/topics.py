@@ -22,7 +22,8 @@ the asset as it was."""),
     "units": ("lengths, times and where they come from", """\
 Lengths on the command line are in units of the asset, unless the help says [m]; 3r is three
 radii of the body. USD files say how long their unit is (metersPerUnit); without it USD takes
-centimeters. Other files say nothing: one meter is taken. --meters-per-unit overrides both. A
+centimeters. OBJ, PLY, STL and OFF files say nothing: meters are taken, or centimeters or
+millimeters where only these make a body of a plausible size. --meters-per-unit overrides all. A
 body that is implausibly large or small in an assumed unit is warned of.
 
 Times are in frames (--frames, --clip-frames, --handles) or in time codes of the stage

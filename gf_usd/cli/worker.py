@@ -9,15 +9,16 @@ import resource
 import socket
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gf_usd.cli import exit
-from gf_usd.system import sandbox
 from gf_usd.system.file_locks import INHERITED
 from gf_usd.system.memory_and_disk import system_file
 from gf_usd.system.processes import peak_memory
-from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
 from gf_usd.system.warm.workers import receive, send
+
+if TYPE_CHECKING:
+    from gf_usd.system.warm.fork_server import ForkServer
 
 SOUND = (0, 2, 3, 4, 5)  # exit statuses after which the process is as good as before
 # what a child that reads USD imports
@@ -59,6 +60,9 @@ def follow(
 
 def forked_readers() -> ForkServer | None:
     """Have the children that read files forked from here on; None where the system cannot."""
+    from gf_usd.system import sandbox
+    from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
+
     if not AVAILABLE:
         return None
     forks = ForkServer(READERS)

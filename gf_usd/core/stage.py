@@ -207,9 +207,15 @@ class StagePhysics:
     gravity: Triple | None = None  # [m/s^2] world; None: there is no scene
     scene: str = ""  # path of the PhysicsScene that gave it
     colliders: tuple[Collider, ...] = ()
+    of_files: tuple[Collider, ...] = ()  # obstacles of other files, which are no part of the stage
     bodies: tuple[BodyPhysics, ...] = ()  # one for each baked surface, in their order
     ignored: tuple[tuple[str, str], ...] = ()  # (body, body or collider): they pass through
     notes: tuple[str, ...] = ()  # what was assumed or left alone, in words
+
+    @property
+    def obstacles(self) -> tuple[Collider, ...]:
+        """All that bodies meet besides each other and the floor."""
+        return (*self.colliders, *self.of_files)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,6 +344,7 @@ class Pin:
     # Whether the body is held at the region's boundary.  If not, the nodes inside it are held, and
     # the particles there are as elastic as any: a core in a solid.
     sharp: bool = True
+    rigid: bool = False  # whether it moves as a rigid body by the forces on it, and not as given
 
 
 @dataclass(frozen=True, kw_only=True)

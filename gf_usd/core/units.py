@@ -15,6 +15,11 @@ from gf_usd.core.errors import UsageError
 
 LEAST, MOST = 1e-30, 1e30  # of a length: its cube and the ratio of two stay numbers
 
+PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
+# [m] of a file that names none, in the order in which they are tried: printers take millimeters.
+USUAL_UNITS = (1.0, 0.01, 0.001)
+PRINTED_UNITS = (1.0, 0.001, 0.01)
+
 STRONGEST = 1e9  # [m/s^2] of gravity: a stronger one has no step
 
 
@@ -53,6 +58,12 @@ class StageUnits:
     def factor(self, unit: str) -> float:
         """[unit] per stage unit, of a unit in SI; seconds are seconds."""
         return {"": 1.0, "s": 1.0, "1/s": 1.0, "Pa": self.pressure, "Pa s": self.pressure}[unit]
+
+
+def plausible_unit(width: float, usual: tuple[float, ...] = USUAL_UNITS) -> float:
+    """[m] the first usual unit in which so many units are a PLAUSIBLE width; else the first."""
+    low, high = PLAUSIBLE
+    return next((unit for unit in usual if low <= width * unit <= high), usual[0])
 
 
 def check_unit(meters_per_unit: float | None) -> None:

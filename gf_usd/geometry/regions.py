@@ -7,6 +7,9 @@ of the surface nearest to it and it does not lie within the body.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import igl
 import numpy as np
 
@@ -27,10 +30,10 @@ BOX_TRIANGLES = np.array(
 )  # fmt: skip
 
 
-def parse_box(text: str, unit: float) -> tuple[Floats, Floats]:
+def parse_box(text: str, unit: float, option: str = "--pin") -> tuple[Floats, Floats]:
     """Low and high corner [m] of "box:x0,y0,z0,x1,y1,z1" in stage units of `unit` [m].
 
-    Raises UsageError for anything else.
+    option : that names it, for messages.  Raises UsageError for anything else.
     """
     words = text.removeprefix(BOX).split(",")
     try:
@@ -39,23 +42,25 @@ def parse_box(text: str, unit: float) -> tuple[Floats, Floats]:
         numbers = np.full(6, np.nan)
     if len(numbers) != 6 or not np.isfinite(numbers).all():
         raise UsageError(
-            f"--pin {text} is no box",
-            "give two corners in stage units: --pin box:-1,0,-1,1,0.2,1",
+            f"{option} {text} is no box",
+            f"give two corners in stage units: {option} box:-1,0,-1,1,0.2,1",
         )
     low, high = np.minimum(numbers[:3], numbers[3:]), np.maximum(numbers[:3], numbers[3:])
     if (high - low).min() <= 0.0:
         raise UsageError(
-            f"--pin {text} has no volume: its sides are {(high - low).tolist()}",
+            f"{option} {text} has no volume: its sides are {(high - low).tolist()}",
             "give two opposite corners that differ along every axis",
         )
     return low * unit, high * unit
 
 
-def box_region(text: str, unit: float, surfaces: Floats, path: Floats) -> Region:
+def box_region(
+    text: str, unit: float, surfaces: Floats, path: Floats, option: str = "--pin"
+) -> Region:
     """The region of a box; the points (V, 3) of the body move along path (F, V, 3), and it with
     those that lie in it (or, where none does, with the nearest ones).
     """
-    low, high = parse_box(text, unit)
+    low, high = parse_box(text, unit, option)
     corners = low + (high - low) * BOX_CORNERS
     if len(path) == 1:
         return Region(
@@ -73,11 +78,11 @@ def box_region(text: str, unit: float, surfaces: Floats, path: Floats) -> Region
     )
 
 
-def make_pin(region: Region, solid: Solid) -> Pin:
+def make_pin(region: Region, solid: Solid, option: str = "--pin") -> Pin:
     """The pin of a region.  Raises InputError for a patch of something that is not filled."""
     if region.kind == "patch" and region.body not in {s.path for s in solid.surfaces}:
         raise InputError(
-            f"--pin {region.name} is a part of <{region.body}>, which is not filled",
+            f"{option} {region.name} is a part of <{region.body}>, which is not filled",
             "name a part of a mesh that is made soft, or a box",
         )
     used = np.unique(region.triangles)
@@ -88,6 +93,26 @@ def make_pin(region: Region, solid: Solid) -> Pin:
     shape = Shape(region.points, region.triangles)
     inside = shape.encloses if region.kind == "volume" else _Patch(shape, region, solid).holds
     return Pin(name=region.name, inside=inside, nearest=shape.nearest, anchors=anchors, path=path)
+
+
+def make_rigid(region: Region, solid: Solid) -> Pin:
+    """A rigid region: what a volume encloses, or all that is nearest to a patch of the surface.
+
+    Raises InputError for a patch of something that is not filled.
+    """
+    pin = make_pin(region, solid, "--rigid")
+    inside = _nearest_to(region, solid) if region.kind == "patch" else pin.inside
+    still = region.points[None]
+    return replace(pin, inside=inside, anchors=still[0], path=still, sharp=False, rigid=True)
+
+
+def _nearest_to(region: Region, solid: Solid) -> Callable[[Floats], Floats]:
+    """Whether points X (n, 3) [m] are nearer to a patch than to the rest of its surface."""
+    at = [s.path for s in solid.surfaces].index(region.body)
+    patch = Shape(region.points, region.triangles)
+    whole = Shape(solid.surfaces[at].points, solid.triangles[at])
+    slack = ON_SURFACE * float(np.linalg.norm(solid.high - solid.low))
+    return lambda X: np.asarray(patch.closest(X)[0] <= whole.closest(X)[0] + slack)
 
 
 class Shape:

@@ -83,6 +83,11 @@ class Solver(ABC):
         return max(self.coarse, self.strained) << self.guard.halvings
 
     @property
+    @abstractmethod
+    def damping_ratio(self) -> float:
+        """Of the stiffest vibration of the grid at rest, by the material's own damping."""
+
+    @property
     def dt(self) -> float:
         """[s] length of the next frame's substeps."""
         return self.frame_time / self.substeps

@@ -47,6 +47,7 @@ class Solvers:
     def __init__(self, build: Callable[[Variant], Solver], particles: int) -> None:
         self._build, self._particles = build, particles
         self._substeps: dict[str, int] = {}
+        self._damping: dict[str, float] = {}
         self._waiting: dict[str, tuple[Solver, int]] = {}  # with the epoch of Taichi
 
     def substeps(self, variant: Variant) -> int:
@@ -56,7 +57,13 @@ class Solvers:
             if self._particles * (1 + len(self._substeps)) <= KEPT:
                 self._waiting[variant.name] = solver, epoch()
             self._substeps[variant.name] = solver.substeps
+            self._damping[variant.name] = solver.damping_ratio
         return self._substeps[variant.name]
+
+    def damping(self, variant: Variant) -> float:
+        """The ratio by which its material damps the stiffest vibration of the grid."""
+        self.substeps(variant)
+        return self._damping[variant.name]
 
     def take(self, variant: Variant) -> Solver:
         """A solver at its start, which is the caller's to move."""
@@ -74,12 +81,13 @@ ALONE = 1500  # particles for each thread: fewer threads share a substep of fewe
 # More substeps than at rest where bodies land at m times their wave speed: 1 + STRAINED m^3, up to
 # MOST; fitted to the pairs of `tools.bench.estimates`.
 STRAINED, MOST = 1.3, 5.0
+CROWD = 2.0  # more substeps where bodies fall on each other
 START_SECONDS = 1.5  # imports
 LAW_SECONDS = 1.5  # load the compiled kernels of a law; the very first bake compiles them
 PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
-FRAME_SECONDS = (5e-3, 7e-6, 4e-6)
+FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
@@ -105,6 +113,7 @@ def estimate(
     flying: int = 0,
     fall: float = 0.0,
     crowd: bool = True,
+    damping: Sequence[float] = (),
 ) -> dict[str, Any]:
     """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
 
@@ -118,6 +127,7 @@ def estimate(
     frame_bytes : on the disk.
     flying : frames at the start without substeps; fall : [m] that bodies fall before they land.
     crowd : several bodies or obstacles meet.
+    damping : ratio of each material, of `Solvers.damping`; (): not known.
     """
     from gf_usd.geometry.skinning import KEPT_BYTES
 
@@ -138,8 +148,11 @@ def estimate(
     start = START_SECONDS + VERTEX_SECONDS * vertices
     moving = max(0, frames - 1 - flying)
     rows = []
-    for material, count in zip(materials, substeps, strict=True):
-        many = count if settings.substeps else count * strained(material, settings, fall)
+    ratios = damping or [0.0] * len(materials)
+    for material, count, ratio in zip(materials, substeps, ratios, strict=True):
+        many = float(count)
+        if not settings.substeps:
+            many *= strained(material, settings, fall) * (CROWD if meeting and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
@@ -149,6 +162,7 @@ def estimate(
                 "name": material.name,
                 "substeps_per_frame": count,
                 "substeps_per_sample": count / samples,
+                "damping_ratio": ratio,
                 "substeps": round(moving * many),
                 "flying_samples": flying * samples,
                 "sample_seconds": frame,
@@ -231,15 +245,38 @@ LONG = 300.0  # [s] from where a bake of a material that flows is told how it co
 ELASTIC = 0.02  # of strain at yield: more is seen as springback
 
 
-def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
-    """What --mass-scaling would save of long bakes of stiff materials that flow.
+OVERDAMPED = 3.0  # ratio of the stiffest vibration from where damping alone makes steps short
+DAMPED = 30.0  # [s] from where a bake is told so
 
-    The largest factor with which a material is strained elastically by no more than ELASTIC when it
-    yields, in two digits.
+
+def less_damped(row: Mapping[str, Any], material: Material) -> str:
+    """What a shorter damping time would save; "" where that is little.
+
+    The step is that of `time_step`, (2 / w) (sqrt(1 + z^2) - z), with z proportional to the damping
+    time: at z = 1 the stiffest vibration of the grid is damped as fast as can be.
+    """
+    z = float(row.get("damping_ratio", 0.0))
+    if z < OVERDAMPED or row["seconds"] < DAMPED or not material.damping_time:
+        return ""
+    gain = (math.sqrt(2.0) - 1.0) / (math.sqrt(1.0 + z * z) - z)
+    return (
+        f"--damping-time {material.damping_time / z:.2g} would bake {material.name} in"
+        f" {row['substeps_per_frame'] / gain:.0f} substeps a frame: its damping time of"
+        f" {material.damping_time:.3g} s takes {row['substeps_per_frame']}"
+    )
+
+
+def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
+    """What a shorter damping time, or --mass-scaling, would save of long bakes.
+
+    The mass scaling is the largest factor with which a material that flows is strained elastically
+    by no more than ELASTIC when it yields, in two digits.
     """
     found = []
     for row in cost["per_material"]:
         material = next(m for m in materials if m.name == row["name"])
+        if less := less_damped(row, material):
+            found.append(less)
         strain = material.yield_strain
         if row["seconds"] < LONG or strain is None or not 0.0 < strain <= ELASTIC / 4.0:
             continue

@@ -20,7 +20,9 @@ parts       poorly filled: path, shell, kind (empty | few | thin | bare region |
             cost much of the fill
 suggested_particles     a total that fills all parts that a sensible number fills
 materials   of each: name, substeps_per_frame, substeps_per_sample (between two samples of a frame),
-            seconds, disk_bytes, memory_bytes
+            substeps (expected in all), damping_ratio (of the grid's stiffest vibration), seconds,
+            flying_samples (without substeps), sample_seconds, moving_seconds (of a sample without
+            and with substeps), end_seconds (once all are written), disk_bytes, memory_bytes
 advice      of --material auto, for each mesh: path, material, confidence, reason, by
 """
 
@@ -251,7 +253,9 @@ def inspect(
     request, presets = parse_request(material, law, options)
     source = Path(path)
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
-        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+        found = read_stage(
+            read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
+        )
     asset, spec = found.asset, found.spec
     seen = examine(asset, mend(asset, request, spec)[2] if repair else ())
     files = outputs(source, [preset.name for preset in found.presets], None)

@@ -86,9 +86,10 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             meeting=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if plan.pins else first_contact(plan.settings, plan.drop),
+            first_contact=None if plan.held else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
-            fall=0.0 if plan.pins or plan.goals else max(0.0, plan.drop),
+            fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
+            damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
         )
 
@@ -205,13 +206,13 @@ def _again(plan: Plan) -> str:
 def _flying(plan: Plan) -> int:
     """Frames at the start that need no substeps, since all bodies are in free flight."""
     s = plan.settings
-    held = plan.pins or plan.goals or plan.velocity
+    held = plan.pins or plan.goals or any(map(callable, plan.velocity))
     if held or not s.shortcuts or s.solver != "tl" or s.drag or s.procrustes or s.wls:
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0
     frame = first_contact(s, plan.drop)
-    return s.frames if frame is None else max(0, frame - 1)
+    return s.frames if frame is None else max(0, frame - 2)  # one more is near enough
 
 
 def _folder(plan: Plan) -> Path:
@@ -321,7 +322,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=bool(plan.pins),
+        held=plan.held,
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )

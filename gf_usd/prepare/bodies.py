@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import Asset
+from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import shells, signed_volume, weld
 from gf_usd.core.neighbors import kd_tree
-from gf_usd.core.stage import BodyPhysics, ContactSetup, Skin, StagePhysics
+from gf_usd.core.stage import BodyPhysics, Collider, ContactSetup, Skin, StagePhysics, Triple
+from gf_usd.readers.isolated import Reading
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
+    from gf_usd.system.sandbox import Limits
 
 
 LEAST = 16  # particles: a body of fewer does not hold a grid
@@ -196,7 +200,7 @@ def contact_setup(
 
     self_contact : bodies meet themselves; None: those that can, see `rounded`.
     """
-    colliders = physics.colliders
+    colliders = physics.obstacles
     body = {path: k for k, paths in enumerate(bodies.surfaces) for path in paths}
     wall = {c.path: k for k, c in enumerate(colliders)}
     through, through_colliders = set(), set()
@@ -248,23 +252,80 @@ def rounded(skin: Skin) -> bool:
     return signed_volume(skin.points, skin.triangles) >= CONVEX * hull
 
 
+def file_obstacles(
+    files: Sequence[str], facts: StageFacts, limits: Limits | None
+) -> tuple[tuple[Collider, ...], tuple[str, ...]]:
+    """The surfaces of other files as obstacles that stay, and notes on them.
+
+    facts : of the asset, whose up axis they are turned to.  Raises InputError as `read_asset`, and
+    for a file of captured Gaussians alone.
+    """
+    made: list[Collider] = []
+    notes: list[str] = []
+    for name in files:
+        path = Path(name)
+        with Reading(path, limits, elastic=False) as reading:
+            read = reading.result().asset
+        if not read.surfaces:
+            raise InputError(f"{path}: no mesh in it can be an obstacle", "give a file with meshes")
+        turn = np.eye(3) if read.facts.up_axis == facts.up_axis else TURNED[read.facts.up_axis]
+        made += [
+            Collider(
+                path=f"{path.name}:{s.path}", shape="mesh", points=np.asarray(s.points) @ turn.T,
+                triangles=s.triangles, linear=np.eye(3)[None], offset=np.zeros((1, 3)),
+            )
+            for s in read.surfaces
+        ]  # fmt: skip
+        still = ", as at its first frame" if read.facts.animated else ""
+        turned = f", turned from {read.facts.up_axis} up" if turn[0, 0] != turn[1, 1] else ""
+        notes.append(
+            f"{path.name}: {len(read.surfaces)} obstacle{'s' * (len(read.surfaces) > 1)}{turned}"
+            f"{still}; the result does not contain the file"
+        )
+    return tuple(made), tuple(notes)
+
+
+# From Y up to Z up and back, for column vectors.
+TURNED = {
+    "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+}
+
+
 def start_velocities(
-    asset: Asset, bodies: BodyPlan, said: dict[str, BodyPhysics], time_scale: float
+    asset: Asset,
+    bodies: BodyPlan,
+    said: dict[str, BodyPhysics],
+    time_scale: float,
+    particles: Particles,
+    *,
+    velocity: Triple | None = None,
+    spin: Triple | None = None,
 ) -> list[Any]:
     """The motion of each body at the start: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
 
-    What UsdPhysics states for a body goes before the animation that ends at the start, of which an
-    affine velocity field is fitted, v = a + A X.  time_scale : simulated seconds a second of
-    playback.
+    What is asked for goes before what UsdPhysics states for a body, and that before the animation
+    that ends at the start, of which an affine velocity field is fitted, v = a + A X.  time_scale :
+    simulated seconds a second of playback.  velocity : [m/s]; spin : [rad/s] about each body's
+    center of mass; None: not asked for.
     """
+    centers = _centers(particles)
     points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}
     out: list[Any] = []
-    for paths in bodies.surfaces:
+    for k, paths in enumerate(bodies.surfaces):
         center = np.concatenate([points[p] for p in paths]).mean(0)
         known = [said[p] for p in paths if p in said]
         stated = next((b for b in known if b.velocity or b.angular_velocity), None)
         moving = [(points[p], said[p].moving) for p in paths if p in said]
-        if stated is not None:
+        if velocity or spin:
+            own = stated or BodyPhysics(path="")
+            own = replace(
+                own,
+                velocity=velocity or own.velocity,
+                angular_velocity=spin or own.angular_velocity,
+            )
+            out.append(partial(own.initial_velocities, center=centers[k]))
+        elif stated is not None:
             out.append(partial(stated.initial_velocities, center=center))
         elif any(v is not None for _, v in moving):
             X = np.concatenate([p for p, v in moving if v is not None])
@@ -273,6 +334,13 @@ def start_velocities(
         else:
             out.append((0.0, 0.0, 0.0))
     return out
+
+
+def _centers(particles: Particles) -> Floats:
+    """(B, 3) [m] the center of volume of each body."""
+    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    volume = np.bincount(of, particles.V0)
+    return np.stack([np.bincount(of, particles.V0 * x) / volume for x in particles.X.T], axis=1)
 
 
 @dataclass(frozen=True)

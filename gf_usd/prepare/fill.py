@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import (
@@ -28,7 +28,8 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.materials import LAWS, Material
-from gf_usd.core.stage import Pin, StageSpec
+from gf_usd.core.stage import Pin, StageSpec, Triple
+from gf_usd.core.units import PLAUSIBLE
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -143,7 +144,10 @@ def fill(
     flesh = Flesh()
     if file is not None:
         names = request.listed("pins")
-        pins += make_pins(names, asset, solid, sampled(settings), file, rest=request.start)
+        every = sampled(settings)
+        pins += make_pins(names, asset, solid, every, file, rest=request.start)
+        names = request.listed("rigid")
+        pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
     if animation and file is not None:
         flesh = flesh_of(
             asset, solid, samples, sampled(settings), animation, file,
@@ -155,7 +159,8 @@ def fill(
     if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
-        physics = read_motion(asset, file, rest=request.start, times=times, elastic=False)
+        moving = read_motion(asset, file, rest=request.start, times=times, elastic=False)
+        physics = replace(moving, of_files=physics.of_files)
     parts = body_materials.material_parts(solid, spec, request.regions)
     slot = body_materials.part_of_particles(solid, particles, parts)
     of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
@@ -185,14 +190,20 @@ def fill(
         replace(_main(table, index, particles.V0), name=preset.name)
         for preset, table in zip(presets, tables)
     )
+    held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
-            settings, m, radius, paper=paper, pinned=bool(pins), wls=request.wls,
+            settings, m, radius, paper=paper, pinned=held, wls=request.wls,
             procrustes=request.procrustes, clamp=request.parsed["clamp"],
             stress_cap=request.parsed["stress_cap"],
             given={name for name in ("clamp", "stress_cap") if getattr(request, name) is not None},
         )
         for m in made
+    )  # fmt: skip
+    weak = body_materials.require_standing(
+        asset.facts.path, [m for table in tables for m in table],
+        max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
+        abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
     embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
@@ -227,12 +238,18 @@ def fill(
         bodies=bodies,
         contact_setup=limbs.contact_setup,
         riding=limbs.riding,
-        velocity=tuple(start_velocities(asset, bodies, spec.bodies, settings.time_scale)),
+        velocity=tuple(
+            start_velocities(
+                asset, bodies, spec.bodies, settings.time_scale, limbs.particles,
+                velocity=_scaled(request.parsed["velocity"], unit),
+                spin=_scaled(request.parsed["spin"], np.pi / 180.0),
+            )
+        ),
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
-            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *physics.notes,
+            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak, *physics.notes,
             *embedded_points, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
@@ -253,17 +270,16 @@ def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Reques
     if request.flesh and request.floor is None:
         more["floor"] = "none"
         notes.append("there is no floor under the animation; --floor 0 adds one")
-    if physics.colliders:
+    if obstacles := physics.obstacles:
+        several = len(obstacles) > 1
+        counted = f"there {'are' if several else 'is'} {len(obstacles)} obstacle{'s' * several}"
         if request.floor is None and not request.flesh:
             more["floor"] = "none"
-            notes.append(
-                f"the stage has {len(physics.colliders)} obstacles, so there is no floor; --floor 0"
-                " adds one"
-            )
+            notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
         if request.solver == "ul":
             raise UsageError(
-                f"{path}: --solver ul does not know obstacles, and the stage has"
-                f" {len(physics.colliders)}, such as <{physics.colliders[0].path}>",
+                f"{path}: --solver ul does not know obstacles, and {counted}:"
+                f" <{obstacles[0].path}>",
                 "use --solver tl",
             )
     for name in ("seed", "solver"):
@@ -273,6 +289,10 @@ def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Reques
                 more[name] = said
                 notes.append(f"{name} is {said}, as the stage asks for")
     return replace(request, **more), tuple(notes)
+
+
+def _scaled(vector: Triple | None, unit: float) -> Triple | None:
+    return None if vector is None else triple(unit * np.array(vector))
 
 
 def _require_one_body(request: Request, count: int) -> None:
@@ -364,7 +384,6 @@ def _resolution(
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
 
 
-PLAUSIBLE = (0.02, 20.0)  # [m] width of the things people make soft: a grape to a lorry
 HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
 
 

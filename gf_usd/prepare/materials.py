@@ -269,6 +269,45 @@ def require_parameters(
                 )
 
 
+SPREADS = 3.0  # times its Young's modulus: weight that presses a body flat
+FLAT = 100.0  # times: there is no such body
+
+
+def require_standing(
+    path: Path,
+    materials: Sequence[Material],
+    height: float,
+    gravity: float,
+) -> tuple[str, ...]:
+    """Notes on materials that cannot carry bodies of this height.
+
+    The weight of a column, rho g H, over Young's modulus E is the strain at its foot, were it
+    small.  Jelly has 1.1 by design: it spreads on the floor and keeps a third of its height.
+    height : H [m] of the tallest body along gravity [m/s^2].
+
+    Raises InputError where the ratio is FLAT and more.
+    """
+    notes = []
+    for material in dict.fromkeys(materials):
+        weight = material.density * gravity * height
+        ratio = weight / material.youngs_modulus
+        if ratio < SPREADS:
+            continue
+        said = (
+            f"{material.name} cannot carry itself: {height:.3g} m of it weigh {weight:.3g} Pa,"
+            f" {ratio:.3g} times its Young's modulus of {material.youngs_modulus:.3g} Pa"
+        )
+        change = f"a Young's modulus of {weight:.2g} Pa"
+        if ratio >= FLAT:
+            raise InputError(
+                f"{path}: {said}",
+                f"take {change} or more, a preset such as jelly, whose stiffness grows with the"
+                " body, or check the unit (--meters-per-unit)",
+            )
+        notes.append(f"{said}, so that it spreads on the floor; {change} would hold its shape")
+    return tuple(notes)
+
+
 def mass_scaled(
     tables: Sequence[tuple[Material, ...]], particles: Particles, factor: float
 ) -> tuple[list[tuple[Material, ...]], Particles, tuple[str, ...]]:

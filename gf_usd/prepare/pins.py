@@ -27,15 +27,17 @@ def make_pins(
     file: Path,
     *,
     rest: float | None,
+    option: str = "--pin",
 ) -> tuple[Pin, ...]:
     """One pin for each name: "box:x0,y0,z0,x1,y1,z1" [stage units] or a prim path.
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
+    option : --pin, or --rigid for regions that move by the forces on them.
 
     Raises UsageError for a box that is none, InputError for a prim that is none or has no surface,
     and for a region that holds nothing of the body.
     """
-    from gf_usd.geometry.regions import BOX, box_region, make_pin
+    from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid
     from gf_usd.readers.usd_bake.regions import read_regions
 
     if not names:
@@ -43,7 +45,7 @@ def make_pins(
     times = [settings.time_code(i) for i in range(settings.frames)]
 
     def read(paths: Sequence[str]) -> tuple[Region, ...]:
-        return read_regions(file, paths, asset.facts, rest=rest, times=times)
+        return read_regions(file, paths, asset.facts, rest=rest, times=times, option=option)
 
     boxes = [name for name in names if name.startswith(BOX)]
     prims = [name for name in names if not name.startswith(BOX)]
@@ -56,13 +58,14 @@ def make_pins(
             [np.broadcast_to(b.path, (length, *b.path.shape[1:])) for b in bodies], axis=1
         )
         unit = asset.facts.units.length
-        regions |= {name: box_region(name, unit, points, path) for name in boxes}
+        regions |= {name: box_region(name, unit, points, path, option) for name in boxes}
     for name in names:
-        _require_hold(regions[name], asset)
-    return tuple(make_pin(regions[name], solid) for name in names)
+        _require_hold(regions[name], asset, option)
+    make = make_rigid if option == "--rigid" else make_pin
+    return tuple(make(regions[name], solid) for name in names)
 
 
-def _require_hold(region: Region, asset: Asset) -> None:
+def _require_hold(region: Region, asset: Asset, option: str) -> None:
     """Raise InputError where a region does not even touch the asset."""
     points = np.concatenate([s.points for s in asset.surfaces])
     low, high = points.min(0), points.max(0)
@@ -70,8 +73,8 @@ def _require_hold(region: Region, asset: Asset) -> None:
     if (box.max(0) < low).any() or (box.min(0) > high).any():
         unit = asset.facts.units.length
         raise InputError(
-            f"{asset.facts.path}: --pin {region.name} does not touch the asset, which lies between"
-            f" {np.round(low / unit, 4).tolist()} and {np.round(high / unit, 4).tolist()}"
+            f"{asset.facts.path}: {option} {region.name} does not touch the asset, which lies"
+            f" between {np.round(low / unit, 4).tolist()} and {np.round(high / unit, 4).tolist()}"
             " (stage units)",
             "give a region that overlaps it",
         )

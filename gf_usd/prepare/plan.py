@@ -77,6 +77,11 @@ class Plan:
     advice: tuple[Advice, ...] = ()  # of --material auto, one a surface
 
     @property
+    def held(self) -> bool:
+        """Whether pins or bones say where a part of the body is."""
+        return any(not pin.rigid for pin in self.pins)
+
+    @property
     def version(self) -> str:
         return __version__
 
@@ -165,7 +170,8 @@ def describe(plan: Plan) -> dict[str, Any]:
         "fps": plan.settings.fps,
         "start": plan.settings.time_code(plan.settings.first),
         "drop_m": plan.drop,
-        "pins": [p.name for p in plan.pins],
+        "pins": [p.name for p in plan.pins if not p.rigid],
+        "rigid": [p.name for p in plan.pins if p.rigid],
         "outputs": [str(p) for p in plan.outputs.all],
         "notes": list(plan.notes),
     }

@@ -15,6 +15,7 @@ from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
 from gf_usd.prepare.advice.advise import Draw, advise, parse_auto
+from gf_usd.prepare.bodies import file_obstacles
 from gf_usd.prepare.fill import fill, implausible_size
 from gf_usd.prepare.materials import Authored, variant_name
 from gf_usd.prepare.options.request import Request
@@ -81,7 +82,9 @@ def prepare(
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
         # Beside it; a device that is not there is found out before the file is judged.
         init_taichi(request.device, request.threads)
-        found = read_stage(read.result(), source, request, presets, prims=prims, draw=draw)
+        found = read_stage(
+            read.result(), source, request, presets, prims=prims, limits=limits, draw=draw
+        )
     if once_read:
         once_read()
     targets = targets or _targets(source, found.presets, target, request, **again)
@@ -175,6 +178,7 @@ def read_stage(
     presets: Sequence[Any],
     *,
     prims: Sequence[str],
+    limits: Limits | None,
     draw: Draw,
 ) -> SourceAsset:
     """What is to be soft, what its stage says of that, and the presets that it is baked with.
@@ -200,6 +204,9 @@ def read_stage(
     elif not presets:
         named = variant_name(spec, asset.surfaces) if spec.says_material else "rubber"
         presets = [Authored(named)]
+    of_files, said = file_obstacles(request.listed("colliders"), asset.facts, limits)
+    physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *said))
+    spec = replace(spec, physics=physics)
     return SourceAsset(
         asset=asset, spec=spec, presets=presets, converted=converted,
         file=source if converted is None else converted.layer,

@@ -1,7 +1,9 @@
 """Mesh files: each is parsed, becomes a USD layer and is read as USD.
 
-obj, ply, off   meters are assumed, Y up; own readers: polygons and seams stay
-stl             meters are assumed, Z up, as printers have it; trimesh
+obj, ply, off   Y up is assumed; own readers: polygons and seams stay
+stl             Z up is assumed, as printers have it; trimesh
+                all four have no unit: meters are assumed, else centimeters or millimeters where
+                these make a body of a plausible size
 glb, gltf       meters, Y up by their standard; own reader
 fbx             what the file says; the program usd-convert-asset
 spz, splat, ply with Gaussians: usd_splat_source
@@ -13,16 +15,16 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gf_usd.core.errors import InputError
+from gf_usd.core.units import PRINTED_UNITS, USUAL_UNITS, plausible_unit
 from gf_usd.readers.formats import MESH, PROGRAM, format_of
 from gf_usd.readers.mesh.data import MeshFile
 from gf_usd.readers.notes import source_of, unit_and_axis
 
 if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
-
-
-ASSUMED_UNIT = 1.0  # [m]
 
 
 def convert_mesh(
@@ -32,7 +34,8 @@ def convert_mesh(
 
     Parameters
     ----------
-    meters_per_unit : [m] size of the file's unit; None: what the file says, or 1.
+    meters_per_unit : [m] size of the file's unit; None: what the file says, or
+        one that makes a body of a plausible size.
     up_axis : "Y" or "Z"; None: what the file says, or what is usual for its format.
 
     Raises
@@ -64,7 +67,10 @@ def convert_mesh(
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of it and its files"
         ) from error
-    unit = meters_per_unit or file.meters_per_unit or ASSUMED_UNIT
+    unit, width = meters_per_unit or file.meters_per_unit, 0.0
+    if unit is None:
+        width = _width(file)
+        unit = plausible_unit(width, PRINTED_UNITS if row.name == "STL" else USUAL_UNITS)
     unit_from = source_of(meters_per_unit, file.meters_per_unit is not None)
     axis_from = source_of(axis, file.up_axis_known)
     up = axis or file.up_axis
@@ -72,6 +78,17 @@ def convert_mesh(
         file,
         meters_per_unit=unit,
         up_axis=up,
-        notes=(*unit_and_axis(file.format, unit, up, unit_from, axis_from), *file.notes),
+        notes=(
+            *unit_and_axis(file.format, unit, up, unit_from, axis_from, width=width),
+            *file.notes,
+        ),
         sources={"unit_from": unit_from, "axis_from": axis_from},
     )
+
+
+def _width(file: MeshFile) -> float:
+    """The longest edge of the box around all meshes, in units of the file."""
+    points = [m.points for node in file.nodes for m in node.meshes() if len(m.points)]
+    low = np.min([p.min(0) for p in points], axis=0)
+    high = np.max([p.max(0) for p in points], axis=0)
+    return float((high - low).max())

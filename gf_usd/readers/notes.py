@@ -37,16 +37,27 @@ def source_of(asked: object | None, known: bool) -> str:
 
 
 def unit_and_axis(
-    kind: str, unit: float, axis: str, unit_from: str, axis_from: str, hint: str = ""
+    kind: str,
+    unit: float,
+    axis: str,
+    unit_from: str,
+    axis_from: str,
+    hint: str = "",
+    width: float = 0.0,
 ) -> list[str]:
     """Notes on the unit [m] and the up axis of a kind of file, unless the file itself gives them.
 
-    unit_from, axis_from : of `source_of`; hint : more to try where the axis is assumed.
+    unit_from, axis_from : of `source_of`; hint : more to try where the axis is assumed; width : of
+    the body, in units of the file, where an assumed unit was chosen by it.
     """
+    chosen = ""
+    if width and unit != 1.0:
+        chosen = f", which makes the body {width * unit:.3g} m wide instead of {width:.3g} m"
     said = {
         OPTION: (f"metersPerUnit = {unit:g}, as asked for", f"upAxis = {axis}, as asked for"),
         ASSUMED: (
-            f"{kind} files name no unit: {unit:g} m per unit is assumed (--meters-per-unit)",
+            f"{kind} files name no unit: {unit:g} m per unit is assumed{chosen}"
+            " (--meters-per-unit)",
             f"{kind} files name no up axis: {axis} is assumed (--up-axis{hint})",
         ),
     }

@@ -14,7 +14,6 @@ from gf_usd.core.errors import SolverError, UsageError
 from gf_usd.verify.case import Case, Measure, Result
 from gf_usd.verify.cases import (
     drop,
-    flesh,
     flight,
     floor,
     law,
@@ -34,6 +33,7 @@ from gf_usd.verify.cases.elastic import (
     thin,
     vibration,
 )
+from gf_usd.verify.cases.flesh import driven, rigid
 from gf_usd.verify.cases.plastic import expansion, membrane, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
@@ -63,7 +63,8 @@ CASES: tuple[Case, ...] = (
     *membrane.CASES,
     *taylor.CASES,
     *sides.CASES,
-    *flesh.CASES,
+    *driven.CASES,
+    *rigid.CASES,
 )
 
 

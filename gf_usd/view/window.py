@@ -260,7 +260,7 @@ def import_open3d() -> Any:
     except ModuleNotFoundError as error:
         raise UsageError(
             f"A window needs the Python module {error.name}, which is not installed.",
-            f"pip install 'gf-usd[open3d]'; without it, {INSTEAD}",
+            f"pip install open3d; without it, {INSTEAD}",
         ) from error
     except (ImportError, OSError) as error:
         raise UsageError(

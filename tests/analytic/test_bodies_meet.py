@@ -257,8 +257,8 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
         assert (max(f.health.contact for f in frames) > 0.0) == asked
         assert max(f.health.overlap for f in frames) == 0.0
     assert gap[False][-1] < -1.0, "nothing else keeps the prongs apart"
-    # Springs push from a fifth of a spacing on, and yield by about as much: measured 0.05 and 0.02.
-    assert -0.1 <= min(gap[True]) < OFFSET
+    # Springs push from OFFSET on, and yield by less than that: measured 0.21 and 0.22.
+    assert 0.0 <= min(gap[True]) < OFFSET
 
 
 @pytest.mark.parametrize("material", ["rubber", "jelly"])

@@ -45,6 +45,14 @@ bake {asset} --drop 3m
 bake {asset} --gravity down
 bake {asset} --gravity 1,2
 bake {asset} --gravity 1e30
+bake {asset} --velocity 1
+bake {asset} --velocity up,0,0
+bake {asset} --velocity 1e20,0,0
+bake {asset} --spin 1,2,3,4
+bake {asset} --spin nan,0,0
+bake {asset} --collider no.obj
+bake {asset} --collider .
+bake {asset} --collider
 bake {asset} --floor under
 bake {asset} --floor 0:1,2
 bake {asset} --floor 0:0,0,0

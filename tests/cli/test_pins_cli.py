@@ -100,3 +100,26 @@ def test_a_ball_rolls_down_a_tilted_floor(tmp_path: Path) -> None:
     # it stays on the plane, not on the ground below it
     n = np.array([0.3, 1.0, 0.0]) / np.hypot(0.3, 1.0)
     assert min(np.dot(f["center"], n) for f in result.bakes[0].per_frame) > 0.3
+
+
+@pytest.mark.slow
+def test_a_rigid_end_turns_and_keeps_its_shape(arm: Path) -> None:
+    """Free of pins it falls on the floor, and its faces stay as they are."""
+    arm.write_text(ARM.replace("13: 20 }", "13: 0 }").replace("13: (20, 0, 50)", "13: (0, 0, 50)"))
+    out = arm.with_name("out.usda")
+    result = gf_usd.bake(
+        arm, output=out, material="jelly", particles=300, frames=13, drop=0.0,
+        rigid="box:-5,-5,45,26,25,75", floor=(45.0, (0.3, 0.0, 1.0)),
+    )  # fmt: skip
+    assert not result.findings
+    before, after = world(arm, 1.0)[HELD], world(out, 13.0)[HELD]
+    assert np.abs(after - before).max() > 1.0  # it went somewhere
+    # float32 points of some 100 units
+    away = [np.linalg.norm(x[:, None] - x[None], axis=-1) for x in (before, after)]
+    np.testing.assert_allclose(away[1], away[0], atol=1e-3)
+
+
+def test_a_rigid_region_beside_the_body_is_refused(arm: Path) -> None:
+    with pytest.raises(gf_usd.InputError, match="rigid box:900") as caught:
+        gf_usd.bake(arm, output=arm.with_name("out.usda"), rigid="box:900,0,0,901,1,1")
+    assert caught.value.hint

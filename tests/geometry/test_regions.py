@@ -8,7 +8,7 @@ from solids import cube, solid, sphere, surface
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.stage import Region
-from gf_usd.geometry.regions import box_region, make_pin, parse_box
+from gf_usd.geometry.regions import box_region, make_pin, make_rigid, parse_box
 
 NONE = np.zeros((0, 3))
 STILL = np.zeros((1, 0, 3))
@@ -97,3 +97,17 @@ def test_a_patch_in_a_dent_holds_what_is_nearest_to_it() -> None:
     pin = make_pin(region, solid(stair))
     X = np.array([[0.5, 2.3, 0.5], [1.2, 1.5, 0.5], [0.5, 1.9, 0.5], [0.5, 2.0, 0.2]])
     assert pin.inside(X).tolist() == [True, False, False, True]
+
+
+def test_a_rigid_patch_is_what_lies_nearest_to_it() -> None:
+    body = solid(cube())
+    surface = body.surfaces[0]
+    top = np.flatnonzero((surface.points[surface.triangles][:, :, 1] == 1.0).all(1))
+    region = Region(
+        name="/Body/top", kind="patch", points=surface.points, triangles=surface.triangles[top],
+        path=surface.points[None], body="/Body",
+    )  # fmt: skip
+    pin = make_rigid(region, body)
+    assert pin.rigid
+    X = np.array([[0.5, 0.9, 0.5], [0.5, 0.4, 0.5], [0.1, 0.8, 0.5], [0.5, 1.2, 0.5]])
+    assert np.asarray(pin.inside(X)).tolist() == [True, False, False, True]

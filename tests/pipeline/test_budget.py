@@ -182,3 +182,33 @@ def test_first_contact_is_a_fall(plan: Plan) -> None:
     n = (math.sin(math.pi / 3.0), math.cos(math.pi / 3.0), 0.0)
     tilted = replace(plan, settings=replace(plan.settings, floor_normal=n))
     assert cost(tilted)["first_contact_frame"] == 11
+
+
+def test_the_damping_ratio_is_that_of_the_step(plan: Plan) -> None:
+    """z = tau w / 2 grows with the damping time, and foretells the substeps of two of them."""
+    rubber = plan.materials[0]
+    rows = [
+        cost(replace(plan, materials=(replace(rubber, damping_time=tau),)))["per_material"][0]
+        for tau in (0.05, 0.5)
+    ]
+    z, stronger = (row["damping_ratio"] for row in rows)
+    assert z > 3.0
+    assert stronger == pytest.approx(10.0 * z)
+    step = [math.sqrt(1.0 + ratio * ratio) - ratio for ratio in (z, stronger)]
+    counts = [row["substeps_per_frame"] for row in rows]
+    assert counts[1] / counts[0] == pytest.approx(step[0] / step[1], rel=0.05)
+
+
+def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Plan) -> None:
+    def seconds(**more: Any) -> float:
+        known: dict[str, Any] = {
+            "particles": 1000, "vertices": 100, "meeting": 800, "frame_bytes": 1.0,
+            "first_contact": None,
+        }  # fmt: skip
+        made = budget.estimate(plan.settings, plan.materials, [1000], **{**known, **more})
+        return made["estimated_seconds"]
+
+    assert seconds(flying=20) < seconds(flying=0)
+    assert seconds(crowd=False) < seconds(crowd=True)
+    assert seconds(fall=10.0) > seconds(fall=0.0), "a hard landing takes more substeps"
+    assert seconds(fall=10.0) < budget.MOST * seconds(fall=0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -207,3 +208,14 @@ def test_looks_and_soft_materials_have_nothing_to_gain() -> None:
     for name in ("dented", "clay", "wax", "dough"):
         made = find_preset(name).material(1.0)
         assert shortcuts({"per_material": [{"name": name, "seconds": 1e5}]}, [made]) == ()
+
+
+def test_a_damping_that_makes_the_step_short_is_told_with_a_time_that_does_not() -> None:
+    made = replace(PHYSICAL["foam"].material(0.04), damping_time=0.002)
+    row = {"name": "foam", "seconds": 3600.0, "damping_ratio": 100.0, "substeps_per_frame": 200_000}
+    (line,) = shortcuts({"per_material": [row]}, [made])
+    # (sqrt(2) - 1) / (sqrt(1 + 1e4) - 100) = 82.8 times the step at z = 1
+    assert line.startswith("--damping-time 2e-05 would bake foam in 2414 substeps a frame")
+    assert line.endswith("its damping time of 0.002 s takes 200000")
+    for calm in ({"damping_ratio": 2.0}, {"seconds": 10.0}):
+        assert shortcuts({"per_material": [{**row, **calm}]}, [made]) == ()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from physics_stages import bound, mesh, prim
 from planned import SOFT, at, cubes, mass, noted, plan_fixture, table  # noqa: F401
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import DIMENSIONLESS
+from gf_usd.core.materials import DIMENSIONLESS, Material
+from gf_usd.prepare.materials import FLAT, SPREADS, require_standing
 
 MASS = "PhysicsMassAPI"
 JELLY, METAL = ('token gaussianFlesh:material = "jelly"', 'token gaussianFlesh:material = "metal"')
@@ -144,3 +148,32 @@ def test_materials_of_subsets_name_the_look(plan) -> None:
     assert [m.name for m in seen.materials] == ["Soft"]
     seen = plan(material(), mesh("One", side("5", "/Soft")))
     assert [m.name for m in seen.materials] == ["authored"]
+
+
+def test_a_material_that_cannot_carry_its_height_is_advised_and_beyond_that_refused() -> None:
+    path, g, height = Path("tower.usda"), 9.81, 2.0
+    soft = Material(
+        name="mud", law="neoHookean", density=1000.0, youngs_modulus=1.0, poissons_ratio=0.3
+    )
+
+    def notes(ratio: float) -> tuple[str, ...]:
+        """Of a tower that weighs `ratio` times its Young's modulus at the foot."""
+        E = 1000.0 * g * height / ratio
+        return require_standing(path, [replace(soft, youngs_modulus=E)] * 2, height, g)
+
+    assert notes(0.99 * SPREADS) == ()
+    (line,) = notes(1.01 * SPREADS)
+    assert line.startswith("mud cannot carry itself: 2 m of it weigh 1.96e+04 Pa, 3.03 times")
+    assert "a Young's modulus of 2e+04 Pa would hold its shape" in line
+    with pytest.raises(InputError) as caught:
+        notes(1.01 * FLAT)
+    assert caught.value.message.startswith("tower.usda: mud cannot carry itself")
+    assert "a Young's modulus of 2e+04 Pa or more" in caught.value.hint
+    assert require_standing(path, [replace(soft, youngs_modulus=1.0)], height, 0.0) == ()
+
+
+@pytest.mark.parametrize("name", sorted(DIMENSIONLESS))
+@pytest.mark.parametrize("radius", [0.01, 1.0, 30.0])
+def test_presets_that_grow_with_the_body_stand_at_any_size(name: str, radius: float) -> None:
+    made = DIMENSIONLESS[name].material(radius)
+    assert require_standing(Path("ball.usda"), [made], 2.0 * radius, 9.81) == ()

@@ -48,6 +48,28 @@ def test_what_is_assumed_is_said_and_can_be_asked_otherwise(cube):
             read_asset(cube, **options)
 
 
+@pytest.mark.parametrize(
+    ("edge", "suffix", "unit"),
+    [
+        *((1.0, "obj", 1.0), (19.0, "obj", 1.0), (0.021, "obj", 1.0)),
+        *((150.0, "obj", 0.01), (5000.0, "obj", 0.001), (0.001, "obj", 1.0), (1e6, "obj", 1.0)),
+        *((0.5, "stl", 1.0), (80.0, "stl", 0.001), (150.0, "off", 0.01)),
+    ],
+)
+def test_a_file_without_a_unit_is_taken_to_be_of_a_plausible_size(tmp_path, edge, suffix, unit):
+    import trimesh
+
+    path = tmp_path / f"box.{suffix}"
+    trimesh.creation.box(extents=(edge, 0.7 * edge, 0.5 * edge)).export(path)
+    facts = read_asset(path).facts
+    assert (facts.units.meters_per_unit, facts.unit_from) == (unit, "assumed")
+    (note,) = [note for note in facts.notes if "name no unit" in note]
+    chosen = f", which makes the body {edge * unit:.3g} m wide instead of {edge:.3g} m"
+    assert note.endswith(
+        f"{unit:g} m per unit is assumed{chosen * (unit != 1.0)} (--meters-per-unit)"
+    )
+
+
 def test_the_layer_is_a_whole_asset(cube, tmp_path):
     path = convert(cube, meters_per_unit=0.01).write(tmp_path / "my cube.source.usdc")
     stage = Usd.Stage.Open(str(path))

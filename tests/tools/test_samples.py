@@ -253,7 +253,9 @@ def test_sphere_is_round_and_its_sibling_is_not() -> None:
 def test_generator_reproduces_the_files(tmp_path: Path) -> None:
     script = REPO / "tools" / "make_samples.py"
     subprocess.run([sys.executable, str(script), "--out", str(tmp_path)], check=True)
-    for name in (*NAMES, "creature", "ten_ducks"):
+    for name in (*NAMES, "creature", "shot", "ten_ducks"):
         made, kept = (folder / f"{name}.usda" for folder in (tmp_path, REPO / "samples"))
         assert made.read_bytes() == kept.read_bytes(), f"{name}.usda: run tools/make_samples.py"
         assert kept.stat().st_size < 1.2e6
+    capture = "duck_capture.spz"
+    assert (tmp_path / capture).read_bytes() == (REPO / "samples" / capture).read_bytes()

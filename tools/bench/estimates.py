@@ -188,13 +188,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compare estimates with the time that bakes take.")
     parser.add_argument("--only", action="append", default=[], help="pairs with this in the name")
     parser.add_argument("--json", type=Path, help="write the figures to this file as well")
-    parser.add_argument("--cold", action="store_true", help="kernels are compiled already")
+    parser.add_argument("--warm", action="store_true", help="kernels are compiled already")
     given = parser.parse_args()
     pairs = [p for p in PAIRS if not given.only or any(text in p.name for text in given.only)]
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if not given.cold:
+        if not given.warm:
             warm(pairs, folder)
         for pair in pairs:
             one = bake(pair, folder)

@@ -98,7 +98,7 @@ def distances(points: Floats, vertices: Floats, triangles: Ints) -> Floats:
     except ImportError as error:
         raise GfUsdError(
             f"exact distances need open3d, which cannot be imported: {error}",
-            "pip install 'gf-usd[open3d]'",
+            "pip install open3d",
         ) from error
     scene = open3d.t.geometry.RaycastingScene()
     tensor: Any = open3d.core.Tensor  # its stub knows no numpy arrays

@@ -82,7 +82,7 @@ class ActiveSamples:
         samples = np.union1d(near, meeting) if len(meeting) else near
         if self._active is None or not _same(self._active, (samples, meeting)):
             self._active = samples, meeting
-            of_nodes = self._body.contact.rows.W[samples].T.tocsr()  # sorted by counting
+            of_nodes = self._body.contact.nodes[samples].T.tocsr()  # sorted by counting
             others = np.setdiff1d(samples, meeting, assume_unique=True)
             state.put_first("sample_active", np.concatenate([[len(meeting)], meeting, others]))
             state.put_first("node_sample", samples[of_nodes.indices])
@@ -94,13 +94,13 @@ class ActiveSamples:
         """Tell the kernels where pins have the samples in the middle of the first substep."""
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal
         assert contact is not None
-        assert contact.constants is not None
+        assert contact.driven is not None
         c, rate = state.view().constants
         height = contact.rows.X @ normal - floor_height(body.settings)
-        height += contact.constants @ ((c + 0.5 * dt * rate) @ normal)
+        height += contact.driven @ ((c + 0.5 * dt * rate) @ normal)
         given = state.rows("sample_given", GIVEN_ROW)
         given[:, HEIGHT] = height
-        given[:, DRIFT:WORK] = contact.constants @ rate
+        given[:, DRIFT:WORK] = contact.driven @ rate
         state.put("sample_given", given)
 
 

@@ -55,6 +55,8 @@ class FloorContact:
     samples: SurfaceSamples  # those that no pin holds
     rows: Rows  # on the free nodes
     constants: sparse.csr_matrix | None  # (n, followers) of their constants, where there are pins
+    driven: sparse.csr_matrix | None  # the same of what is given; None: nothing is
+    nodes: sparse.csr_matrix  # (n, nodes) of what is not: free nodes, and those of rigid regions
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
     meeting: Floats  # (n,) [N/m] where it meets a body or an obstacle
@@ -131,10 +133,20 @@ def build_contact(
     """
     # The floor acts along what a pin lets slide: a sample has one row for all axes.
     rows, constants = stencil.across.rows(samples.X, samples.body, samples.cell_copy), None
+    driven, nodes = None, rows.W
     if stencil.held.any:
         free = stencil.free_count
-        constants = rows.W[:, free:]
+        constants = driven = rows.W[:, free:]
         rows = Rows(X=rows.X, W=rows.W[:, :free], G=rows.G)
+        nodes = rows.W
+        if stencil.region is not None:
+            own = sparse.diags_array((stencil.region[free:] >= 0).astype(float))
+            mine = sparse.csr_matrix(constants @ own)
+            driven = sparse.csr_matrix(constants - mine)
+            driven.eliminate_zeros()
+            mine.eliminate_zeros()
+            nodes = sparse.csr_matrix(sparse.hstack([rows.W, mine], format="csr"))
+            nodes.sort_indices()
     m = density * samples.area * spacing
 
     def stiffness(times: float) -> Floats:
@@ -152,6 +164,8 @@ def build_contact(
         samples=samples,
         rows=rows,
         constants=constants,
+        driven=driven,
+        nodes=nodes,
         mass=m,
         stiffness=k,
         meeting=stiffness(MEETING),

@@ -418,7 +418,7 @@ class BodyContact:
         dt: float,
         f: ContactPlanes,
     ) -> None:
-        constants = self.contact.constants
+        constants = self.contact.driven
         pair = state.rows("pair", narrow_phase.ROW)
         pair[:, narrow_phase.REST : narrow_phase.RATE] = 0.0
         pair[:, narrow_phase.REST : narrow_phase.DRIFT] = self._X

@@ -21,7 +21,10 @@ from gf_usd.core.stage import Skin
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-FINE = 0.8  # [spacings] longest edge of the mesh on which nearest samples are found
+# [spacings] longest edge of the mesh on which nearest samples are found.  Samples are 0.7 apart:
+# the place of each holds a disk of 0.35, and of triangles with edges of up to 0.35 sqrt(3) = 0.61
+# no point is as far from a corner, so that every sample has a vertex of its own.
+FINE = 0.6
 WIDE = 3.0  # [spacings] a triangle of samples farther apart spans what has no samples, as pins do
 WELD = 1e-7  # of the extent: vertices nearer to each other are one
 EPS = 1e-9  # of a spacing: the shortest edge of the graph, where vertices coincide

@@ -39,7 +39,7 @@ CLEAR = 0.75  # [spacings] that is left when what was farther off is looked for 
 FACE = 1.5  # [spacings] from where a sample faces a place
 SAME = 0.25  # [spacings] that a place may have lain deeper than the one that a sample was inside of
 NEARLY = 0.25  # [spacings] from where something is about to touch
-OFFSET = 0.2  # [spacings] before it touches from where a body pushes itself
+OFFSET = 0.3  # [spacings] before it touches from where a body pushes itself
 
 
 @dataclass(frozen=True, kw_only=True)

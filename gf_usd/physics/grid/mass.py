@@ -142,12 +142,21 @@ def consistent_mass(stencil: Stencil, m: Floats) -> NodalMass:
     """M~ of a stencil with particles of masses m (N,) [kg], 0 where a pin holds them."""
     if stencil.factors is not None:
         return _of_axes(stencil, m)
-    K = reduced(stencil, cell_springs(stencil, m))
+    K = reduced(stencil, _without_regions(stencil, cell_springs(stencil, m)))
     exact = split(K, stencil.mass, 0.0)
     sparse_mass = split(K, stencil.mass, WEAK)
     out = balanced(stencil, sparse_mass, m)
     # E^T K E is positive semi-definite; without the weak springs, of either sign, it need not be.
     return out if positive(out) else exact
+
+
+def _without_regions(stencil: Stencil, springs: Floats) -> Floats:
+    """Springs (cells, 54), 0 where a node of a rigid region is at one end: mass is lumped there."""
+    if stencil.region is None:
+        return springs
+    low, high = links()
+    own = stencil.region[stencil.cell_nodes] >= 0
+    return np.where(own[:, low] | own[:, high], 0.0, springs)
 
 
 def _of_axes(stencil: Stencil, m: Floats) -> NodalMass:

@@ -51,6 +51,10 @@ from gf_usd.core.matrices import signed_polar
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Pin
 
+# Flesh begins 0.21 cells before the last node that is held, and the last of those inside a region
+# lies half a cell from its boundary on average.  Nodes up to 0.71 cells outside take part, then:
+# this is what a plane leaves of the mass of such a node, (1.5 - 0.71)^3 / 6.
+OWNED = 0.082
 REACH = 2.0  # [cells] ghost nodes lie no deeper: the stencil of a particle outside ends at 1.5
 
 
@@ -89,11 +93,29 @@ def pinned_by(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
     """The first pin that holds each point X (n, 3) [m], and those after it that hold other axes."""
     out = np.full((len(X), 3), -1)
     for index, pin in enumerate(pins):
+        if pin.rigid:  # nodes belong to it by their mass: see `rigid`
+            continue
         axes = np.asarray(pin.axes, bool)
         free = np.flatnonzero((out[:, axes] < 0).all(1))
         inside = free[np.asarray(pin.inside(X[free]), bool)]
         out[np.ix_(inside, axes)] = index
     return PinnedPoints(axes=out)
+
+
+def region_of_nodes(
+    of_region: Sequence[Floats], mass: Floats, held: Ints, numbers: Sequence[int]
+) -> Ints:
+    """(M,) pin whose rigid region each node belongs to; -1: none.
+
+    of_region : (M,) [kg] of each node that is each region's; mass : (M,) [kg] of all particles.
+    held : (M,) whether a pin holds a node already; numbers : of the regions' pins.
+    """
+    out = np.full(len(mass), -1)
+    best = OWNED * mass
+    for number, mine in zip(numbers, of_region):
+        more = (mine > best) & ~held
+        out[more], best[more] = number, np.maximum(mine, best)[more]
+    return out
 
 
 def boundary_held(pins: Sequence[Pin], X: Floats) -> PinnedPoints:
@@ -172,13 +194,18 @@ class PinConstraint:
         return ", ".join(pin.name for pin in self.pins)
 
     @property
+    def prescribed(self) -> bool:
+        """Whether any region has a given motion, and so a place."""
+        return not all(pin.rigid for pin in self.pins)
+
+    @property
     def moving(self) -> bool:
         """Whether any region is animated."""
         return any(motion.moving for motion in self.motions)
 
     def check(self, nodes: PinnedPoints) -> None:
         """Raise InputError for a pin that holds no node of the grid; of cores, if none does."""
-        cores = [index for index, pin in enumerate(self.pins) if not pin.sharp]
+        cores = [k for k, pin in enumerate(self.pins) if not pin.sharp and not pin.rigid]
         if cores and not np.isin(nodes.axes, cores).any():
             raise InputError(
                 f"none of the {len(cores)} bones of --flesh holds a node of the grid",

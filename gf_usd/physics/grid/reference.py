@@ -35,6 +35,7 @@ from gf_usd.physics.grid.pins import (
     axis_factors,
     mirror_points,
     pinned_by,
+    region_of_nodes,
 )
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
@@ -99,6 +100,7 @@ class Stencil:
     corner: Ints = field(repr=False)  # (3,) ijk of key 0
     copies: NodeCopies | None = None  # of nodes near several limbs; None: there are none
     factors: Floats | None = None  # (M - free, 3) of `follow` along each axis; None: 1
+    region: Ints | None = None  # (M,) rigid region (pin) of each node, -1; None: there are none
 
     @property
     def node_count(self) -> int:
@@ -172,16 +174,18 @@ class Stencil:
         beyond : ijk, and with `copies` the copy of a cell that each belongs to, or -1.
         """
         free = sparse.identity(self.free_count, format="csr")
-        fitted = self._fits.affine(
-            beyond[:, :3], np.arange(self.node_count) < self.free_count, beyond[:, 3:].ravel()
-        )
-        extend = sparse.csr_matrix(sparse.vstack([free, self.follow, fitted], format="csr"))
+        moving = np.arange(self.node_count) < self.free_count
+        if self.region is not None:
+            moving |= self.region >= 0
+        fitted = self._fits.affine(beyond[:, :3], moving, beyond[:, 3:].ravel())
+        extend = sparse.csr_matrix(sparse.vstack([free, self.follow], format="csr"))
         if self.held.any:
             constants = sparse.eye(
-                extend.shape[0], self.node_count - self.free_count, -self.free_count
+                self.node_count, self.node_count - self.free_count, -self.free_count
             )
             extend = sparse.csr_matrix(sparse.hstack([extend, constants], format="csr"))
-        return extend
+        fitted = fitted @ extend[np.flatnonzero(moving)]
+        return sparse.csr_matrix(sparse.vstack([extend, fitted], format="csr"))
 
     @cached_property
     def _fits(self) -> Fits:
@@ -346,6 +350,15 @@ def build_stencil(
         pinned = pinned_by(pin_constraint.pins if pin_constraint else (), X - shift[body])
         inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
         held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
+    region = None
+    rigid = [k for k, pin in enumerate(pin_constraint.pins if pin_constraint else ()) if pin.rigid]
+    if pin_constraint and rigid:
+        own = (pin_constraint.pins[k].inside(X - shift[body]) for k in rigid)
+        masses = [
+            nodal_mass(fx, (m * mine)[order], cell_nodes, cell, len(node_ijk)) for mine in own
+        ]
+        region = region_of_nodes(masses, mass, held.pin >= 0, rigid)
+        held = PinnedPoints(axes=np.where(region[:, None] >= 0, region[:, None], held.axes))
     mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
     free, follow, lumped = split_nodes(
         node_ijk,
@@ -392,6 +405,7 @@ def build_stencil(
         corner=corner,
         copies=linked.renumbered(renumber) if linked else None,
         factors=factors,
+        region=None if region is None else region[ordered],
     )
 
 

@@ -69,16 +69,23 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
     """
     m, x, v, p = body.stencil.mass, now.x, now.v, now.momentum
     stretch, J = now.strains(index)
+    spin, kinetic = cross(x, p).sum(0), float(0.5 * (v * p).sum())
+    if (regions := body.regions) and (rigid := now.rigid):
+        kinetic += rigid.kinetic(regions)
+        m = np.concatenate([m, regions.mass])
+        x, v = np.concatenate([x, rigid.x + now.offset]), np.concatenate([v, rigid.v])
+        there = rigid.x + now.offset
+        spin = spin + (cross(there, regions.mass[:, None] * rigid.v) + rigid.spin).sum(0)
     whole = m.sum()
     return Health(
-        kinetic=float(0.5 * (v * p).sum()),
+        kinetic=kinetic,
         elastic=strain_energy(body, *now.elastic_strains(index)),
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),
         center=_triple(m @ x / whole),
         momentum=_triple(m @ v),
-        angular_momentum=_triple(cross(x, p).sum(0)),
+        angular_momentum=_triple(spin),
         min_J=float(J.min()),
         max_J=float(J.max()),
         min_stretch=float(stretch.min()),

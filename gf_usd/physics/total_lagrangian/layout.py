@@ -138,6 +138,8 @@ def node_slots(stencil: Stencil, batches: Batches) -> tuple[Ints, Ints]:
     return start, material_parts.ravel()[order]
 
 
+# Numbers of a follower in `anchor`: c, its rate, and the work of the pin that holds it.
+ANCHOR, PIN_RATE, PIN_WORK = 7, 3, 6
 MASS, GROUND, INVERSE = 3, 1, 2  # numbers of a node in `node_mass`, and where two of them are
 
 
@@ -201,7 +203,7 @@ def contact_arrays(contact: FloorContact | None, height: Floats, nodes: int) -> 
             "node_sample": np.zeros(1, int),
             "node_sample_weight": np.zeros(1),
         }
-    W = contact.rows.W
+    W = contact.nodes
     transposed = W.T.tocsr()
     transposed.sort_indices()
     n = W.shape[0]

@@ -37,6 +37,7 @@ class Options:
     slides: bool = False  # a pin holds some axes and lets the others slide
     goals: bool = False  # springs draw the nodes to a given pose
     driven: bool = False  # pins move contact samples
+    rigid: int = 0  # regions that move as rigid bodies
 
 
 DEFAULT = Options()
@@ -49,6 +50,7 @@ def options_of(
     slides: bool = False,
     goals: bool = False,
     driven: bool = False,
+    rigid: int = 0,
 ) -> Options:
     """The options that the settings ask for."""
     return Options(
@@ -61,6 +63,7 @@ def options_of(
         slides=slides,
         goals=goals,
         driven=driven,
+        rigid=rigid,
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
 from gf_usd.core.frames import (
     LUMPED,
     CellCopies,
@@ -19,6 +20,7 @@ from gf_usd.core.frames import (
     spread,
 )
 from gf_usd.core.materials import Material
+from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
 from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pressure, plane_modulus
@@ -29,6 +31,7 @@ from gf_usd.physics.grid.goals import GOAL, NodeGoals
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
+from gf_usd.physics.grid.rigid import RigidRegions, rigid_regions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
@@ -59,6 +62,7 @@ class Body:
     rows: Rows  # of the particles on the nodes
     embedded: Mapping[str, Rows]  # of each set of points that rides along
     pin_constraint: PinConstraint | None  # the pins
+    regions: RigidRegions | None  # what moves as rigid bodies
     goals: NodeGoals | None  # springs that draw the free nodes to a pose
     held: Mapping[str, PinnedPoints]  # embedded points that a pin holds; "": particles
     contact: FloorContact | None
@@ -75,7 +79,8 @@ class Body:
     @property
     def in_place(self) -> bool:
         """Whether pins or goals say where the body is, so that it does not fly off as a whole."""
-        return self.pin_constraint is not None or self.goals is not None
+        pins = self.pin_constraint
+        return (pins is not None and pins.prescribed) or self.goals is not None
 
     @property
     def driven(self) -> bool:
@@ -131,6 +136,7 @@ def build_body(
     from gf_usd.physics.total_lagrangian.kernels.substep import build, pack_type
     from gf_usd.system.taichi_runtime import epoch
 
+    particles = as_flesh(particles, materials, [pin for pin in pins if pin.rigid])
     pin_constraint = PinConstraint(pins, particles.X) if pins else None
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
@@ -153,13 +159,16 @@ def build_body(
         pin_constraint.check(stencil.held)
         held = {name: boundary_held(pins, X) for name, X in (embedded or {}).items()}
         held[""] = pin_constraint.particles
+    regions = None
+    if pin_constraint:
+        regions = rigid_regions(stencil, m, pin_constraint.pins)
     lumped = settings.mass == LUMPED
     mass = lumped_mass(stencil) if lumped else consistent_mass(stencil, m)
     rows = stencil.rows(particles.X, particles.body, copies.of if copies else None)
     frequency = None
     if not lumped:
         seen = (rows,) if stencil.factors is None else axis_rows(stencil, particles, copies)
-        frequency = highest_frequency(seen, mass, per, h)
+        frequency = highest_frequency(seen, mass, per, h, regions)
     on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
@@ -175,6 +184,7 @@ def build_body(
     options = limits.options_of(
         settings, contact_setup is not None, plain, stencil.factors is not None, goals is not None,
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
+        rigid=regions.count if regions else 0,
     )  # fmt: skip
     step = largest_step(particles, h, contact, settings, per, frequency)
     law = particle_laws(materials, particles.material, per)
@@ -197,6 +207,7 @@ def build_body(
             for name, X in (embedded or {}).items()
         },
         pin_constraint=pin_constraint,
+        regions=regions,
         goals=NodeGoals(goals, stencil.free_X, step.dt) if goals else None,
         held=held,
         contact=contact,
@@ -233,6 +244,33 @@ def per_particle(
     per = spread(particles, materials)
     free = np.ones(len(particles)) if held is None else (held < 0).astype(float)
     return {**per, "V0": particles.V0 * free}
+
+
+def as_flesh(
+    particles: Particles, materials: Sequence[Material], regions: Sequence[Pin]
+) -> Particles:
+    """Particles of rigid regions with the material of the flesh nearest to them; mass is theirs.
+
+    What is strained of a region is the part of its outermost cells between its nodes and others.
+    Raises InputError where nothing but the regions is left.
+    """
+    if not regions:
+        return particles
+    inside = np.any([np.asarray(pin.inside(particles.X), bool) for pin in regions], axis=0)
+    flesh, stone = np.flatnonzero(~inside), np.flatnonzero(inside)
+    if not len(flesh):
+        raise InputError(
+            f"--rigid {', '.join(pin.name for pin in regions)} holds all {len(inside)} particles",
+            "leave some of the body soft",
+        )
+    if not len(stone):
+        return particles
+    nearest = flesh[kd_tree(particles.X[flesh]).query(particles.X[stone])[1]]
+    of = np.arange(len(inside))
+    of[stone] = nearest
+    own = {name: values[of] for name, values in (particles.own or {}).items()}
+    own["density"] = spread(particles, materials)["density"]
+    return replace(particles, material=np.asarray(particles.material)[of], own=own)
 
 
 def surface_contact(
@@ -331,36 +369,52 @@ def axis_rows(stencil: Stencil, particles: Particles, copies: CellCopies | None)
 
 
 def highest_frequency(
-    rows: Sequence[Rows], mass: NodalMass, per: Mapping[str, Floats], h: float
+    rows: Sequence[Rows],
+    mass: NodalMass,
+    per: Mapping[str, Floats],
+    h: float,
+    regions: RigidRegions | None = None,
 ) -> float:
     """The highest frequency of the body at rest, in units of c/h of its fastest material.
 
     That of M~^-1 and the linearized forces f = -sum_p V0_p (lam tr(e) I + 2 mu e) G_ip, e the
     symmetric part of sum_i u_i (x) G_ip.
     rows : of the particles; one for all axes of u, or one for each.
+    regions : that move rigidly: u has two rows for each, the translation and the turn.
     """
     n = len(mass.lumped)
     parts = [slice(None)] if len(rows) == 1 else [slice(a, a + 1) for a in range(len(rows))]
-    G = [[g[:, :n] for g in one.G] for one in rows]
+    columns = rows[0].W.shape[1] if regions else n
+    G = [[g[:, :columns] for g in one.G] for one in rows]
     back = [[g.T.tocsr() for g in one] for one in G]
     shear, bulk = (per["V0"] * per[name] for name in ("mu", "lam"))
 
+    def whole(u: Floats) -> Floats:
+        return np.concatenate([u[:n], regions.spread(u[n:], columns - n)]) if regions else u
+
     def stiffness(u: Floats) -> Floats:
+        u = whole(u)
         D = np.concatenate(
             [np.stack([g @ u[:, a] for g in one], -1) for a, one in zip(parts, G)], 1
         )  # (N, 3, 3)
         P = shear[:, None, None] * (D + D.swapaxes(1, 2))
         P[:, range(3), range(3)] += (bulk * np.einsum("naa->n", D))[:, None]
-        return np.concatenate(
+        f = np.concatenate(
             [
                 sum((g @ P[:, a, b] for b, g in enumerate(one)), np.zeros_like(u[:, a]))
                 for a, one in zip(parts, back)
             ],
             1,
         )
+        return np.concatenate([f[:n], regions.gathered(f[n:])]) if regions else f
 
-    start = np.random.default_rng(0).normal(size=(n, 3))
-    w2 = largest_eigenvalue(mass.acceleration, stiffness, start)
+    def acceleration(f: Floats) -> Floats:
+        if regions is None:
+            return mass.acceleration(f)
+        return np.concatenate([mass.acceleration(f[:n]), regions.accelerated(f[n:])])
+
+    start = np.random.default_rng(0).normal(size=(n + 2 * regions.count if regions else n, 3))
+    w2 = largest_eigenvalue(acceleration, stiffness, start)
     return float(np.sqrt(w2) * h / per["wave_speed"].max())
 
 
@@ -397,13 +451,16 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "acceleration": acceleration.ravel(),
-        "anchor": np.zeros(3 * followers),
-        "anchor_rate": np.zeros(3 * followers),
-        "work": np.zeros(followers),
+        "anchor": np.zeros(layout.ANCHOR * followers),
         "goal": np.zeros(GOAL * stencil.free_count if body.goals else 1),
         **batches.arrays(stencil),
         **layout.node_arrays(stencil, body.mass),
-        **layout.contact_arrays(contact, height, stencil.free_count),
+        **(
+            body.regions.arrays(body.start[stencil.free_count :])
+            if body.regions
+            else {"rigid": np.zeros(1), "rigid_nodes": np.zeros(1, int)}
+        ),
+        **layout.contact_arrays(contact, height, stencil.node_count),
         "queue": np.zeros(QUEUE, int),
         **limits.arrays(batches, body.settings, stencil.h, body.converged),
         **pack_arrays(len(contact.samples.X) if contact and body.options.meets else 0),

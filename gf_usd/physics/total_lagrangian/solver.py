@@ -101,6 +101,11 @@ class TotalLagrangian(Solver):
         """See `Solver`."""
         return self.state.view().not_finite()
 
+    @property
+    def damping_ratio(self) -> float:
+        """See `Solver`."""
+        return 0.5 * self.body.step.viscous_time * self.body.step.elastic
+
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
         state, pairs = self.state, self.pairs

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 # Of what a part has an item each.
 FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
+REGIONS = "regions"  # rigid ones
 MEETING = "meeting"  # samples that face a body or an obstacle, or carry a plane
 
 # When a stage is due: in every substep, where a frame opens, where the filter acts, where samples
@@ -42,10 +43,11 @@ class Stage:
     when: str = ALWAYS
 
 
-def stages(plain: bool, meets: bool, coupled: bool) -> tuple[Stage, ...]:
+def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tuple[Stage, ...]:
     """The stages of a substep; `groups` are particles where plain.
 
-    meets : bodies meet each other or obstacles; coupled : nodes share their mass with neighbors.
+    meets : bodies meet each other or obstacles; coupled : nodes share their mass with neighbors;
+    rigid : regions move as rigid bodies.
     """
 
     def stage(*parts: tuple[str, str], when: str = ALWAYS) -> Stage:
@@ -58,20 +60,24 @@ def stages(plain: bool, meets: bool, coupled: bool) -> tuple[Stage, ...]:
     totals = [stage(("pair total", MEETING), when=TOUCHING)] if meets else []
     lost = [stage(("filter lumped", FREE), when=FILTERING)] if coupled else []
     pushed = [stage(("move lumped", FREE))] if coupled else []
+
+    def regions(name: str) -> list[tuple[str, str]]:
+        return [(f"{name} rigid", REGIONS)] if rigid else []
+
     return (
-        stage(("open", FREE), when=OPENING),
+        stage(("open", FREE), *regions("open"), when=OPENING),
         stage(("open followers", FOLLOWERS), when=OPENING),
         stage(("momentum", GROUPS), when=FILTERING),
         *gathered,
         stage(("loss", FOLLOWERS), when=FILTERING),
         *lost,
-        stage(("filter", FREE), when=FILTERING),
+        stage(("filter", FREE), *regions("filter"), when=FILTERING),
         stage(("filtered followers", FOLLOWERS), when=FILTERING),
         stage(("stress", GROUPS), *motion, ("contact", SAMPLES)),
         *summed,
         stage(("share", FOLLOWERS), *pairs),
         *totals,
         *pushed,
-        stage(("move", FREE)),
+        stage(("move", FREE), *regions("move")),
         stage(("follow", FOLLOWERS)),
     )

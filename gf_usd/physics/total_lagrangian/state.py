@@ -18,9 +18,11 @@ from gf_usd.core.frames import Pose
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
+from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian import layout
+from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
 from gf_usd.physics.total_lagrangian.setup import Body, arrays
 
 Given = tuple[Floats, ...]
@@ -52,7 +54,8 @@ class State(DeviceState):
         import taichi as ti
 
         values = arrays(body, acceleration)
-        super().__init__(values, body.real, ("u", "v", "sample_spring"), body.settings.lift)
+        saved = ("u", "v", "sample_spring", *(("rigid",) if body.regions else ()))
+        super().__init__(values, body.real, saved, body.settings.lift)
         self._body = body
         self._view: StateView | None = None
         self.acceleration = acceleration
@@ -118,7 +121,6 @@ class State(DeviceState):
 
     def prescribe(self, index: int) -> None:
         """Set the constants of held nodes for the way from frame `index` - 1 to `index`."""
-        self.clear("work")
         if self._body.options.driven:
             given = self.rows("sample_given", GIVEN_ROW)
             given[:, WORK] = 0.0
@@ -126,24 +128,32 @@ class State(DeviceState):
         if goals := self._body.goals:
             self.put("goal", goals.between(index, self._body.settings.frame_time))
         pin_constraint, nodes = self._body.pin_constraint, self._body.stencil
-        if pin_constraint is None or not pin_constraint.moving:
+        if pin_constraint is None or not (pin_constraint.moving or self._body.regions):
+            self.clear("anchor")
             return
         free = nodes.free_count
-        start, end = (
-            pin_constraint.constants(
-                nodes.held.at(slice(free, None)), nodes.node_X[free:], nodes.mirror[free:], frame
+        anchor = np.zeros((max(1, nodes.node_count - free), ANCHOR))
+        if pin_constraint.moving:
+            held = nodes.held.at(slice(free, None))
+            start, end = (
+                pin_constraint.constants(held, nodes.node_X[free:], nodes.mirror[free:], frame)
+                for frame in (index - 1, index)
             )
-            for frame in (index - 1, index)
-        )
-        self.put("anchor", start)
-        self.put("anchor_rate", (end - start) / self._body.settings.frame_time)
+            anchor[:, :PIN_RATE] = start
+            anchor[:, PIN_RATE:PIN_WORK] = (end - start) / self._body.settings.frame_time
+        if regions := self._body.regions:
+            c, rate = anchor[:, :PIN_RATE], anchor[:, PIN_RATE:PIN_WORK]
+            RigidMotion.of(regions, self.get("rigid")).constants(regions, c, rate)
+        self.put("anchor", anchor)
 
     def work(self) -> float:
         """[J] that pins and goals did on the body since `prescribe`."""
         drawn = work_of(self.get("goal")) if self._body.goals else 0.0
         samples = self.get("sample_given").reshape(-1, GIVEN_ROW)[:, WORK]
-        held = self.get("work").astype(float).sum() + samples.astype(float).sum()
-        return float(held) + drawn
+        held = self.rows("anchor", ANCHOR)[:, PIN_WORK]
+        for of in self._body.regions.nodes if self._body.regions else ():
+            held[of] = 0.0  # what a region gives, it has no more
+        return float(held.sum() + samples.astype(float).sum()) + drawn
 
     def recenter(self) -> None:
         """Move the mean displacement from u to the offset; a pinned body stays where it is."""
@@ -153,6 +163,14 @@ class State(DeviceState):
         mean = m @ u[: self._body.stencil.free_count] / m.sum()
         self.offset = self.offset + mean
         self.put("u", u - mean)
+        if regions := self._body.regions:
+            numbers = self.get("rigid").astype(float)
+            numbers[: ROW * regions.count].reshape(-1, ROW)[:, D:Q] -= mean
+            self.put("rigid", numbers)
+            anchor = self.rows("anchor", ANCHOR)
+            for of in regions.nodes:
+                anchor[of, :PIN_RATE] -= mean
+            self.put("anchor", anchor)
 
     def fly(self, flying: Ints, g: Floats, time: float) -> None:
         """Move bodies (B,) by free flight of `time` [s] under g (3,) [m/s^2]; others stand still.
@@ -173,9 +191,7 @@ class State(DeviceState):
 
     def view(self) -> StateView:
         """The present state, with what was found out about it so far."""
-        names = (
-            ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "anchor_rate")
-        )
+        names = ("u", "v") if self._body.pin_constraint is None else ("u", "v", "anchor", "rigid")
         names = (*names, "sample_spring")
         if self._body.law.set.flows:
             names = (*names, "history")
@@ -298,8 +314,14 @@ class StateView:
         """c (followers, 3) [m] of held nodes, and its rate [m/s]; only of a body with pins."""
         nodes = self._body.stencil
         count = nodes.node_count - nodes.free_count  # the kernels' arrays are never empty
-        c, rate = (a.astype(float).reshape(-1, 3)[:count] for a in self._given[2:4])
-        return c, rate
+        rows = self._given[2].astype(float).reshape(-1, ANCHOR)[:count]
+        return rows[:, :PIN_RATE], rows[:, PIN_RATE:PIN_WORK]
+
+    @cached_property
+    def rigid(self) -> RigidMotion | None:
+        """The rigid regions; None: there are none."""
+        regions = self._body.regions
+        return RigidMotion.of(regions, self._given[3]) if regions else None
 
     @cached_property
     def nodes(self) -> tuple[Floats, Floats]:
@@ -347,7 +369,11 @@ class StateView:
         s, weight = self._body.settings, self._weigh()
         datum = s.floor if s.floor is not None else 0.0
         height = self.x - datum * np.asarray(s.up)
-        return -float((height * weight).sum())
+        free = -float((height * weight).sum())
+        if not (regions := self._body.regions) or self.rigid is None:
+            return free
+        rise = (self.rigid.x + self.offset - datum * np.asarray(s.up)) @ np.asarray(s.gravity)
+        return free - float(regions.mass @ rise)
 
     @cached_property
     def momentum(self) -> Floats:

@@ -72,6 +72,11 @@ class Request(RequestOptions):
                 " mean, and --pin holds it elsewhere",
                 "leave one of the two out",
             )
+        if self.rigid and (self.preset or self.wls or self.procrustes):
+            raise UsageError(
+                "--rigid does not go with --preset paper, --wls or --procrustes",
+                "leave them out: they change the shape of all particles alike",
+            )
         if self.particles and self.spacing:
             raise UsageError(
                 f"--particles {self.particles} and --spacing {self.spacing:g} were both given",
@@ -129,6 +134,8 @@ class Request(RequestOptions):
             ("--procrustes", self.procrustes),
             ("--preset paper", self.preset),
             ("--drop", self.drop),
+            ("--velocity", self.velocity),
+            ("--spin", self.spin),
         ):
             if given:
                 raise UsageError(
@@ -141,6 +148,7 @@ class Request(RequestOptions):
         finite = self.filter_rate is not None and math.isfinite(self.filter_rate)
         for option, given in (
             ("--pin", self.pins),
+            ("--rigid", self.rigid),
             ("--flesh", self.flesh),
             ("--filter-rate", finite),
             ("--self-contact", self.self_contact),

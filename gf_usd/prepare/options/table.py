@@ -60,8 +60,9 @@ class AssetOptions:
         write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
-        ASSET, "Size of the file's unit [m], e.g. 0.01.",
-        shown="what the file says; 1 for obj, ply, stl, off and splat files", commands=INSPECT,
+        ASSET, "Length of one unit of the file [m]: 0.01 for centimeters.",
+        shown="what the file says; where it says nothing 1, or 0.01 or 0.001 if only that makes a"
+        " body of a plausible size", commands=INSPECT,
     )] = None
     up_axis: Annotated[str | None, Option(
         ASSET, "Y or Z; -Y or -Z for splat files that appear upside down.",
@@ -124,6 +125,20 @@ class RequestOptions:
         SCENE, "none, a height [stage units], a normal x,y,z, or both: 0.5:0.2,1,0.",
         shown="0", parse=texts.parse_floor, write=values.floor,
     )] = None
+    velocity: Annotated[Vector | str | None, Option(
+        SCENE, "Velocity x,y,z of all bodies at the start [stage units per second].",
+        shown="what the stage says", parse=texts.parse_velocity, write=values.vector,
+    )] = None
+    spin: Annotated[Vector | str | None, Option(
+        SCENE, "Angular velocity x,y,z of each body at the start, about its own center [degrees"
+        " per second].",
+        shown="what the stage says", parse=texts.parse_spin, write=values.vector,
+    )] = None
+    colliders: Annotated[Path | Sequence[Path], Option(
+        SCENE, "File whose meshes are obstacles that stay where they are; repeatable. They take the"
+        " place of the floor, as those of the stage do.",
+        shown="none", commands=INSPECT, write=values.paths,
+    )] = ()
     drag: Annotated[float | None, Option(
         SCENE, "Drag on velocity [1/s].", shown="0", low=0.0, high=1e6,
     )] = None
@@ -136,6 +151,11 @@ class RequestOptions:
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
         SCENE, "Region with prescribed motion, that of the asset's animation; repeatable. A"
         " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
+        shown="nothing", write=values.pins,
+    )] = ()
+    rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
+        SCENE, "Region that moves as a rigid body; repeatable. Regions as of --pin; a GeomSubset"
+        " stands for what lies nearest to its faces.",
         shown="nothing", write=values.pins,
     )] = ()
     flesh: Annotated[bool, Option(
@@ -322,7 +342,9 @@ def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
 def _nearest(name: str) -> str:
     known = [*OPTIONS, PROGRESS]
     bare = name.lstrip("-").replace("-", "_").lower()
-    close = difflib.get_close_matches(bare, known, n=1)
+    # a list is given as several flags of the singular: --pin, pins=
+    meant = {row.flag[2:].replace("-", "_"): row.name for row in OPTIONS.values()}
+    close = [meant[bare]] if bare in meant else difflib.get_close_matches(bare, known, n=1)
     guess = f"did you mean {close[0]}? " if close else ""
     return f"{guess}its options are {', '.join(sorted(known))}"
 

@@ -113,6 +113,30 @@ def parse_gravity(text: str) -> float | Triple:
     return values[0] if len(values) == 1 else _triple(values)
 
 
+FASTEST = 1e9  # of a velocity or a spin, in units a second
+
+
+def parse_velocity(text: str) -> Triple:
+    """[stage units/s] of "x,y,z".  Raises UsageError for anything else."""
+    return _motion("--velocity", text, "stage units per second")
+
+
+def parse_spin(text: str) -> Triple:
+    """[degrees/s] of "x,y,z".  Raises UsageError for anything else."""
+    return _motion("--spin", text, "degrees per second")
+
+
+def _motion(option: str, text: str, unit: str) -> Triple:
+    wanted = f"three numbers x,y,z ({unit})"
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise UsageError(f"{option} is {text!r}", f"give {wanted}")
+    found = _triple([number(option, part, wanted) for part in parts])
+    if max(map(abs, found)) > FASTEST:
+        raise UsageError(f"{option} is {text}", f"give up to {FASTEST:g} {unit}")
+    return found
+
+
 def parse_range(text: str) -> tuple[float | None, float | None]:
     """Time codes of "10:20", "10:" or ":20"; None where the range is open.
 

@@ -138,6 +138,23 @@ def gravity(name: str, value: Any) -> str:
     return digits(value) if is_number(value) else triple(name, value, wanted)
 
 
+def vector(name: str, value: Any) -> str:
+    """Three numbers."""
+    if isinstance(value, str):
+        return text(name, value)
+    return triple(name, value, "three numbers: (0, 2, 0)")
+
+
+def paths(name: str, value: Any) -> tuple[str, ...]:
+    """Paths of files; one stands for itself."""
+    if isinstance(value, str | os.PathLike):
+        return (os.fspath(text(name, os.fspath(value))),)
+    wanted = "the path of a file, or a list of them"
+    return tuple(
+        text(name, os.fspath(path(name, one)), wanted) for one in items(name, value, wanted)
+    )
+
+
 def floor(name: str, value: Any) -> str:
     """A height, a normal, (height, normal), or "none" for False."""
     wanted = "a height such as 0.5, a normal (0.2, 1, 0), both as (0.5, (0.2, 1, 0)), or False"

@@ -26,9 +26,11 @@ def read_regions(
     *,
     rest: float | None,
     times: Sequence[float],
+    option: str = "--pin",
 ) -> tuple[Region, ...]:
     """The regions that prim paths name, with their motion.
 
+    option : that names them, for messages.
     file : the USD file; facts.path is what messages call it.
     rest : time code of the rest pose; None: the stage's start, or 1.
     times : time codes of the frames.
@@ -38,12 +40,18 @@ def read_regions(
     with reading(file):
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
-        return tuple(_region(stage, facts, name, first, times) for name in names)
+        return tuple(_region(stage, facts, name, first, times, option) for name in names)
 
 
 def _region(
-    stage: Usd.Stage, facts: StageFacts, name: str, rest: Usd.TimeCode, times: Sequence[float]
+    stage: Usd.Stage,
+    facts: StageFacts,
+    name: str,
+    rest: Usd.TimeCode,
+    times: Sequence[float],
+    option: str,
 ) -> Region:
+    said = f"{option} {name}"
     prim = named_prim(stage, facts.path, name)
     subset = UsdGeom.Subset(prim)
     if subset:
@@ -52,12 +60,12 @@ def _region(
         prims = [p for p in Usd.PrimRange(prim, PROXIES) if _has_surface(p)]
     if not prims:
         raise InputError(
-            f"{facts.path}: --pin {name}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
+            f"{facts.path}: {said}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
             " without a mesh under it",
             "name a GeomSubset, a mesh or a prim above meshes, or give a box:"
-            " --pin box:x0,y0,z0,x1,y1,z1",
+            f" {option} box:x0,y0,z0,x1,y1,z1",
         )
-    points, triangles = _triangles(prims, facts, rest, name)
+    points, triangles = _triangles(prims, facts, rest, said)
     moving = _posed(prims, facts, times)
     path = points[None]
     if moving is not None:
@@ -65,7 +73,7 @@ def _region(
         path = moving
     if not subset:
         return Region(name=name, kind="volume", points=points, triangles=triangles, path=path)
-    chosen = _chosen(subset, prims[0], triangles, rest, facts, name)
+    chosen = _chosen(subset, prims[0], triangles, rest, facts, said)
     used, renumbered = np.unique(chosen, return_inverse=True)
     return Region(
         name=name,
@@ -82,7 +90,7 @@ def _has_surface(prim: Usd.Prim) -> bool:
 
 
 def _triangles(
-    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, name: str
+    prims: Sequence[Usd.Prim], facts: StageFacts, rest: Usd.TimeCode, said: str
 ) -> tuple[Floats, Ints]:
     """All points (V, 3) [m] and triangles (T, 3) of some prims."""
     context, points, triangles, count = bare_reading(facts, rest), [], [], 0
@@ -91,7 +99,7 @@ def _triangles(
             surface = read_surface(prim, context)
         except LeftAlone as reason:
             raise InputError(
-                f"{facts.path}: --pin {name}: <{prim.GetPath()}> {reason}", "name other prims"
+                f"{facts.path}: {said}: <{prim.GetPath()}> {reason}", "name other prims"
             ) from reason
         points.append(surface.points)
         triangles.append(surface.triangles + count)
@@ -116,7 +124,7 @@ def _chosen(
     triangles: Ints,
     rest: Usd.TimeCode,
     facts: StageFacts,
-    name: str,
+    said: str,
 ) -> Ints:
     """Triangles (n, 3) of the mesh that belong to a subset of its faces or points."""
     indices = np.asarray(subset.GetIndicesAttr().Get(rest) or [], dtype=np.int64)
@@ -131,12 +139,12 @@ def _chosen(
         mine = np.isin(np.repeat(np.arange(len(counts)), per_face), indices)
     else:
         raise InputError(
-            f"{facts.path}: --pin {name} is a subset of elementType {kind!r}",
+            f"{facts.path}: {said} is a subset of elementType {kind!r}",
             "name a subset of faces or points",
         )
     if not mine.any():
         raise InputError(
-            f"{facts.path}: --pin {name} holds {len(indices)} indices but no face of its mesh",
+            f"{facts.path}: {said} holds {len(indices)} indices but no face of its mesh",
             "name a subset that has faces",
         )
     return triangles[mine]

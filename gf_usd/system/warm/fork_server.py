@@ -27,7 +27,8 @@ AVAILABLE = hasattr(os, "pidfd_open") and Path("/proc/self/task").is_dir()  # Li
 # no threads of libraries, which a child would not have
 ALONE = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 START = (
-    f"import json, os, sys; os.environ.update(dict.fromkeys({ALONE}, '1')); sys.path[:] = json.loads(sys.argv[1]);"
+    f"import json, os, sys; os.environ.update(dict.fromkeys({ALONE}, '1'));"
+    " sys.path[:] = json.loads(sys.argv[1]);"
     " from gf_usd.system.warm.fork_server import run; run(int(sys.argv[2]), sys.argv[3:])"
 )
 

@@ -1,4 +1,4 @@
-"""One bake in a process of its own, followed by its events (docs/farm.md) without waiting for it.
+"""One bake, followed by its events (docs/farm.md) without waiting for it.
 
 Nothing here knows Blender.
 """
@@ -12,6 +12,7 @@ import threading
 import time
 from typing import IO, Any
 
+from . import server
 from .program import ProgramError, error_in, surroundings
 
 GRACE = 20.0  # [s] that gf-usd has to stop after it is asked to: it finishes a step first
@@ -19,19 +20,21 @@ FAILED = 1  # exit status of gf-usd for a bake that broke off; 2 and 3 are refus
 
 
 class Job:
-    """A running gf-usd.
+    """A running gf-usd: by the server, and where the system has none in a process of its own.
 
     Call `step` now and then; it returns True once the process has ended.  Then `result` holds the
     event `finished`, or `error` says why there is none.
 
     Parameters
     ----------
-    command : a bake; the option that makes it print its events is added.
+    words : that start gf-usd.
+    arguments : of a bake; the option that makes it print its events is added.
+    folder : that relative paths start at.
 
     Raises ProgramError where the process cannot be started.
     """
 
-    def __init__(self, command: list[str], folder: str) -> None:
+    def __init__(self, words: list[str], arguments: list[str], folder: str) -> None:
         self.done, self.total = 0, 0  # frames
         self.seconds_left: float | None = None
         self.notes: list[str] = []
@@ -44,20 +47,26 @@ class Job:
         self._first: tuple[float, int] | None = None  # time and number of the first frame
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._printed = ""
+        if server.AVAILABLE:
+            bake = server.Bake(words, arguments, folder, self._lines.put)
+            self._process: server.Bake | subprocess.Popen[str] = bake
+            self._readers = [bake.reader]
+            return
         try:
-            self._process = subprocess.Popen(
-                [*command, "--events", "-"],
+            process = subprocess.Popen(
+                [*words, *arguments, "--events", "-"],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                 encoding="utf-8", errors="replace", cwd=folder, env=surroundings(),
             )  # fmt: skip
         except OSError as error:
-            raise ProgramError(f"{command[0]} does not run: {error}") from error
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
+            raise ProgramError(f"{words[0]} does not run: {error}") from error
+        assert process.stdout is not None
+        assert process.stderr is not None
+        self._process = process
         # both pipes are read at once, or a full one would stop the process
         self._readers = [
-            threading.Thread(target=self._listen, args=(self._process.stdout,), daemon=True),
-            threading.Thread(target=self._print, args=(self._process.stderr,), daemon=True),
+            threading.Thread(target=self._listen, args=(process.stdout,), daemon=True),
+            threading.Thread(target=self._print, args=(process.stderr,), daemon=True),
         ]
         for reader in self._readers:
             reader.start()
@@ -78,6 +87,8 @@ class Job:
         for reader in self._readers:
             reader.join()
         self._hear()
+        if isinstance(self._process, server.Bake):
+            self._printed = self._process.printed
         self.failed = status == FAILED and not self.canceled
         if self.canceled:
             self.error = ProgramError("canceled")

@@ -13,6 +13,7 @@ from . import objects, stage
 from .job import Job
 from .preferences import program
 from .program import ProgramError
+from .server import server
 from .settings import frame_range, options
 from .state import state
 
@@ -152,11 +153,11 @@ def start(context: bpy.types.Context) -> tuple[Job, list[str], Path]:
         asset = folder / f"{stem}.source.usdc"
         objects.export(context, [*names, *standing], asset)
         subsets = stage.complete(asset, frames, obstacles=motions, pinned=pinned)
-        command = [*words, "bake", str(asset), "--output", str(folder / f"{stem}.soft.usda")]
+        command = ["bake", str(asset), "--output", str(folder / f"{stem}.soft.usda")]
         for subset in subsets:
             command += ["--pin", subset]
         # the last word wins, so that More can change what the panel says
-        return Job([*command, *more], str(folder)), names, folder
+        return Job(words, [*command, *more], str(folder)), names, folder
     except ProgramError:
         clear(names, folder)
         raise
@@ -243,4 +244,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Called by the add-on."""
+    server.stop()
     bpy.utils.unregister_class(GFUSD_OT_bake)

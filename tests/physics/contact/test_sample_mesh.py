@@ -17,11 +17,9 @@ def test_the_triangles_of_samples_close_whatever_the_mesh(body):
     skin, samples = sampled(body)
     mesh = triangulate(skin, samples.X, SPACING)
     assert len(boundary_edges(mesh.triangles)) == 0
-    # Euler's formula for a surface like a sphere; hardly a sample has no place of its own: one of a
-    # symmetric body that has none is one of eight.
-    used = len(np.unique(mesh.triangles))
-    assert used - len(mesh.edges) + len(mesh.triangles) == 2
-    assert used >= len(samples.X) - 8
+    # Euler's formula for a surface like a sphere, on which every sample has a place of its own.
+    assert len(np.unique(mesh.triangles)) == len(samples.X)
+    assert len(samples.X) - len(mesh.edges) + len(mesh.triangles) == 2
     volume = signed_volume(skin.points, skin.triangles)
     # Chords cut edges and curves off by some s^2 / 8 R: 3 % for boxes four spacings thick.
     assert signed_volume(samples.X, mesh.triangles) == pytest.approx(volume, rel=0.03)

@@ -70,7 +70,7 @@ def test_obstacles_take_the_place_of_the_floor_unless_asked(plan) -> None:
     assert plan(cubes()).settings.floor == 0.0
     seen = plan(cubes(), TABLE)
     assert seen.settings.floor is None
-    assert noted(seen, "the stage has 1 obstacles, so there is no floor; --floor 0")
+    assert noted(seen, "there is 1 obstacle, so there is no floor; --floor 0")
     assert plan(cubes(), TABLE, floor="-3").settings.floor == -3.0
 
 
@@ -113,5 +113,5 @@ def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, words) -
 
 
 def test_updated_lagrangian_and_obstacles_do_not_go_together(plan) -> None:
-    with pytest.raises(UsageError, match="does not know obstacles, and the stage has 1"):
+    with pytest.raises(UsageError, match="does not know obstacles, and there is 1 obstacle: </"):
         plan(cubes(), TABLE, solver="ul")

@@ -21,7 +21,14 @@ from gf_usd.physics.contact.kernels import contact_force
 from gf_usd.physics.grid.goals import GOAL, RATE, SPRING, WORK
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES
 from gf_usd.physics.total_lagrangian.kernels.scalar import number
-from gf_usd.physics.total_lagrangian.layout import GROUND, INVERSE, MASS
+from gf_usd.physics.total_lagrangian.layout import (
+    ANCHOR,
+    GROUND,
+    INVERSE,
+    MASS,
+    PIN_RATE,
+    PIN_WORK,
+)
 
 
 @ti.func
@@ -45,10 +52,11 @@ def follower_share(
 ):
     """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works."""
     f = block_sum(body, free + follower, plain)
-    work = body.work[follower]
+    o = ANCHOR * follower
+    work = body.anchor[o + PIN_WORK]
     for d in ti.static(range(3)):
-        work -= dt * f[d] * body.anchor_rate[3 * follower + d]
-    body.work[follower] = work
+        work -= dt * f[d] * body.anchor[o + PIN_RATE + d]
+    body.anchor[o + PIN_WORK] = work
     keep_share(body, free + follower, f, slides)
 
 
@@ -86,8 +94,8 @@ def follow(body: ti.template(), follower, free, drift, slides: ti.template()):
 
     slides : the sum has a factor of each axis.
     """
-    a = 3 * follower
-    rate = ti.Vector([body.anchor_rate[a], body.anchor_rate[a + 1], body.anchor_rate[a + 2]])
+    a = ANCHOR * follower
+    rate = ti.Vector([body.anchor[a + 3], body.anchor[a + 4], body.anchor[a + 5]])
     u = ti.Vector([body.anchor[a], body.anchor[a + 1], body.anchor[a + 2]]) + drift * rate
     v = rate
     for d in ti.static(range(3)):

@@ -34,6 +34,11 @@ from gf_usd.physics.total_lagrangian.kernels.nodes import (
     keep_raw,
     move_node,
 )
+from gf_usd.physics.total_lagrangian.kernels.rigid import (
+    filter_region,
+    move_region,
+    open_region,
+)
 from gf_usd.physics.total_lagrangian.kernels.scalar import (
     node_force,
     node_momentum,
@@ -68,6 +73,7 @@ from gf_usd.physics.total_lagrangian.stages import (
     NODES,
     OPENING,
     OPENS,
+    REGIONS,
     TOUCHING,
     stages,
 )
@@ -84,7 +90,7 @@ def pack_type(real, epoch: int):
     lanes = (*("fx", "V0", "m", "constants", "history", "viscosity", "block", "F0", "clip_buffer"),)
     reals = (
         *("u", "v", "node_mass"),
-        *("acceleration", "anchor", "anchor_rate", "work"),
+        *("acceleration", "anchor", "rigid"),
         *("sample_given", "sample_constants", "sample_spring"),
         *("sample_weight", "sample_force", "sample_depth", "node_sample_weight"),
         *("share", "leader_weight", "follow_weight", "slide", "springs"),
@@ -96,7 +102,7 @@ def pack_type(real, epoch: int):
         *("sample_start", "sample_node", "sample_active", "sample_capped"),
         *("node_sample_start", "node_sample"),
         *("leader_start", "leader_follower", "follow_start", "follow_node"),
-        *("touched", "links", "queue"),
+        *("touched", "links", "queue", "rigid_nodes"),
     )
     vector = ti.types.vector(LANES, real)
     members = {name: ti.types.ndarray(dtype=vector, ndim=1) for name in lanes}
@@ -113,7 +119,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
-    table = stages(options.plain, options.meets, options.coupled)
+    table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active, meeting):
@@ -129,6 +135,8 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             count = groups
         elif ti.static(part.items == MEETING):
             count = meeting
+        elif ti.static(part.items == REGIONS):
+            count = options.rigid
         return count
 
     @ti.func
@@ -197,6 +205,12 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             keep_raw(body, n, force(body, n, active, options.plain, options.goals), share)
         elif ti.static(part.name == "follow"):
             follow(body, n, free, drift, options.slides)
+        elif ti.static(part.name == "open rigid"):
+            open_region(body, n, 0.5 * dt, options.rigid)
+        elif ti.static(part.name == "filter rigid"):
+            filter_region(body, n, free, alpha, options.plain, options.rigid)
+        elif ti.static(part.name == "move rigid"):
+            move_region(body, n, free, active, g, dt, drift, keep, options.plain, options.rigid)
 
     @ti.kernel
     def queued(

@@ -123,7 +123,7 @@ def preview(
             "path": asset_path(path), "options": options, "show": show, "camera": camera,
             "color": color, "write": target is not None,
         }  # fmt: skip
-        task = "gf_usd.api.preview:draw"
+        task = "gf_usd.api.drawing.preview:draw"
         return here_or_away(task, asked, progress, schema=False)[0]
 
 

@@ -1,0 +1,278 @@
+"""A bake as a binary glTF 2.0 file: skins, morph targets, and one animation.
+
+Nodes hold joints and meshes; the topmost one turns the world's up axis to +Y.  Rotations are
+normalized 16-bit integers and weights normalized bytes, which the standard allows.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core import __version__
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import BakeError
+from gf_usd.core.scene import Recording
+from gf_usd.delivery.gltf_surface import Primitive, encoded, primitives_of, sampler_of
+from gf_usd.delivery.rig import Rig
+from gf_usd.delivery.transforms import Hierarchy, hierarchy
+from gf_usd.system.atomic_files import partial_path
+
+MAGIC, JSON, BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+TYPES = {np.uint8: 5121, np.int16: 5122, np.uint16: 5123, np.uint32: 5125, np.float32: 5126}
+WIDTHS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+VERTICES, INDICES = 34962, 34963  # targets of buffer views
+SHORT = 32767
+
+
+def write_glb(target: Path, recording: Recording, rigs: Sequence[Rig]) -> tuple[str, ...]:
+    """Write `target` under its partial name; returns notes in words.
+
+    Raises BakeError where the disk refuses.
+    """
+    writer = _Writer(recording)
+    for rig in rigs:
+        writer.add(rig)
+    partial = partial_path(target)
+    try:
+        partial.write_bytes(writer.file())
+    except OSError as error:
+        raise BakeError(
+            f"{partial} could not be written: {error.strerror}.",
+            f"check that {partial.absolute().parent} is writable and has space left",
+        ) from error
+    return tuple(writer.notes)
+
+
+def up_rotation(up: Sequence[float]) -> Floats:
+    """(4,) the quaternion (x, y, z, w) that turns a unit vector to +Y."""
+    x, y, z = up
+    if y < -1.0 + 1e-9:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    q = np.array([-z, 0.0, x, 1.0 + y])  # (up x Y, 1 + up . Y)
+    return q / np.linalg.norm(q)
+
+
+class _Writer:
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._data = bytearray()
+        self._views: list[dict[str, Any]] = []
+        self._accessors: list[dict[str, Any]] = []
+        self._nodes: list[dict[str, Any]] = [{"name": recording.name, "children": []}]
+        turn = up_rotation(recording.up)
+        if abs(turn[3]) < 1.0 - 1e-12:
+            self._nodes[0]["rotation"] = turn.tolist()
+        self._roots = [0]
+        self._meshes: list[dict[str, Any]] = []
+        self._skins: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._textures: list[dict[str, Any]] = []
+        self._samplers: list[dict[str, Any]] = []
+        self._images: list[dict[str, Any]] = []
+        self._curves: list[dict[str, Any]] = []
+        self._channels: list[dict[str, Any]] = []
+        times = np.array([recording.seconds(code) for code in recording.time_codes])
+        self._times = self._accessor(times.astype(np.float32)[:, None], bounds=True)
+        self.notes: dict[str, None] = {}
+
+    def add(self, rig: Rig) -> None:
+        """A body with its joints or shapes."""
+        joints = hierarchy(rig)
+        root = len(self._nodes)
+        names = ["Root", *(f"Joint{j}" for j in range(len(joints) - 1))]
+        for name, place in zip(names, joints.bind_local):
+            self._nodes.append({"name": name, "translation": _floats(place)})
+        self._nodes[0]["children"].append(root)
+        below = list(range(root + 1, root + len(joints)))
+        if rig.body.moves:
+            for j in range(len(joints)):
+                self._animate(root + j, joints, j)
+        meshes = [self._mesh(rig, i) for i in rig.body.meshes]
+        if rig.skinning is not None:
+            skin = len(self._skins)
+            inverse = np.tile(np.eye(4), (len(joints), 1, 1))
+            inverse[:, 3, :3] = -joints.bind  # by columns
+            self._skins.append(
+                {
+                    "inverseBindMatrices": self._accessor(
+                        inverse.reshape(-1, 16).astype(np.float32)
+                    ),
+                    "skeleton": root,
+                    "joints": [root, *below],
+                }
+            )
+            for mesh in meshes:
+                self._roots.append(len(self._nodes))
+                self._nodes.append({"mesh": mesh, "skin": skin, **self._named(mesh)})
+        else:
+            for mesh in meshes:
+                below.append(len(self._nodes))
+                place = {"translation": _floats(-joints.bind[0])}
+                self._nodes.append({"mesh": mesh, **place, **self._named(mesh)})
+                if rig.blend_shapes:
+                    assert rig.keys is not None
+                    keys = rig.keys.astype(np.float32).reshape(-1, 1)
+                    self._channel(below[-1], "weights", self._accessor(keys))
+        if below:
+            self._nodes[root]["children"] = below
+
+    def _named(self, mesh: int) -> dict[str, Any]:
+        return {"name": self._meshes[mesh]["name"]}
+
+    def _animate(self, node: int, joints: Hierarchy, j: int) -> None:
+        turns = np.rint(joints.rotations[:, j] * SHORT).astype(np.int16)
+        self._channel(node, "rotation", self._accessor(turns, normalized=True))
+        moves = joints.translations[:, j].astype(np.float32)
+        self._channel(node, "translation", self._accessor(moves))
+
+    def _channel(self, node: int, path: str, output: int) -> None:
+        self._channels.append(
+            {"sampler": len(self._curves), "target": {"node": node, "path": path}}
+        )
+        self._curves.append({"input": self._times, "output": output})
+
+    def _mesh(self, rig: Rig, number: int) -> int:
+        shape = self._recording.meshes[number]
+        images = [self._texture(texture) for texture in shape.textures]
+        rows = [
+            self._primitive(rig, number, primitive, images) for primitive in primitives_of(shape)
+        ]
+        made: dict[str, Any] = {"name": shape.name.rpartition("/")[2], "primitives": rows}
+        if rig.blend_shapes:
+            made["weights"] = [0.0] * rig.blend_shapes
+        self._meshes.append(made)
+        return len(self._meshes) - 1
+
+    def _primitive(
+        self, rig: Rig, number: int, primitive: Primitive, images: Sequence[int]
+    ) -> dict[str, Any]:
+        at = np.arange(len(rig.body.rest))[rig.body.points_of(number)][primitive.points]
+        points = rig.body.rest[at].astype(np.float32)
+        named = {"POSITION": self._accessor(points, VERTICES, bounds=True)}
+        for name, values in (("NORMAL", primitive.normals), ("TEXCOORD_0", primitive.uvs),
+                             ("COLOR_0", primitive.colors)):  # fmt: skip
+            if values is not None:
+                named[name] = self._accessor(values.astype(np.float32), VERTICES)
+        if rig.skinning is not None:
+            skin = rig.skinning
+            joints = np.where(skin.weights > 0, skin.joints + 1, 0)[at]
+            kind = np.uint8 if len(skin) < 256 else np.uint16
+            named["JOINTS_0"] = self._accessor(joints.astype(kind), VERTICES)
+            named["WEIGHTS_0"] = self._accessor(
+                skin.weights[at].astype(np.uint8), VERTICES, normalized=True
+            )
+        kind = np.uint16 if len(points) < 65535 else np.uint32
+        row: dict[str, Any] = {
+            "attributes": named,
+            "indices": self._accessor(primitive.triangles.reshape(-1, 1).astype(kind), INDICES),
+            "material": self._material(primitive, images),
+        }
+        if rig.blend_shapes:
+            assert rig.shapes is not None
+            row["targets"] = [
+                {"POSITION": self._accessor(s[at].astype(np.float32), VERTICES, bounds=True)}
+                for s in rig.shapes
+            ]
+        return row
+
+    def _material(self, primitive: Primitive, images: Sequence[int]) -> int:
+        surface: dict[str, Any] = {
+            "metallicFactor": round(primitive.metallic, 6),
+            "roughnessFactor": round(primitive.roughness, 6),
+        }
+        if primitive.texture >= 0:
+            surface["baseColorTexture"] = {"index": images[primitive.texture]}
+        else:
+            surface["baseColorFactor"] = [*(min(1.0, round(c, 6)) for c in primitive.color), 1.0]
+        row = {"pbrMetallicRoughness": surface, "doubleSided": True}
+        if row not in self._materials:
+            self._materials.append(row)
+        return self._materials.index(row)
+
+    def _texture(self, texture: Any) -> int:
+        data, media = encoded(texture)
+        self._images.append({"bufferView": self._view(data), "mimeType": media})
+        sampler = sampler_of(texture)
+        if sampler not in self._samplers:
+            self._samplers.append(sampler)
+        self._textures.append(
+            {"source": len(self._images) - 1, "sampler": self._samplers.index(sampler)}
+        )
+        if "black" in (texture.wrap_s, texture.wrap_t):
+            self.notes[
+                "a texture that is black outside repeats its border: glTF has no such wrap"
+            ] = None
+        return len(self._textures) - 1
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        self._data += b"\0" * (-len(self._data) % 4)
+        row = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
+        self._views.append(row if target is None else {**row, "target": target})
+        self._data += data
+        return len(self._views) - 1
+
+    def _accessor(
+        self,
+        values: Any,
+        target: int | None = None,
+        *,
+        normalized: bool = False,
+        bounds: bool = False,
+    ) -> int:
+        """An array (n, width) of one of TYPES."""
+        row: dict[str, Any] = {
+            "bufferView": self._view(np.ascontiguousarray(values).tobytes(), target),
+            "componentType": TYPES[values.dtype.type],
+            "count": len(values),
+            "type": WIDTHS[values.shape[1]],
+        }
+        if normalized:
+            row["normalized"] = True
+        if bounds:
+            row["min"], row["max"] = _floats(values.min(axis=0)), _floats(values.max(axis=0))
+        self._accessors.append(row)
+        return len(self._accessors) - 1
+
+    def file(self) -> bytes:
+        """The whole file."""
+        tree: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": f"gf-usd {__version__}"},
+            "scene": 0,
+            "scenes": [{"nodes": self._roots}],
+            "nodes": [
+                {k: v for k, v in node.items() if k != "children" or v} for node in self._nodes
+            ],
+            "meshes": self._meshes,
+            "materials": self._materials,
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+            "buffers": [{"byteLength": len(self._data) + (-len(self._data) % 4)}],
+        }
+        if self._channels:
+            tree["animations"] = [
+                {"name": "bake", "samplers": self._curves, "channels": self._channels}
+            ]
+        for key, rows in (
+            ("skins", self._skins), ("textures", self._textures), ("images", self._images),
+            ("samplers", self._samplers),
+        ):  # fmt: skip
+            if rows:
+                tree[key] = rows
+        text = json.dumps(tree, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        data = bytes(self._data) + b"\0" * (-len(self._data) % 4)
+        chunks = (
+            struct.pack("<II", len(text), JSON) + text + struct.pack("<II", len(data), BIN) + data
+        )
+        return struct.pack("<III", MAGIC, 2, 12 + len(chunks)) + chunks
+
+
+def _floats(values: Any) -> list[float]:
+    # as single precision: bounds must be those of the stored numbers
+    return [float(np.float32(value)) for value in values]

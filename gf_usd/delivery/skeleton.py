@@ -1,0 +1,223 @@
+"""Rigs as UsdSkel prims: a skeleton with its animation, and meshes that are bound to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.delivery.joints import STEPS
+from gf_usd.delivery.rig import Rig
+from gf_usd.delivery.transforms import hierarchy
+
+NAME = "Skeleton"
+ROOT = "Root"
+FIT = 1e-6  # of the size: source points map to the first frame within single precision
+
+
+def bind_meshes(
+    stage: Usd.Stage,
+    rigs: Sequence[Rig],
+    names: Sequence[str],
+    triangles: Sequence[Ints],
+    time_codes: Sequence[float],
+    unit: float,
+) -> None:
+    """Author rigs at the stage's edit target, over meshes that hold no motion any more.
+
+    rigs : of bodies below one root prim.
+    names, triangles : prim paths of the meshes, by the numbers that bodies have, and (T, 3) into
+    their points, for prims that are implicit shapes.  unit : [m] per stage unit.
+
+    Raises InputError where a mesh stands under no prim that can be a SkelRoot.
+    """
+    root = stage.GetPrimAtPath(Sdf.Path(names[rigs[0].body.meshes[0]]).GetPrefixes()[0])
+    _make_skel_root(root)
+    for number, rig in enumerate(rigs):
+        name = NAME if number == 0 else f"{NAME}{number}"
+        skeleton = _skeleton(root, name, rig, time_codes, unit)
+        for mesh in rig.body.meshes:
+            prim = stage.GetPrimAtPath(names[mesh])
+            if not prim.IsA(UsdGeom.Mesh):
+                _make_mesh(prim, triangles[mesh])
+            _bind(prim, mesh, rig, skeleton, unit)
+    _author_extent(root, rigs, time_codes, unit)
+
+
+def _make_skel_root(root: Usd.Prim) -> None:
+    if root.IsA(UsdGeom.Gprim):
+        raise InputError(
+            f"<{root.GetPath()}> is a {root.GetTypeName()} without a parent: joints need a prim"
+            " above the mesh",
+            "put the mesh under an Xform, and bake that",
+        )
+    if root.GetTypeName() != "SkelRoot":
+        # not at the edit target, which may be a variant: text layers have no types there
+        Sdf.CreatePrimInLayer(root.GetStage().GetRootLayer(), root.GetPath()).typeName = "SkelRoot"
+    for prim in Usd.PrimRange(root):
+        if prim != root and prim.IsA(UsdSkel.Root):
+            prim.SetTypeName("Xform")  # they do not nest
+
+
+def _skeleton(
+    root: Usd.Prim, name: str, rig: Rig, time_codes: Sequence[float], unit: float
+) -> UsdSkel.Skeleton:
+    stage = root.GetStage()
+    path = root.GetPath().AppendChild(name)
+    skeleton = UsdSkel.Skeleton.Define(stage, path)
+    _cancel(skeleton, root, time_codes)
+    joints = hierarchy(rig)
+    names = [ROOT, *(f"{ROOT}/Joint{j}" for j in range(len(joints) - 1))]
+    skeleton.CreateJointsAttr(names)
+    skeleton.CreateBindTransformsAttr(_shifts(joints.bind / unit))
+    skeleton.CreateRestTransformsAttr(_shifts(joints.bind_local / unit))
+    animation = UsdSkel.Animation.Define(stage, path.AppendChild("Animation"))
+    animation.CreateJointsAttr(names)
+    animation.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1.0, 1.0, 1.0)] * len(names)))
+    turn, move = animation.CreateRotationsAttr(), animation.CreateTranslationsAttr()
+    quaternions = joints.rotations.astype(np.float32)
+    for frame, code in enumerate(time_codes):
+        turn.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(quaternions[frame])), code)
+        move.Set(_vectors(joints.translations[frame] / unit), code)
+    if rig.blend_shapes:
+        assert rig.keys is not None
+        animation.CreateBlendShapesAttr([f"shape{k}" for k in range(rig.blend_shapes)])
+        weights = animation.CreateBlendShapeWeightsAttr()
+        for frame, code in enumerate(time_codes):
+            weights.Set(Vt.FloatArray.FromNumpy(rig.keys[frame].astype(np.float32)), code)
+    api = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    api.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    return skeleton
+
+
+def _cancel(skeleton: UsdSkel.Skeleton, root: Usd.Prim, time_codes: Sequence[float]) -> None:
+    """Undo the transform of the root prim: joints are given in the world."""
+    image = UsdGeom.Imageable(root)
+    worlds = [image.ComputeLocalToWorldTransform(code) for code in time_codes]
+    if all(world == Gf.Matrix4d(1.0) for world in worlds):
+        return
+    op = skeleton.AddTransformOp()
+    if all(world == worlds[0] for world in worlds):
+        op.Set(worlds[0].GetInverse())
+        return
+    for code, world in zip(time_codes, worlds):
+        op.Set(world.GetInverse(), code)
+
+
+def _make_mesh(prim: Usd.Prim, triangles: Ints) -> None:
+    """Make an implicit shape the mesh that the bake made of it."""
+    prim.SetTypeName("Mesh")
+    mesh = UsdGeom.Mesh(prim)
+    mesh.CreateFaceVertexCountsAttr([3] * len(triangles))
+    mesh.CreateFaceVertexIndicesAttr(np.asarray(triangles).reshape(-1).tolist())
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePointsAttr()
+
+
+def _bind(prim: Usd.Prim, mesh: int, rig: Rig, skeleton: UsdSkel.Skeleton, unit: float) -> None:
+    rest = rig.body.rest[rig.body.points_of(mesh)] / unit
+    matrix = _placed(prim, rest)
+    _forget(prim)
+    api = UsdSkel.BindingAPI.Apply(prim)
+    api.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    api.CreateGeomBindTransformAttr(Gf.Matrix4d(matrix.tolist()))
+    if rig.skinning is None:
+        indices = api.CreateJointIndicesPrimvar(True, 1)
+        weights = api.CreateJointWeightsPrimvar(True, 1)
+        indices.Set(Vt.IntArray([0]))
+        weights.Set(Vt.FloatArray([1.0]))
+    else:
+        part = rig.body.points_of(mesh)
+        width = rig.skinning.joints.shape[1]
+        joints = np.where(rig.skinning.weights > 0, rig.skinning.joints + 1, 0)[part]
+        indices = api.CreateJointIndicesPrimvar(False, width)
+        weights = api.CreateJointWeightsPrimvar(False, width)
+        indices.Set(Vt.IntArray.FromNumpy(joints.reshape(-1).astype(np.int32)))
+        share = rig.skinning.weights[part] / STEPS
+        weights.Set(Vt.FloatArray.FromNumpy(share.reshape(-1).astype(np.float32)))
+    if rig.blend_shapes:
+        _shape_prims(api, prim, mesh, rig, matrix, unit)
+
+
+def _forget(prim: Usd.Prim) -> None:
+    """Block what the source says of joints and blend shapes of its own."""
+    for name in ("skel:joints", "skel:blendShapes", "primvars:skel:skinningMethod"):
+        attribute = prim.GetAttribute(name)
+        if attribute.HasAuthoredValue():
+            attribute.Block()
+    for name in ("skel:blendShapeTargets", "skel:animationSource"):
+        relation = prim.GetRelationship(name)
+        if relation and relation.HasAuthoredTargets():
+            relation.SetTargets([])
+
+
+def _placed(prim: Usd.Prim, rest: Floats) -> Floats:
+    """(4, 4) for row vectors from the mesh's points to rest (V, 3), world.
+
+    The source's own points are kept where one matrix takes all of them there, else replaced, with
+    their normals, by the points of the first frame as the prim's transform places them.
+    """
+    mesh = UsdGeom.Mesh(prim)
+    own = mesh.GetPointsAttr()
+    values = None if own.ValueMightBeTimeVarying() else own.Get()
+    size = float(np.ptp(rest, axis=0).max())
+    if values is not None and len(values) == len(rest):
+        given = np.asarray(values, np.float64)
+        center = given.mean(axis=0)
+        spread = np.column_stack([given - center, np.ones(len(given))])
+        solved, *_ = np.linalg.lstsq(spread, rest, rcond=1e-9)
+        if np.abs(spread @ solved - rest).max() <= FIT * max(size, float(np.abs(rest).max())):
+            matrix = np.eye(4)
+            matrix[:3, :3] = solved[:3]
+            matrix[3, :3] = solved[3] - center @ solved[:3]
+            if np.linalg.matrix_rank(matrix) == 4:
+                return matrix
+    matrix = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(Usd.TimeCode(0.0)))
+    local = (rest - matrix[3, :3]) @ np.linalg.inv(matrix[:3, :3])
+    for attribute in (own, mesh.GetNormalsAttr(), mesh.GetVelocitiesAttr()):
+        if attribute.GetNumTimeSamples() or attribute == own:
+            attribute.Block()
+    own.Set(_vectors(local))
+    return matrix
+
+
+def _shape_prims(
+    api: UsdSkel.BindingAPI, prim: Usd.Prim, mesh: int, rig: Rig, matrix: Floats, unit: float
+) -> None:
+    assert rig.shapes is not None
+    back = np.linalg.inv(matrix[:3, :3])
+    part = rig.body.points_of(mesh)
+    names, targets = [f"shape{k}" for k in range(rig.blend_shapes)], []
+    for name, shape in zip(names, rig.shapes):
+        path = prim.GetPath().AppendChild(name)
+        made = UsdSkel.BlendShape.Define(prim.GetStage(), path)
+        made.CreateOffsetsAttr(_vectors(shape[part] / unit @ back))
+        targets.append(path)
+    api.CreateBlendShapesAttr(names)
+    api.CreateBlendShapeTargetsRel().SetTargets(targets)
+
+
+def _author_extent(
+    root: Usd.Prim, rigs: Sequence[Rig], time_codes: Sequence[float], unit: float
+) -> None:
+    """The box of the moving meshes in each frame, in the space of the root prim."""
+    extent = UsdGeom.Boundable(root).CreateExtentAttr()
+    for frame, code in enumerate(time_codes):
+        world = UsdGeom.Imageable(root).ComputeLocalToWorldTransform(code)
+        back = np.array(world.GetInverse())
+        points = np.concatenate([rig.body.frames[frame] for rig in rigs]) / unit
+        local = points @ back[:3, :3] + back[3, :3]
+        extent.Set(_vectors(np.array([local.min(axis=0), local.max(axis=0)])), code)
+
+
+def _vectors(rows: Floats) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
+
+
+def _shifts(rows: Floats) -> Vt.Matrix4dArray:
+    return Vt.Matrix4dArray(
+        [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*row)) for row in rows.tolist()]
+    )

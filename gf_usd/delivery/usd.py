@@ -1,0 +1,268 @@
+"""A bake as a USD file of joints or blend shapes, over its source or in a package with it.
+
+A bake's root layer keeps what it has: the references to the source with all its variants, and a
+variant for each baked material.  The payload of each, the cache, is replaced by the joints.  A
+bake that is one flattened file keeps what is flattened in it.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdUtils
+
+from gf_usd.core.arrays import Ints
+from gf_usd.core.errors import BakeError
+from gf_usd.delivery.motion import BodyMotion
+from gf_usd.delivery.rig import Rig
+from gf_usd.delivery.skeleton import bind_meshes
+from gf_usd.layers.flatten import PACKAGE, FolderFiles, Package
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.recording import select_look, world_points
+from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.system.atomic_files import partial_path
+
+VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
+MOVING = ("points", "normals", "velocities", "accelerations", "extent")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """A baked variant with its rigs."""
+
+    name: str  # of the variant; "" where the file has none
+    bodies: tuple[BodyMotion, ...]
+    rigs: tuple[Rig, ...]  # one for each body; none before they are fitted
+    meshes: tuple[str, ...]  # prim paths, by the numbers that bodies have
+    triangles: tuple[Ints, ...]  # (T, 3) into the points of each
+    time_codes: tuple[float, ...]
+    unit: float  # [m] per stage unit
+
+
+def write_usd(bake: Path, target: Path, looks: Sequence[Look]) -> tuple[str, ...]:
+    """Write `target` under its partial name; returns notes in words.
+
+    bake : root layer or flattened file.  target : .usdz becomes a package with all that the file
+    needs, .usda and .usdc refer to the source and its textures by relative paths.
+
+    Raises
+    ------
+    InputError : a mesh has no parent that could be a SkelRoot.
+    BakeError : the disk refuses.
+    """
+    with reading(bake):
+        layer = _without_motion(bake, looks)
+        stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
+        for look in looks:
+            _author(stage, look)
+        partial = partial_path(target)
+        if target.suffix != PACKAGE:
+            files = FolderFiles(target.parent.absolute(), {})
+            UsdUtils.ModifyAssetPaths(layer, files.place)
+            _export(layer, partial)
+            return tuple(files.notes)
+        with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
+            package = LayerPackage(Path(folder))
+            UsdUtils.ModifyAssetPaths(layer, package.place)
+            first = Path(folder) / f"{target.stem}.usdc"
+            _export(layer, first)
+            package.write(partial, first)
+        return tuple(package.notes)
+
+
+def error_of(target: Path, look: Look) -> float:
+    """The largest distance of a written file to its bake over points and frames, in radii.
+
+    The points are evaluated by UsdSkel.
+    """
+    largest = 0.0
+    with reading(target):
+        stage = open_stage(target)
+        select_look(stage, target, look.name or None)
+        for frame, code in enumerate(look.time_codes):
+            time = Usd.TimeCode(code)
+            xforms = UsdGeom.XformCache(time)
+            skins = Skins(time, xforms, Notes())
+            for rig in look.rigs:
+                for mesh in rig.body.meshes:
+                    prim = stage.GetPrimAtPath(look.meshes[mesh])
+                    found = world_points(prim, time, xforms, skins) * look.unit
+                    off = found - rig.body.frames[frame, rig.body.points_of(mesh)]
+                    distance = float(np.sqrt((off**2).sum(axis=1).max()))
+                    largest = max(largest, distance / rig.body.radius)
+    return largest
+
+
+def inputs_of(bake: Path) -> list[Path]:
+    """The files that a bake is composed of."""
+    with reading(bake):
+        stage = open_stage(bake)
+        return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+
+
+def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:
+    """A copy of the root layer without caches and particles, its paths absolute."""
+    stage = open_stage(bake)
+    switches = [
+        prim.GetName()
+        for prim in stage.GetPseudoRoot().GetChildren()
+        if prim.GetVariantSets().HasVariantSet(VARIANTS)
+    ]
+    if not switches:
+        select_look(stage, bake, looks[0].name or None)
+        layer = stage.Flatten(addSourceFileComment=False)
+        _drop_samples(layer, looks[0])
+        return layer
+    root = stage.GetRootLayer()
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(root)
+    UsdUtils.ModifyAssetPaths(layer, lambda path: absolute(root, path))
+    names = {look.name for look in looks}
+    for name in switches:
+        spec = layer.GetPrimAtPath(f"/{name}")
+        variants = spec.variantSets[VARIANTS].variants
+        for variant in list(variants.values()):
+            if variant.name == NONE:
+                continue
+            if variant.name in names:
+                _empty(variant.primSpec)
+            else:
+                spec.variantSets[VARIANTS].RemoveVariant(variant)
+        spec.variantSelections[VARIANTS] = looks[0].name
+        if not spec.referenceList.prependedItems and not spec.specializesList.prependedItems:
+            del layer.rootPrims[name]  # held nothing but particles
+    _tell(layer, names)
+    return layer
+
+
+def _tell(layer: Sdf.Layer, names: set[str]) -> None:
+    """Leave what the bake says of the variants that are kept."""
+    data = layer.customLayerData
+    about = dict(data.get(VARIANTS, {}))
+    told = about.get("looks", {})
+    about["looks"] = {name: values for name, values in told.items() if name in names}
+    layer.customLayerData = {**data, VARIANTS: about}
+
+
+def _empty(spec: Sdf.PrimSpec) -> None:
+    """Remove payload, particles, health and displays from a variant."""
+    spec.ClearPayloadList()
+    for child in list(spec.nameChildren):
+        del spec.nameChildren[child.name]
+    for prop in list(spec.properties):
+        spec.RemoveProperty(prop)
+    for name in [one.name for one in spec.variantSets.values()]:
+        del spec.variantSets[name]
+        spec.variantSelections.pop(name)
+    spec.ClearInfo("variantSetNames")
+    spec.ClearInfo("apiSchemas")
+
+
+def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
+    found: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
+    for path in sorted(found, reverse=True):
+        if path.IsPrimPath() and re.fullmatch(f"(\\w+_)?{SCOPE}", path.name):
+            parent = layer.GetPrimAtPath(path.GetParentPath()) or layer.pseudoRoot
+            del parent.nameChildren[path.name]
+    for name in {Sdf.Path(mesh).GetPrefixes()[0].name for mesh in look.meshes}:
+        spec = layer.GetPrimAtPath(f"/{name}")
+        for prop in [p for p in spec.properties if p.name.startswith(f"{VARIANTS}:")]:
+            spec.RemoveProperty(prop)
+        for display in [
+            one.name for one in spec.variantSets.values() if one.name.lower().endswith("display")
+        ]:
+            del spec.variantSets[display]
+            spec.variantSelections.pop(display)
+            spec.variantSetNameList.RemoveItemEdits(display)
+    for mesh in (look.meshes[i] for rig in look.rigs for i in rig.body.meshes):
+        for name in MOVING:
+            attribute = layer.GetAttributeAtPath(Sdf.Path(mesh).AppendProperty(name))
+            if attribute is None or not layer.GetNumTimeSamplesForPath(attribute.path):
+                continue
+            first = layer.ListTimeSamplesForPath(attribute.path)[0]
+            if name in ("points", "normals"):
+                attribute.default = layer.QueryTimeSample(attribute.path, first)
+                attribute.ClearInfo("timeSamples")
+            else:
+                layer.GetPrimAtPath(mesh).RemoveProperty(attribute)
+
+
+def _author(stage: Usd.Stage, look: Look) -> None:
+    roots = {
+        str(Sdf.Path(look.meshes[m]).GetPrefixes()[0]) for r in look.rigs for m in r.body.meshes
+    }
+    for path in sorted(roots):
+        rigs = [r for r in look.rigs if look.meshes[r.body.meshes[0]].startswith(f"{path}/")]
+        rigs = rigs or [r for r in look.rigs if look.meshes[r.body.meshes[0]] == path]
+        variants = stage.GetPrimAtPath(path).GetVariantSets()
+        if not variants.HasVariantSet(VARIANTS):
+            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
+            continue
+        chosen = variants.GetVariantSet(VARIANTS)
+        before = chosen.GetVariantSelection()
+        chosen.SetVariantSelection(look.name)
+        with chosen.GetVariantEditContext():
+            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
+        chosen.SetVariantSelection(before)
+
+
+def absolute(layer: Sdf.Layer, path: str) -> str:
+    """A path of a layer that means the same elsewhere; a URI stays as it is."""
+    if not path or re.match(r"\w[\w.+-]+:", path):
+        return path
+    return layer.ComputeAbsolutePath(path)
+
+
+class LayerPackage(Package):
+    """A package that layers go into too, as crates, each with the paths of its own changed.
+
+    All files are in one folder: a path means the same in each of them.
+    """
+
+    def __init__(self, scratch: Path) -> None:
+        super().__init__(scratch)
+        self._layers: dict[str, str] = {}  # layer -> name in the package
+
+    def _name(self, file: Path) -> str:
+        numbers = list(dict.fromkeys([*self._names, file]))
+        return f"{numbers.index(file)}_{file.name}"
+
+    def _placed(self, file: Path, inner: str) -> str:
+        if not inner and file.suffix.lower() in (".usd", ".usda", ".usdc", ".usdz"):
+            return f"./{self._layer(file)}"
+        return f"./{super()._placed(file, inner)}"
+
+    def _layer(self, file: Path) -> str:
+        key = str(file)
+        if key in self._layers:
+            return self._layers[key]
+        if not file.exists():
+            return file.name  # it does not compose in the bake either, which is noted there
+        source = Sdf.Layer.FindOrOpen(key)
+        if source is None:
+            self.notes[f"{file} could not be opened: it is not in the package"] = None
+            return file.name
+        name = f"layer{len(self._layers)}_{file.stem}.usdc"
+        self._layers[key] = name
+        copy = Sdf.Layer.CreateAnonymous(".usda")
+        copy.TransferContent(source)
+        UsdUtils.ModifyAssetPaths(copy, lambda path: self.place(absolute(source, path)))
+        made = self._scratch / name
+        _export(copy, made)
+        self._names[made] = name
+        return name
+
+
+def _export(layer: Sdf.Layer, path: Path) -> None:
+    if not layer.Export(str(path)):
+        raise BakeError(
+            f"{path} could not be written.",
+            f"check that {path.absolute().parent} is writable and has space left",
+        )

@@ -1,0 +1,1 @@
+"""Flesh: springs, driven parts, and rigid ones."""

@@ -1,0 +1,351 @@
+"""Delivered files over difficult sources: read back by other readers than the writer's own."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
+from small_sources import SOURCES, Source
+from small_stages import CUBE, bake, write
+
+from gf_usd.core.errors import BakeError, InputError, UsageError
+from gf_usd.delivery.deliver import deliver
+
+TOLERANCE = 0.02
+FRAMES = 4
+BALL = 'upAxis = "Z"\n metersPerUnit = 0.01\n timeCodesPerSecond = 24\n defaultPrim = "Ball"'
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A moving stage: a ball of 100 points under a turned prim that squashes, turns and falls."""
+    return moving_ball(tmp_path_factory.mktemp("ball") / "ball.usdc")
+
+
+def moving_ball(path: Path) -> Path:
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    root = UsdGeom.Xform.Define(stage, "/Ball")
+    root.AddTranslateOp().Set(Gf.Vec3d(3.0, -2.0, 5.0))
+    root.AddRotateZOp().Set(30.0)
+    stage.SetDefaultPrim(root.GetPrim())
+    mesh = UsdGeom.Mesh.Define(stage, "/Ball/Skin")
+    mesh.AddScaleOp().Set(Gf.Vec3f(1.0, 1.0, 1.0))
+    points, faces = sphere(8, 14)
+    mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
+    mesh.CreateFaceVertexIndicesAttr([int(i) for face in faces for i in face])
+    mesh.CreateSubdivisionSchemeAttr("none")
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(0.8, 0.2, 0.1)])
+    stage.SetStartTimeCode(1)
+    stage.SetEndTimeCode(FRAMES)
+    for code in range(1, FRAMES + 1):
+        t = (code - 1) / (FRAMES - 1)
+        moved = points * (1 + 0.2 * t, 1 + 0.2 * t, 1 - 0.3 * t)
+        moved = moved + 0.1 * t * np.sin(3.0 * points[:, [1, 2, 0]]) - (0.0, 0.0, 2.0 * t)
+        mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(moved.astype(np.float32)), code)
+    stage.Save()
+    return path
+
+
+def sphere(rings: int, sides: int) -> tuple[np.ndarray, list[list[int]]]:
+    theta = np.pi * np.arange(1, rings) / rings
+    phi = 2 * np.pi * np.arange(sides) / sides
+    grid = np.stack(
+        [
+            np.outer(np.sin(theta), np.cos(phi)),
+            np.outer(np.sin(theta), np.sin(phi)),
+            np.outer(np.cos(theta), np.ones(sides)),
+        ],
+        -1,
+    ).reshape(-1, 3)
+    points = np.concatenate([grid, [(0, 0, 1.0), (0, 0, -1.0)]])
+    top, bottom = len(grid), len(grid) + 1
+    faces = []
+    for j in range(sides):
+        k = (j + 1) % sides
+        faces.append([top, j, k])
+        faces.append([bottom, (rings - 2) * sides + k, (rings - 2) * sides + j])
+        for i in range(rings - 2):
+            faces.append([i * sides + j, (i + 1) * sides + j, (i + 1) * sides + k, i * sides + k])
+    return points, faces
+
+
+def world_points(path: Path, variant: str = "") -> dict[str, np.ndarray]:
+    """(T, V, 3) world points of every mesh by UsdSkel's own baking; stage units."""
+    stage = Usd.Stage.Open(str(path))
+    for prim in stage.GetPseudoRoot().GetChildren():
+        if variant and prim.GetVariantSets().HasVariantSet("gaussianFlesh"):
+            prim.GetVariantSet("gaussianFlesh").SetVariantSelection(variant)
+    stage = Usd.Stage.Open(stage.Flatten())
+    UsdSkel.BakeSkinning(stage.Traverse())
+    codes = np.arange(stage.GetStartTimeCode(), stage.GetEndTimeCode() + 1.0)
+    found = {}
+    for prim in stage.Traverse():
+        if prim.IsA(UsdGeom.Mesh) and UsdGeom.Imageable(prim).ComputeVisibility() != "invisible":
+            rows = []
+            for code in codes:
+                matrix = np.array(UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(code))
+                points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code), np.float64)
+                rows.append(points @ matrix[:3, :3] + matrix[3, :3])
+            found[str(prim.GetPath())] = np.array(rows)
+    return found
+
+
+@pytest.mark.parametrize("kind", ["joints", "shapes"])
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+def test_usd_is_where_it_says_by_an_independent_reader(
+    ball: Path, tmp_path: Path, kind: str, suffix: str
+) -> None:
+    before = ball.read_bytes()
+    done = deliver(ball, tmp_path / f"out{suffix}", error=TOLERANCE, kind=kind)
+    ours, theirs = world_points(ball), world_points(done.path)
+    off = np.linalg.norm(theirs["/Ball/Skin"] - ours["/Ball/Skin"], axis=2).max()
+    radius = done.bodies[0].radius / 0.01
+    assert radius == pytest.approx(1.0, abs=0.1)  # a polyhedron in the unit sphere
+    # single precision of numbers of about ten
+    assert off / radius == pytest.approx(done.error, abs=1e-5)
+    assert 0.0 < done.error <= TOLERANCE
+    assert (done.bodies[0].joints > 0) == (kind == "joints")
+    assert (done.bodies[0].shapes > 0) == (kind == "shapes")
+    assert ball.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [done.path.name]
+    assert done.bytes == done.path.stat().st_size
+
+
+@pytest.mark.parametrize("kind", ["joints", "shapes"])
+def test_gltf_is_where_it_says_by_an_independent_reader(
+    ball: Path, tmp_path: Path, kind: str
+) -> None:
+    done = deliver(ball, tmp_path / "out.glb", error=TOLERANCE, kind=kind)
+    theirs = gltf_vertices(done.path)  # (T, N, 3) meters, Y up
+    world = world_points(ball)["/Ball/Skin"] * 0.01
+    ours = np.stack([world[..., 0], world[..., 2], -world[..., 1]], axis=-1)
+    # vertices are split: each is the point that it coincides with at first
+    gap = np.linalg.norm(theirs[0][:, None] - ours[0][None], axis=2)
+    at = gap.argmin(axis=1)
+    assert set(at.tolist()) == set(range(ours.shape[1]))
+    radius = done.bodies[0].radius
+    off = np.linalg.norm(theirs - ours[:, at], axis=2).max() / radius
+    assert off == pytest.approx(done.error, abs=1e-5)
+    assert 0.0 < done.error <= TOLERANCE
+
+
+def test_keys_stay_where_programs_clamp_them(ball: Path, tmp_path: Path) -> None:
+    done = deliver(ball, tmp_path / "out.usda", error=TOLERANCE, kind="shapes")
+    stage = Usd.Stage.Open(str(done.path))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/Ball/Skeleton/Animation"))
+    weights = animation.GetBlendShapeWeightsAttr()
+    keys = np.array([weights.Get(code) for code in weights.GetTimeSamples()])
+    assert keys.shape == (FRAMES, done.bodies[0].shapes)
+    assert keys.min() >= 0.0
+    assert keys.max() <= 1.0
+
+
+def gltf_vertices(path: Path) -> np.ndarray:
+    """Positions of the vertices of the only mesh at each key, as glTF 2.0 says."""
+    data = path.read_bytes()
+    magic, version, total = struct.unpack_from("<4sII", data)
+    assert (magic, version, total) == (b"glTF", 2, len(data))
+    size = struct.unpack_from("<I", data, 12)[0]
+    tree, blob = json.loads(data[20 : 20 + size]), data[28 + size :]
+
+    def read(number: int) -> np.ndarray:
+        row = tree["accessors"][number]
+        view = tree["bufferViews"][row["bufferView"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[row["type"]]
+        kind = {5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+        flat = np.frombuffer(
+            blob, kind[row["componentType"]], row["count"] * width, view["byteOffset"]
+        )
+        scale = {5121: 255.0, 5122: 32767.0}[row["componentType"]] if "normalized" in row else 1.0
+        return flat.reshape(-1, width) / scale
+
+    nodes = [dict(node) for node in tree["nodes"]]
+    (animation,) = tree["animations"]
+    tracks = [
+        (
+            channel["target"],
+            read(animation["samplers"][channel["sampler"]]["output"]),
+            read(animation["samplers"][channel["sampler"]]["input"]),
+        )
+        for channel in animation["channels"]
+    ]
+
+    def matrix(node: dict) -> np.ndarray:
+        made = np.eye(4)
+        x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1.0)), float)
+        n = x * x + y * y + z * z + w * w
+        made[:3, :3] = (
+            np.array(
+                [
+                    [n - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), n - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), n - 2 * (x * x + y * y)],
+                ]
+            )
+            / n
+        )
+        made[:3, 3] = node.get("translation", (0, 0, 0))
+        return made
+
+    def walk(number: int, above: np.ndarray, out: dict[int, np.ndarray]) -> None:
+        out[number] = above @ matrix(nodes[number])
+        for child in nodes[number].get("children", []):
+            walk(child, out[number], out)
+
+    (holder,) = [i for i, node in enumerate(nodes) if "mesh" in node]
+    (mesh,) = tree["meshes"]
+    frames = []
+    for frame in range(len(tracks[0][2])):
+        for target, values, times in tracks:
+            rows = values.reshape(len(times), -1)
+            nodes[target["node"]][target["path"]] = rows[frame].tolist()
+        where: dict[int, np.ndarray] = {}
+        for root in tree["scenes"][tree["scene"]]["nodes"]:
+            walk(root, np.eye(4), where)
+        for primitive in mesh["primitives"]:
+            points = read(primitive["attributes"]["POSITION"]).astype(float)
+            for k, target in enumerate(primitive.get("targets", [])):
+                points = points + nodes[holder]["weights"][k] * read(target["POSITION"])
+            whole = np.column_stack([points, np.ones(len(points))])
+            if "skin" in nodes[holder]:
+                skin = tree["skins"][nodes[holder]["skin"]]
+                inverse = read(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+                joints = np.array([where[j] @ b for j, b in zip(skin["joints"], inverse)])
+                used = read(primitive["attributes"]["JOINTS_0"]).astype(int)
+                weights = read(primitive["attributes"]["WEIGHTS_0"])
+                blend = np.einsum("vk,vkij->vij", weights, joints[used])
+                frames.append(np.einsum("vij,vj->vi", blend, whole)[:, :3])
+            else:
+                frames.append((whole @ where[holder].T)[:, :3])
+    return np.array(frames)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_bakes_of_difficult_sources(name: str, tmp_path: Path) -> None:
+    asset, *_ = SOURCES[name].scene(tmp_path)
+    root, *_ = bake(asset, tmp_path)
+    stage = Usd.Stage.Open(str(root.path))
+    if stage.GetDefaultPrim().IsA(UsdGeom.Gprim):
+        with pytest.raises(InputError, match="without a parent"):
+            deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
+        return
+    done = deliver(root.path, tmp_path / "out.usdz", error=TOLERANCE)
+    assert done.error <= TOLERANCE
+    ours, theirs = world_points(root.path), world_points(done.path)
+    baked = {path for body in done.bodies for path in body.meshes}
+    assert baked
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    radius = {path: body.radius / unit for body in done.bodies for path in body.meshes}
+    for path in baked:
+        off = np.linalg.norm(theirs[path] - ours[path], axis=2).max()
+        assert off <= TOLERANCE * radius[path] * (1 + 1e-4), path
+
+
+PAINTED = Source(
+    f"""
+def Xform "box" (
+    variants = {{ string paint = "red" }}
+    prepend variantSets = "paint"
+)
+{{
+    def Mesh "skin"
+    {{{CUBE}    }}
+    variantSet "paint" = {{
+        "red" {{
+            over "skin"
+            {{
+                color3f[] primvars:displayColor = [(1, 0, 0)]
+            }}
+        }}
+        "blue" {{
+            over "skin"
+            {{
+                color3f[] primvars:displayColor = [(0, 0, 1)]
+            }}
+        }}
+    }}
+}}
+"""
+)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+def test_variants_of_bake_and_source_are_kept(tmp_path: Path, suffix: str) -> None:
+    root, *_ = bake(PAINTED.asset(tmp_path), tmp_path, looks=("rubber", "jelly"))
+    done = deliver(root.path, tmp_path / f"out{suffix}", error=TOLERANCE)
+    assert {body.variant for body in done.bodies} == {"rubber", "jelly"}
+    stage = Usd.Stage.Open(str(done.path))
+    box = stage.GetPrimAtPath("/box")
+    assert box.GetVariantSet("gaussianFlesh").GetVariantNames() == ["jelly", "none", "rubber"]
+    assert box.GetVariantSet("gaussianFlesh").GetVariantSelection() == "rubber"
+    assert not stage.GetPrimAtPath("/box/GaussianFlesh")
+    color = UsdGeom.Mesh(stage.GetPrimAtPath("/box/skin")).GetDisplayColorAttr()
+    assert color.Get()[0] == (1, 0, 0)
+    box.GetVariantSet("paint").SetVariantSelection("blue")
+    assert color.Get()[0] == (0, 0, 1)
+    for look in ("rubber", "jelly"):
+        ours, theirs = (world_points(path, look)["/box/skin"] for path in (root.path, done.path))
+        assert np.linalg.norm(ours - theirs, axis=2).max() <= TOLERANCE
+    source = world_points(done.path, "none")["/box/skin"]
+    assert np.array_equal(source, np.repeat(source[:1], len(source), axis=0))
+
+
+def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:
+    for suffix in (".usdz", ".glb", ".usda"):
+        made = [
+            deliver(ball, tmp_path / f"{folder}{suffix}", error=0.1).path for folder in ("a", "b")
+        ]
+        first, second = (path.read_bytes() for path in made)
+        assert first.replace(b"a.usdc", b"b.usdc") == second
+
+
+def test_the_smaller_file_is_kept(ball: Path, tmp_path: Path) -> None:
+    sizes = {
+        kind: deliver(ball, tmp_path / f"{kind}.glb", error=TOLERANCE, kind=kind).bytes
+        for kind in ("joints", "shapes", "auto")
+    }
+    assert sizes["auto"] == min(sizes["joints"], sizes["shapes"])
+    assert sizes["joints"] != sizes["shapes"]
+
+
+def test_limits_that_do_not_allow_the_error_are_named(ball: Path, tmp_path: Path) -> None:
+    with pytest.raises(BakeError, match=r"1 blend shapes are too few and 2 joints leave"):
+        deliver(ball, tmp_path / "out.glb", error=1e-4, most_joints=2, most_shapes=1)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"error": 0.0}, "--error"),
+        ({"kind": "bones"}, "--as"),
+        ({"most_joints": 0}, "--max-joints"),
+        ({"variant": "steel"}, "steel"),
+    ],
+)
+def test_wrong_options_are_refused(ball: Path, tmp_path: Path, options: dict, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        deliver(ball, tmp_path / "out.glb", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_input_is_never_replaced(ball: Path, tmp_path: Path) -> None:
+    before = ball.read_bytes()
+    with pytest.raises(UsageError, match="input"):
+        deliver(ball, ball)
+    assert ball.read_bytes() == before
+    with pytest.raises(UsageError, match="end in"):
+        deliver(ball, tmp_path / "out.fbx")
+
+
+def test_what_stands_still_is_refused(tmp_path: Path) -> None:
+    still = write(tmp_path / "still.usda", 'def Xform "a" {}\n', BALL)
+    with pytest.raises(InputError, match="nothing in it moves"):
+        deliver(still, tmp_path / "out.glb")
+    assert Sdf.Layer.FindOrOpen(str(still)) is not None

@@ -1,0 +1,106 @@
+"""Commands of the documents are commands of the program, and those of the README run in order."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+from pasted import paste
+
+from gf_usd.cli.main import program
+from gf_usd.cli.misuse import WrongUsage, usage_words
+from tools.documents import PAGES, ROOT, Block, blocks, command_lines, gf_usd_commands
+
+# what a recipe adds to the program before it uses it
+ADDED = {"extending.md": "--opacity"}
+INSTALLS = re.compile(r"pip install (?:-\S+ )*'?gf[-_]usd")
+
+
+def parse(group: Any, words: list[str]) -> str:
+    """What is wrong with the arguments of `gf-usd`; empty where nothing is."""
+    name, *arguments = words[: words.index(">")] if ">" in words else words
+    if name not in group.commands:
+        return f"there is no command {name}"
+    try:
+        group.commands[name].make_context(name, arguments)
+    except typer.Exit:
+        return ""  # --help
+    except WrongUsage as error:
+        return usage_words(error)
+    return ""
+
+
+def test_every_command_of_the_documents_can_be_parsed() -> None:
+    group = typer.main.get_command(program())
+    checked = 0
+    for page in PAGES:
+        for block, words in gf_usd_commands(page):
+            if ADDED.get(page.name) not in words:
+                place = f"{page.relative_to(ROOT)}:{block.line}: gf-usd {' '.join(words)}"
+                assert parse(group, words) == "", place
+                checked += 1
+    assert checked > 50
+
+
+def test_a_wrong_command_of_a_document_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "Text\n\n    gf-usd bake a.usda --partikles 4  # few\n\n"
+        "```bash\nx; gf-usd bale \\\n  b\n```\n"
+    )
+    commands = [words for _, words in gf_usd_commands(page)]
+    assert commands == [["bake", "a.usda", "--partikles", "4"], ["bale", "b"]]
+    group = typer.main.get_command(program())
+    assert [parse(group, words).partition("\n")[0] for words in commands] == [
+        "bake has no option --partikles",
+        "there is no command bale",
+    ]
+
+
+def test_every_block_of_code_is_closed() -> None:
+    for page in PAGES:
+        fences = [line for line in page.read_text("utf-8").splitlines() if line[:3] == "```"]
+        assert len(fences) % 2 == 0, page
+        assert set(fences[1::2]) <= {"```"}, page
+
+
+def test_nothing_is_installed_by_a_name_that_is_not_published() -> None:
+    sources = [*PAGES, *(ROOT / "gf_usd").rglob("*.py")]
+    assert [path for path in sources if INSTALLS.search(path.read_text("utf-8"))] == []
+    assert INSTALLS.search("pip install 'gf-usd[open3d]'")
+
+
+def of_the_readme() -> list[Block]:
+    """Its blocks, in order, up to the tests."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    tests = text[: text.index("<!-- test -->")].count("\n") + 1
+    return [block for block in blocks(ROOT / "README.md") if block.line < tests]
+
+
+def test_the_readme_installs_and_activates_before_it_uses() -> None:
+    shell = [
+        line for block in of_the_readme() if block.language == "" for line in command_lines(block)
+    ]
+    words = [word.strip() for line in shell for word in line.split("&&")]
+    assert words[:3] == ["python3 -m venv .venv", ". .venv/bin/activate", "pip install ."]
+    assert len(words) > 8
+    assert all(word.startswith("gf-usd ") for word in words[3:])
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_readme_run_in_order(tmp_path: Path) -> None:
+    """All of them but the installation, with fewer particles and frames than a user has."""
+    script = []
+    for block in of_the_readme():
+        if block.language == "python":
+            few = block.text.replace("particles=4000", "particles=300, frames=8")
+            script.append(f"python - <<'END'\n{few}\nEND")
+        else:
+            script += [line.rpartition("pip install . && ")[2] for line in command_lines(block)]
+    paste("\n".join(script), tmp_path, particles=300, frames=8)
+    for name in ("duck.rubber.usda", "duck.png", "duck.mp4", "duck.html", "jelly.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+    assert (tmp_path / "duck.jelly.usda").exists()

@@ -1,0 +1,78 @@
+"""Bake every sample with every preset, with few particles.
+
+    python -m tools.acceptance.presets [--only TEXT]... [--particles N]
+
+Every combination is baked by the program in a process of its own, from a little above the floor and
+until it has landed, and ends with exit status 0.  A preset that cannot carry a body of that size
+may be refused in words; anything else is a failure.  Prints a row for each: CPU seconds, substeps
+and warnings.  Exit status 1 if there was a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from gf_usd.core.materials import presets
+
+SAMPLES = Path(__file__).resolve().parents[2] / "samples"
+ASSETS = ("sphere.usda", "duck.usda", "creature.usda", "deformed_sphere.usda", "ten_ducks.usda")
+REFUSED = 3  # exit status
+FRAMES, DROP = 4, "0.02r"  # the first contact is before the third frame
+
+
+def cpu() -> float:
+    """[s] that processes of this one have used and ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def bake(asset: str, preset: str, particles: int, out: Path) -> tuple[bool, str]:
+    """Whether one combination is as it should be, and what became of it in words."""
+    before = cpu()
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "gf_usd", "bake", str(SAMPLES / asset), "-m", preset),
+            *("--particles", str(particles), "--frames", str(FRAMES), "--drop", DROP),
+            *("--threads", "1", "--json", "--quiet", "--overwrite", "-o", f"{out}/"),
+        ],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    took = cpu() - before
+    if done.returncode:
+        said = done.stderr.strip().replace("\n\n", "; ")
+        good = done.returncode == REFUSED and "cannot carry itself" in said
+        return good, f"status {done.returncode}: {said}"
+    result = json.loads(done.stdout)
+    health = result["bakes"][0]["health"]
+    warned = ", ".join(row["about"] for row in result["warnings"]) or "no warning"
+    broken = health["inverted_at_end"] or result["check"]
+    return not broken, f"{took:.1f} s, {health['substeps']} substeps, {warned}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Bake every sample with every preset.")
+    parser.add_argument("--only", action="append", default=[], help="combinations with this text")
+    parser.add_argument("--particles", type=int, default=300, help="of each bake")
+    given = parser.parse_args()
+    failed = 0
+    for asset in ASSETS:
+        for preset in presets():
+            name = f"{asset} {preset}"
+            if given.only and not any(text in name for text in given.only):
+                continue
+            with tempfile.TemporaryDirectory() as out:
+                good, words = bake(asset, preset, given.particles, Path(out))
+            failed += not good
+            print(f"{'ok' if good else 'FAILED':6} {name}: {words}", flush=True)
+    print(f"{failed} failed")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
