@@ -15,6 +15,7 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     plastic.png  the can before and after, and its plastic strain
     clay.png     the duck of clay, dropped: before, at its first touch, as it stays
     star.png     a star of foil, dropped: how it crumples
+    flesh-goal.png, flesh-bones.png  the creature in one frame of its walk, with three settings each
 """
 
 from __future__ import annotations
@@ -40,11 +41,12 @@ TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
 STAR, CLAY = (15, 17, 19, 23), (1, 5, 6, 23)  # time codes
 FPS_CAN = 12
+STRIDE = 20  # time code of the creature's walk
 DIMENSIONLESS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
 LARGEST_FILM = 2_000_000
-KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star")
+KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star", "flesh")
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
 # The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
 # twice.  Played at 24 frames a second, a fifth of real speed.
@@ -75,7 +77,7 @@ def walk(path: Path, folder: Path) -> None:
     baked = folder / "twice.jelly.usda"
     side_by_side(twice, baked, both, apart=62.0, height=70.0, away=190.0)
     frames = f"{cycle + 1}:{2 * cycle}"
-    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--frames", frames,
+    gf_usd("preview", both, "-o", path, "--camera", "/World/Camera", "--time-codes", frames,
            "--size", "560x340")  # fmt: skip
     require(path, LARGEST_FILM)
 
@@ -116,6 +118,25 @@ def crumpled(path: Path, folder: Path) -> None:
     gf_usd("bake", folder / "star.usda", "--material", "dented", *asked, "-o", stage, "--quiet")
     pictures = [draw(stage, frame, (560, 560)) for frame in STAR]
     strip([p.crop((170, 235, 490, 500)) for p in pictures], path)
+
+
+def flesh(goal: Path, bones: Path, folder: Path) -> None:
+    """One frame of the creature's walk by the settings of its flesh, softest first."""
+    settings = {
+        "free": (),
+        "2 Hz": ("--goal-frequency", "2"),
+        "8 Hz": ("--goal-frequency", "8"),
+        "thin": ("--bone-radius", "0.3"),
+        "thick": ("--bone-radius", "0.8"),
+    }
+    shown = {}
+    for name, words in settings.items():
+        stage = folder / f"{name.replace(' ', '')}.usda"
+        asked = ("--material", "jelly", "--particles", "3000", "--only", "mesh", *words)
+        gf_usd("bake", CREATURE, "--flesh", *asked, "-o", stage, "--quiet")
+        shown[name] = draw(stage, STRIDE, (420, 420)).crop((90, 20, 350, 400))
+    strip([shown[name] for name in ("free", "2 Hz", "8 Hz")], goal)
+    strip([shown[name] for name in ("thin", "free", "thick")], bones)
 
 
 def require(path: Path, largest: int) -> None:
@@ -198,6 +219,8 @@ def main() -> None:
             dropped(out / "clay.png", Path(temporary))
         if "star" in made:
             crumpled(out / "star.png", Path(temporary))
+        if "flesh" in made:
+            flesh(out / "flesh-goal.png", out / "flesh-bones.png", Path(temporary))
         if "duck" not in made:
             return
         baked = {look: bake(look, Path(temporary)) for look in DIMENSIONLESS}

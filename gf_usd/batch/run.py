@@ -15,6 +15,7 @@ from typing import Any
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import InputTable, read_by
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
+from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
 from gf_usd.system.memory_and_disk import free_memory, system_file
@@ -24,6 +25,16 @@ from gf_usd.system.warm.workers import commands
 BEAT = 0.25  # [s] between looks at the clock, for whoever draws
 
 Event = dict[str, Any]
+PROCESSES = os.name == "posix"
+
+
+def require_processes() -> None:
+    """Raise UsageError where a system has no processes that inherit files and hear signals."""
+    if not PROCESSES:
+        raise UsageError(
+            "gf-usd batch needs processes of POSIX, which this system does not have",
+            "run it under Linux, macOS or the Windows Subsystem for Linux",
+        )
 
 
 def run_here(

@@ -244,6 +244,7 @@ def bundle(
 def go(plan: BatchPlan, jobs: Sequence[Job], how: How) -> int:
     """Run the jobs and sum up; the exit status."""
     began = time.monotonic()
+    run.require_processes()
     if how.slice:
         require_clips(jobs)
     at_once = how.at_once or run.processes(

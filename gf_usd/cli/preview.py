@@ -31,21 +31,27 @@ def preview(
     ] = None,
     frame: Annotated[
         float | None,
-        typer.Option(help="Time code of a single picture.", show_default="the first of the stage"),
+        typer.Option(
+            help="Draw a single picture at this time code.", show_default="the first of the stage"
+        ),
     ] = None,
     frames: Annotated[
         str | None,
         typer.Option(
+            "--time-codes",
             metavar="A:B[:STEP]",
-            help="Time codes of a film or a sheet, B included; either end may be left out.",
+            help="Draw a film or a sheet of these time codes, B included; either end may be left"
+            " out.",
             show_default="the whole motion, each frame of playback",
         ),
     ] = None,
+    old_frames: Annotated[str | None, typer.Option("--frames", hidden=True)] = None,
     show: Annotated[
         str | None,
         typer.Option(
-            help="mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard"
-            " deviation), points, or both (mesh and gaussians).",
+            metavar="mesh|splats|gaussians|ellipsoids|points|both",
+            help="What to draw: splats are captured Gaussians, ellipsoids are Gaussians at one"
+            " standard deviation, both are mesh and gaussians.",
             show_default="the first of mesh, splats, gaussians, points that is there",
         ),
     ] = None,
@@ -53,28 +59,30 @@ def preview(
         str | None,
         typer.Option(
             metavar="WxH",
-            help="Pixels; of one tile for --sheet.",
+            help="Width and height of the picture [pixels], or of one tile of a sheet.",
             show_default="960x720; 480x360 for a gif, 320x240 for a tile",
         ),
     ] = None,
     sheet: Annotated[
         int | None,
-        typer.Option(metavar="N", help="A contact sheet of N frames, evenly spread, as PNG."),
+        typer.Option(metavar="N", help="Draw a contact sheet of N frames, evenly spread, as PNG."),
     ] = None,
     columns: Annotated[
-        int | None, typer.Option(help="Of the sheet.", show_default="about 3:2 overall")
+        int | None,
+        typer.Option(help="Number of columns of the sheet.", show_default="about 3:2 overall"),
     ] = None,
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second of the film; fewer play it slower.", show_default="real time"
+            help="Frames per second of the film; fewer play the same frames slower.",
+            show_default="real time",
         ),
     ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
             metavar="PRIM",
-            help="Path of a camera in the stage, which may move.",
+            help="Look through this camera of the stage, which may move.",
             show_default="one that is fitted to the whole motion",
         ),
     ] = None,
@@ -82,32 +90,36 @@ def preview(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Variant of a bake to draw: one of its materials, or none (the asset itself).",
+            help="Draw this variant of a bake: one of its materials, or none, the asset itself.",
             show_default="the one that the file selects",
         ),
     ] = None,
     color: Annotated[
         str,
         typer.Option(
-            help="strain (largest |stretch - 1|), elastic and plastic (bake with --internal),"
-            " stress (von Mises; bake with --stress), or none: the asset's own colors."
+            "--color",
+            "--colour",
+            metavar="none|strain|elastic|plastic|stress",
+            help="Color by the largest |stretch - 1| (strain), its elastic or plastic part (of a"
+            " bake with --internal) or the von Mises stress (of a bake with --stress); none"
+            " keeps the asset's own colors.",
         ),
     ] = "none",
-    old_color: Annotated[str | None, typer.Option("--colour", hidden=True)] = None,
     limits: Annotated[
         str | None,
         typer.Option(
-            "--range",
+            "--color-range",
             metavar="LOW:HIGH",
-            help="Of the colors: a pure number for strains, [Pa] for stress.",
+            help="Values of the first and the last color: a pure number for strains, [Pa] for"
+            " stress.",
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,
+    old_limits: Annotated[str | None, typer.Option("--range", hidden=True)] = None,
 ) -> None:
     """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
-    if old_color is not None:  # until 1.0
-        typer.echo("note: --colour is now --color", err=True)
-        color = old_color
+    # until 1.0: other commands call these otherwise
+    frames, limits = frames or old_frames, limits or old_limits
     quantity = None if color == "none" else color
     options = read_options(
         output or Path(f"{stage.stem}.png"),

@@ -127,17 +127,12 @@ def sweep(files: Outputs, resume: Resume) -> set[Path]:
 def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator[None]:
     """Hold the locks of all that a bake writes.
 
-    Where the system has no file locks (Windows) nothing is held.
-
     root : the root layer; sequences : a name for each sequence of splat files.
     seen : what was there when the bake was planned.
 
     Raises UsageError where another bake holds one, or wrote since then; BakeError where a lock
     cannot be made.
     """
-    if not file_locks.AVAILABLE:
-        yield
-        return
     elsewhere = dict.fromkeys(sequences, "name another folder for the frames")
     with ExitStack() as stack:
         for path in (root, *sequences):
@@ -161,7 +156,7 @@ def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator
 @contextmanager
 def _shared(path: Path) -> Iterator[None]:
     """Hold the lock of a layer that several bakes share, waiting for it as long as it takes."""
-    if not file_locks.AVAILABLE or file_locks.inherited(path):
+    if file_locks.inherited(path):
         yield
         return
     with file_locks.locked(path, remove=True):

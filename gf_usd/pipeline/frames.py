@@ -333,3 +333,39 @@ def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
         gaussians=stop(first.gaussians),
         health=replace(first.health, kinetic=0.0, momentum=nothing, angular_momentum=nothing),
     )
+
+
+NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
+
+
+class Period:
+    """How far a repeated cycle is from being periodic: its last pose, and that a period before.
+
+    cycle : samples of a period, 0: nothing was repeated; last : the last sample; radius : [m].
+    """
+
+    def __init__(self, cycle: int, last: int, radius: float) -> None:
+        self._cycle, self._last, self._radius = cycle, last, radius
+        self._before: Floats | None = None
+        self.residual: float | None = None  # [m]
+
+    def see(self, index: int, x: Floats) -> None:
+        """Take notice of positions x (n, 3) [m] at a sample."""
+        if self._cycle and index == self._last - self._cycle:
+            self._before = np.array(x)
+        if self._cycle and index == self._last and self._before is not None:
+            self.residual = float(np.linalg.norm(x - self._before, axis=1).max())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is said of it."""
+        if not self._cycle:
+            return ()
+        if self.residual is None:
+            return ("how far the cycle is from periodic is not known: the bake was resumed in it",)
+        share = self.residual / self._radius
+        more = "; a larger --loop brings it closer" if share > NOT_PERIODIC else ""
+        return (
+            f"the cycle that is written ends {self.residual:.2g} m from where the one before did,"
+            f" {100.0 * share:.2g} % of the radius{more}",
+        )

@@ -36,7 +36,7 @@ from gf_usd.pipeline.forecast import (
     Stages,
     Watch,
 )
-from gf_usd.pipeline.frames import FrameBuilder, Rest, SplatDeformer, with_held
+from gf_usd.pipeline.frames import FrameBuilder, Period, Rest, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
@@ -342,6 +342,7 @@ def _run_variant(
         reserve(total),
         _again(plan),
     )
+    period = Period(plan.cycle * n, settings.frames - 1, plan.particles.radius)
     failure = None
     rest = Rest(settings.frame_time, plan.particles.radius) if plan.choices.settled else None
     settled = False
@@ -367,6 +368,7 @@ def _run_variant(
                         splats.export(sample, 0 if settled else (index - settings.first) // n)
                 if index < 0:
                     continue
+                period.see(index, sample.gaussians.positions)
                 log.add(sample.health)
                 frame = index // n + 1
                 if progress and index % n == 0:
@@ -412,7 +414,7 @@ def _run_variant(
         warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
     )
-    return result, baked, (*at, *summary.notes, *splats.notes), failure
+    return result, baked, (*at, *summary.notes, *splats.notes, *period.notes), failure
 
 
 def _restless(plan: Plan, look: str, rest: Rest, last: Health) -> BakeError:

@@ -142,6 +142,7 @@ def fill(
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
+    cycle = 0  # frames
     if file is not None:
         names = request.listed("pins")
         every = sampled(settings)
@@ -149,10 +150,12 @@ def fill(
         names = request.listed("rigid")
         pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
     if animation and file is not None:
+        cycle = animation.cycle(written(settings)) if request.loop else 0
         flesh = flesh_of(
             asset, solid, samples, sampled(settings), animation, file,
             share=request.bone_radius, frequency=request.goal_frequency,
             damping=request.goal_damping, lattice=particles.lattice, spacing=particles.spacing,
+            cycle=cycle * settings.samples_per_frame, repeats=(request.loop or 1) - 1,
         )  # fmt: skip
         pins += flesh.pins
     physics = spec.physics
@@ -234,6 +237,7 @@ def fill(
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
         goals=flesh.goals,
+        cycle=cycle if (request.loop or 1) > 1 else 0,
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,

@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
-from gf_usd.core.stage import Goals, Pin, Region
+from gf_usd.core.stage import Goals, Pin, Region, Skeleton
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
@@ -29,7 +29,8 @@ def make_pins(
     rest: float | None,
     option: str = "--pin",
 ) -> tuple[Pin, ...]:
-    """One pin for each name: "box:x0,y0,z0,x1,y1,z1" [stage units] or a prim path.
+    """The pins of each name: "box:x0,y0,z0,x1,y1,z1" [stage units], "paint:PRIMVAR", "joint:NAME"
+    or a prim path.
 
     file : the USD form of the asset; rest : time code of the rest pose, None: the asset's own.
     option : --pin, or --rigid for regions that move by the forces on them.
@@ -38,7 +39,7 @@ def make_pins(
     and for a region that holds nothing of the body.
     """
     from gf_usd.geometry.regions import BOX, box_region, make_pin, make_rigid
-    from gf_usd.readers.usd_bake.regions import read_regions
+    from gf_usd.readers.usd_bake.regions import JOINT, PAINT, read_regions, read_weighted
 
     if not names:
         return ()
@@ -48,7 +49,8 @@ def make_pins(
         return read_regions(file, paths, asset.facts, rest=rest, times=times, option=option)
 
     boxes = [name for name in names if name.startswith(BOX)]
-    prims = [name for name in names if not name.startswith(BOX)]
+    weights = [name for name in names if name.startswith((PAINT, JOINT))]
+    prims = [name for name in names if not name.startswith(BOX) and name not in weights]
     regions = {region.name: region for region in read(prims)} if prims else {}
     if boxes:
         bodies = read([s.path for s in asset.surfaces])
@@ -59,10 +61,16 @@ def make_pins(
         )
         unit = asset.facts.units.length
         regions |= {name: box_region(name, unit, points, path, option) for name in boxes}
-    for name in names:
-        _require_hold(regions[name], asset, option)
+    filled = [s.path for s in solid.surfaces]
+    every = {name: (regions[name],) for name in regions} | {
+        name: read_weighted(file, name, asset.facts, filled, rest=rest, times=times, option=option)
+        for name in weights
+    }
+    found = [region for name in names for region in every[name]]
+    for region in found:
+        _require_hold(region, asset, option)
     make = make_rigid if option == "--rigid" else make_pin
-    return tuple(make(regions[name], solid) for name in names)
+    return tuple(make(region, solid) for region in found)
 
 
 def _require_hold(region: Region, asset: Asset, option: str) -> None:
@@ -83,6 +91,8 @@ def _require_hold(region: Region, asset: Asset, option: str) -> None:
 BONE_RADIUS = 0.5  # of the distance to the skin
 GOAL_FREQUENCY = 4.0  # [Hz] of painted goals: flesh of a person swings at 3 to 6
 GOAL_DAMPING = 0.5
+SAME_POSE = 1e-3  # of the skeleton: poses that differ by less are one
+JUMP = 2.0  # times the longest way between two frames: a cycle whose end is farther is none
 
 
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
@@ -96,9 +106,12 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     first, last = animation_range(file, paths, asset.facts)
     if start is not None:
         first, last = first_time_code(asset.facts, start), max(start, last)
-    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first]).bones
+    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first, last]).bones
     reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
-    return Animation(first=first, last=last, reach=reach)
+    steps = [float(np.linalg.norm(b.path[1] - b.path[0], axis=1).max()) for b in bones]
+    size = float(np.linalg.norm(bones[0].anchors[1] - bones[0].anchors[0]))
+    closed = last > first and max(steps) < SAME_POSE * size
+    return Animation(first=first, last=last, reach=reach, closed=closed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,12 +136,16 @@ def flesh_of(
     damping: float | None,
     lattice: float,
     spacing: float,
+    cycle: int = 0,
+    repeats: int = 0,
 ) -> Flesh:
     """The cores of the bones, and the springs that are asked for.
 
     settings : as `sampled`.  share, frequency [Hz], damping : of --bone-radius, --goal-frequency
     and --goal-damping; None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the
-    samples.  Raises InputError as `read_animation`, and where no bone lies in the flesh.
+    samples.  cycle : samples of a period, which comes `repeats` times before it is written; 0: the
+    animation is none.  Raises InputError as `read_animation`, where no bone lies in the flesh, and
+    for a cycle that does not close.
     """
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
@@ -136,11 +153,15 @@ def flesh_of(
     from gf_usd.readers.usd_bake.settings import read_goals
 
     step = settings.time_codes_per_second / settings.fps
-    lead = round((animation.first - settings.start) / step)
-    times = animation.first + (np.arange(settings.frames) - lead) * step
+    lead = round((animation.first - settings.start) / step) - cycle * repeats
+    frame = np.arange(settings.frames) - lead
+    frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
+    times = animation.first + frame * step
     paths = [s.path for s in asset.surfaces]
     skeleton = read_skeleton(file, paths, asset.facts, first=animation.first, times=times.tolist())
     bones = skeleton.bones
+    if cycle and repeats:
+        _require_closed(asset, skeleton, lead, cycle)
     cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
@@ -160,3 +181,20 @@ def flesh_of(
         frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes)
+
+
+def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) -> None:
+    """Raise InputError where the way from the end of a cycle to its start is a jump.
+
+    first : sample at which the animation begins; cycle : samples of a period.
+    """
+    path = np.concatenate([b.path[first : first + cycle + 1] for b in skeleton.bones], axis=1)
+    ways = np.linalg.norm(np.diff(path, axis=0), axis=2).max(1)
+    size = float(np.linalg.norm(skeleton.bones[0].anchors[1] - skeleton.bones[0].anchors[0]))
+    if ways[-1] > JUMP * ways[:-1].max(initial=0.0) + SAME_POSE * size:
+        raise InputError(
+            f"{asset.facts.path}: --loop: the animation is no cycle: from its last frame to its"
+            f" first is {ways[-1]:.3g} m, and at most {ways[:-1].max(initial=0.0):.3g} m between"
+            " others",
+            "give a stage whose time range is one cycle, in place, or leave --loop out",
+        )

@@ -63,6 +63,7 @@ class Plan:
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
+    cycle: int = 0  # frames of a period that was repeated before it is written; 0: none was
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
     riding: Mapping[str, Ints] = field(default_factory=dict)  # copies of cells: see `LimbPlan`

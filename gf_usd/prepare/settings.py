@@ -142,6 +142,11 @@ class Animation:
     first: float  # time code
     last: float
     reach: float  # [m] from the bind pose to the first pose, of the part that goes the farthest
+    closed: bool = False  # whether the last pose is the first one
+
+    def cycle(self, frames: int) -> int:
+        """Frames of a period, of so many from the first to the last."""
+        return max(1, frames - 1 if self.closed else frames)
 
     def preroll(self, fps: float, time_scale: float) -> int:
         """Frames from the bind pose to the first pose.
@@ -195,6 +200,7 @@ def resolve(
     )  # fmt: skip
     if animation:
         lead = request.preroll or animation.preroll(fps, slow)
+        lead += ((request.loop or 1) - 1) * animation.cycle(shot)
         first, frames, start = first + lead, frames + lead, start - lead * step
     rate = request.filter_rate
     if rate is None:

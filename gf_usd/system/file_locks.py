@@ -1,8 +1,9 @@
 """Locks of the operating system, which end with the process that holds them, however it ends.
 
-A lock is an advisory `flock` on a file of its own.  A lock file may be removed by who holds it:
-who gets a lock looks whether its file is still the one of that name, and else begins again.  A
-child that inherits the descriptor holds the lock as well, until it ends or the lock is released.
+The library filelock takes them, by `flock` or `LockFileEx`, on a file of their own.  A lock file
+may be removed by who holds it: who gets a lock looks whether its file is still the one of that
+name, and else begins again.  On POSIX a child that inherits the descriptor holds the lock as well,
+until it ends or the lock is released.
 """
 
 from __future__ import annotations
@@ -10,17 +11,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError, UsageError
+from gf_usd.core.errors import BakeError
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
-
-AVAILABLE = fcntl is not None
 INHERITED = "GF_USD_LOCKS"  # descriptors of the locks that a parent holds for its child
 POLL = 0.2  # [s]
 
@@ -37,13 +32,19 @@ class Held:
 
         remove : the file of the lock goes as well.
         """
-        if self.descriptor >= 0:
-            assert fcntl is not None
-            if remove:
+        from filelock import unlock_descriptor
+
+        if self.descriptor < 0:
+            return
+        if remove and os.name == "posix":
+            self._path.unlink(missing_ok=True)
+        unlock_descriptor(self.descriptor)
+        os.close(self.descriptor)
+        self.descriptor = -1
+        if remove and os.name != "posix":
+            # Windows removes no open file: it stays where another process waits for the lock
+            with suppress(PermissionError):
                 self._path.unlink(missing_ok=True)
-            fcntl.flock(self.descriptor, fcntl.LOCK_UN)
-            os.close(self.descriptor)
-            self.descriptor = -1
 
 
 def lock_path(path: Path) -> Path:
@@ -63,21 +64,23 @@ def acquire(
 
     Raises
     ------
-    UsageError : the system has no such locks.
-    BakeError : the folder cannot be written.
+    BakeError : the folder cannot be written, or its file system has no locks.
     """
-    if fcntl is None:
-        raise UsageError(
-            "file locks are needed, which this system does not have",
-            "run it under Linux, macOS or the Windows Subsystem for Linux",
-        )
+    from filelock import lock_descriptor
+
     target = lock_path(path)
     until = time.monotonic() + patience
     while True:
         descriptor = _open(target)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            free = lock_descriptor(descriptor, blocking=False)
+        except OSError as error:
+            os.close(descriptor)
+            raise BakeError(
+                f"{target} cannot be locked: {error.strerror}",
+                "the file system of this folder may have no locks: write to another one",
+            ) from error
+        if not free:
             os.close(descriptor)
             if time.monotonic() >= until or stopped():
                 return None

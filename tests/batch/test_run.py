@@ -17,6 +17,7 @@ from gf_usd.batch import task
 from gf_usd.batch.record import read_record
 from gf_usd.batch.run import collect, run_here
 from gf_usd.batch.task import Limits
+from gf_usd.core.errors import UsageError
 from gf_usd.system.file_locks import acquire
 from gf_usd.system.processes import Children, Ended
 
@@ -110,6 +111,13 @@ def test_an_asset_that_changes_under_the_bake_is_not_done(tmp_path: Path) -> Non
     children.before = lambda name: None
     assert ran(children, jobs)[0] == {"good": "done"}
     assert ran(children, jobs)[0] == {"good": "kept"}
+
+
+def test_a_system_without_processes_of_posix_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    resources.require_processes()
+    monkeypatch.setattr(resources, "PROCESSES", False)
+    with pytest.raises(UsageError, match="needs processes of POSIX"):
+        resources.require_processes()
 
 
 def test_what_is_held_is_left_and_what_is_stopped_does_not_begin(tmp_path: Path) -> None:

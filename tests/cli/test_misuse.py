@@ -53,6 +53,8 @@ bake {asset} --spin nan,0,0
 bake {asset} --collider no.obj
 bake {asset} --collider .
 bake {asset} --collider
+bake {asset} --pin paint:nothing
+bake {asset} --pin joint:
 bake {asset} --floor under
 bake {asset} --floor 0:1,2
 bake {asset} --floor 0:0,0,0

@@ -53,7 +53,7 @@ def test_a_film_is_its_frames_in_real_time(stage, tmp_path):
 
 def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
     out = tmp_path / "a.mp4"
-    done = run(stage, "-o", out, "--size", "81x61", "--frames", "2:3:0.25", "--fps", "10")
+    done = run(stage, "-o", out, "--size", "81x61", "--time-codes", "2:3:0.25", "--fps", "10")
     assert done.exit_code == 0, done.output
     assert "H.264 wants even sizes: 82x62" in done.output
     facts, frames = mp4(out)
@@ -62,7 +62,7 @@ def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
 
 def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
     out = tmp_path / "a.gif"
-    assert run(stage, "-o", out, "--size", "120x90", "--frames", "1:3").exit_code == 0
+    assert run(stage, "-o", out, "--size", "120x90", "--time-codes", "1:3").exit_code == 0
     assert run(stage, "-o", tmp_path / "1.png", "--frame", "1", "--size", "120x90").exit_code == 0
     with Image.open(out) as film:
         assert film.n_frames == 3
@@ -117,23 +117,23 @@ def Camera "cam" {
     ("arguments", "message"),
     [
         (("-o", "a.mp4", "--frame", "1"), "--frame does not go with the rest"),
-        (("--frames", "1:2"), "--frames does not go"),
+        (("--time-codes", "1:2"), "--time-codes does not go"),
         (("--fps", "12"), "--fps does not go"),
         (("--columns", "2"), "--columns does not go"),
-        (("--range", "0:1"), "--range does not go"),
+        (("--color-range", "0:1"), "--color-range does not go"),
         (("-o", "a.gif", "--sheet", "4"), "--sheet makes a PNG"),
         (("--sheet", "0"), "--sheet 0 is too few"),
         (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a rate"),
-        (("-o", "a.mp4", "--frames", "0:2"), "outside the motion"),
-        (("-o", "a.mp4", "--frames", "3:1"), "ends before it begins"),
-        (("-o", "a.mp4", "--frames", "1"), "is not a range"),
-        (("-o", "a.mp4", "--frames", "1:2:0"), "the step is not above 0"),
-        (("-o", "a.mp4", "--frames", "1:3:1e-9"), "more than 100000"),
+        (("-o", "a.mp4", "--time-codes", "0:2"), "outside the motion"),
+        (("-o", "a.mp4", "--time-codes", "3:1"), "ends before it begins"),
+        (("-o", "a.mp4", "--time-codes", "1"), "is not a range"),
+        (("-o", "a.mp4", "--time-codes", "1:2:0"), "the step is not above 0"),
+        (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than 100000"),
         (("-o", "none/a.mp4",), "none is not a folder"),
         (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
         (("--color", "heat"), "Unknown --color heat"),
-        (("--color", "strain", "--range", "1:1"), "--range 1:1 is empty"),
-        (("--color", "strain", "--range", "big"), "--range big is not a range"),
+        (("--color", "strain", "--color-range", "1:1"), "--color-range 1:1 is empty"),
+        (("--color", "strain", "--color-range", "big"), "--color-range big is not a range"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_words(stage, tmp_path, monkeypatch, arguments, message):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -95,6 +96,19 @@ def test_a_folder_that_cannot_be_is_an_error_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BakeError, match=r"\.a\.usda\.lock cannot be made"):
         acquire(tmp_path / "file" / "a.usda")
+
+
+def test_a_file_system_without_locks_is_an_error_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lock(descriptor: int, *, blocking: bool) -> bool:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("filelock.lock_descriptor", lock)
+    before = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(BakeError, match=r"\.a\.usda\.lock cannot be locked: No locks available"):
+        acquire(tmp_path / "a.usda")
+    assert len(os.listdir("/proc/self/fd")) == before
 
 
 def test_a_lock_whose_file_was_removed_is_still_one(tmp_path: Path) -> None:

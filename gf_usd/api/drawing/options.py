@@ -68,13 +68,13 @@ def read_options(
     _refuse(sheet is not None and film, f"--sheet makes a PNG, not {target.name}.", "-o out.png")
     many = film or sheet is not None
     for given, name, needed, hint in (
-        (frame is not None, "--frame", not many, "use --frames A:B for films and sheets"),
-        (frames is not None, "--frames", many, "use --frame for one picture, or --sheet 12"),
+        (frame is not None, "--frame", not many, "use --time-codes A:B for films and sheets"),
+        (frames is not None, "--time-codes", many, "use --frame for one picture, or --sheet 12"),
         (fps is not None, "--fps", film, "write a film: -o out.mp4"),
         (columns is not None, "--columns", sheet is not None, "ask for a sheet: --sheet 12"),
         (
             limits is not None,
-            "--range",
+            "--color-range",
             color is not None,
             "give --color strain, elastic, plastic or stress",
         ),
@@ -123,25 +123,27 @@ def parse_span(text: str) -> Span:
 
     Raises UsageError for anything else.
     """
-    hint = "give time codes as FIRST:LAST or FIRST:LAST:STEP, e.g. --frames 1:24:2"
+    hint = "give time codes as FIRST:LAST or FIRST:LAST:STEP, e.g. --time-codes 1:24:2"
     parts = text.split(":")
-    _refuse(len(parts) not in (2, 3), f"--frames {text} is not a range.", hint)
-    numbers = [_number(part, f"--frames {text} is not a range.", hint) for part in parts]
+    _refuse(len(parts) not in (2, 3), f"--time-codes {text} is not a range.", hint)
+    numbers = [_number(part, f"--time-codes {text} is not a range.", hint) for part in parts]
     first, last, step = (*numbers, None)[:3]
-    _refuse(step is not None and step <= 0.0, f"--frames {text}: the step is not above 0.", hint)
+    _refuse(
+        step is not None and step <= 0.0, f"--time-codes {text}: the step is not above 0.", hint
+    )
     backwards = first is not None and last is not None and last < first
-    _refuse(backwards, f"--frames {text} ends before it begins.", hint)
+    _refuse(backwards, f"--time-codes {text} ends before it begins.", hint)
     return Span(first=first, last=last, step=step)
 
 
 def parse_limits(text: str) -> tuple[float, float]:
     """ "0:0.5" -> (0.0, 0.5).  Raises UsageError for anything else, and for an empty range."""
-    hint = "give it as LOW:HIGH, in pascals for stress, e.g. --range 0:0.5"
+    hint = "give it as LOW:HIGH, in pascals for stress, e.g. --color-range 0:0.5"
     parts = text.split(":")
-    _refuse(len(parts) != 2, f"--range {text} is not a range.", hint)
-    low, high = (_number(part, f"--range {text} is not a range.", hint) for part in parts)
+    _refuse(len(parts) != 2, f"--color-range {text} is not a range.", hint)
+    low, high = (_number(part, f"--color-range {text} is not a range.", hint) for part in parts)
     if low is None or high is None or not low < high:
-        raise UsageError(f"--range {text} is empty.", hint)
+        raise UsageError(f"--color-range {text} is empty.", hint)
     return low, high
 
 
@@ -177,13 +179,13 @@ def time_codes(span: Span | None, known: tuple[float, ...], step: float, path: P
     last = known[-1] if span.last is None else span.last
     _refuse(
         first < known[0] or last > known[-1] or last < first,
-        f"--frames {first:g}:{last:g} is outside the motion of {path}.",
+        f"--time-codes {first:g}:{last:g} is outside the motion of {path}.",
         f"its time codes run from {known[0]:g} to {known[-1]:g}",
     )
     count = math.floor((last - first) / (span.step or step) + 1e-6) + 1
     _refuse(
         count > MOST_FRAMES,
         f"{count} frames are more than {MOST_FRAMES}.",
-        "give a shorter range or a larger step: --frames FIRST:LAST:STEP",
+        "give a shorter range or a larger step: --time-codes FIRST:LAST:STEP",
     )
     return [first + i * (span.step or step) for i in range(count)]

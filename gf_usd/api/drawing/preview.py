@@ -20,6 +20,7 @@ from gf_usd.prepare.options import values
 
 Show = Literal["mesh", "splats", "gaussians", "ellipsoids", "points", "both"]
 SHOWN = ("mesh", "splats", "gaussians", "ellipsoids", "points", "both")
+COLORS = ("strain", "elastic", "plastic", "stress")
 UNWRITTEN = Path("picture.png")  # stands for a target where there is none
 
 
@@ -58,7 +59,8 @@ def preview(
     columns: int | None = None,
     fps: float | None = None,
     camera: str | None = None,
-    color: Literal["strain", "stress"] | None = None,
+    variant: str | None = None,
+    color: Literal["strain", "elastic", "plastic", "stress"] | None = None,
     range: tuple[float, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Preview:
@@ -81,8 +83,11 @@ def preview(
     sheet : number of frames of a contact sheet, evenly spread; columns : of the sheet.
     fps : frames per second of the film; None: real time.
     camera : path of a camera in the stage; None: one that is fitted to the whole motion.
-    color : strain (largest |stretch - 1|) or stress (von Mises); None: the asset's own colors.
-    range : (low, high) of the colors, a pure number for strain, [Pa] for stress.
+    variant : of a bake: one of its materials, or "none" for the asset itself; None: the one that
+        the file selects.
+    color : strain (largest |stretch - 1|), elastic or plastic (its parts, of a bake with internal),
+        or stress (von Mises, of a bake with stress); None: the asset's own colors.
+    range : (low, high) of the colors, a pure number for strains, [Pa] for stress.
     progress : called after each frame of a film with (frames done, frames in all).
 
     Returns
@@ -95,8 +100,9 @@ def preview(
     InputError : the stage cannot be read, or does not hold what is to be shown.
     """
     with keywords(
-        "frame", "frames", "show", "size", "sheet", "columns", "fps", "camera", "color", "range"
-    ):
+        "frame", "show", "size", "sheet", "columns", "fps", "camera", "variant", "color",
+        time_codes="frames", color_range="range",
+    ):  # fmt: skip
         target = None if output is None else Path(values.path("output", output))
         for name, value in (("frame", frame), ("fps", fps)):
             if value is not None:
@@ -106,8 +112,12 @@ def preview(
                 values.whole(name, value)
         if show is not None and show not in SHOWN:
             raise UsageError(f"show is {show!r}", f"give one of {', '.join(SHOWN)}")
-        if color not in (None, "strain", "stress"):
-            raise UsageError(f"color is {color!r}", "give 'strain', 'stress', or leave it out")
+        if color not in (None, *COLORS):
+            raise UsageError(
+                f"color is {color!r}", f"give {', '.join(map(repr, COLORS))}, or leave it out"
+            )
+        if variant is not None:
+            values.text("variant", variant, "the name of a variant, such as 'rubber' or 'none'")
         options = read_options(
             target or UNWRITTEN,
             size=None if size is None else _joined("size", size, "x", (2,)),
@@ -121,7 +131,7 @@ def preview(
         )
         asked = {
             "path": asset_path(path), "options": options, "show": show, "camera": camera,
-            "color": color, "write": target is not None,
+            "color": color, "variant": variant, "write": target is not None,
         }  # fmt: skip
         task = "gf_usd.api.drawing.preview:draw"
         return here_or_away(task, asked, progress, schema=False)[0]

@@ -125,10 +125,21 @@ class Request(RequestOptions):
                 ("--goal-frequency", self.goal_frequency),
                 ("--goal-damping", self.goal_damping),
                 ("--preroll", self.preroll),
+                ("--loop", self.loop),
             ):
                 if value is not None:
                     raise UsageError(f"{option} {value:g} is for --flesh", "add --flesh")
             return
+        for option, given in (
+            ("--range", self.range),
+            ("--handles", self.handles),
+            ("--frames", self.frames),
+        ):
+            if self.loop and given:
+                raise UsageError(
+                    f"--loop {self.loop} writes one cycle, and {option} asks for something else",
+                    "leave one of the two out",
+                )
         for option, given in (
             ("--pin", self.pins),
             ("--procrustes", self.procrustes),

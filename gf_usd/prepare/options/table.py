@@ -149,8 +149,10 @@ class RequestOptions:
         METHOD, "CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
-        SCENE, "Region with prescribed motion, that of the asset's animation; repeatable. A"
-        " GeomSubset, a mesh or a prim above meshes, or box:x0,y0,z0,x1,y1,z1 [stage units].",
+        SCENE, "Region that is held, or moves as the asset's animation does; repeatable. A"
+        " GeomSubset, a mesh or a prim above meshes, box:x0,y0,z0,x1,y1,z1 [stage units],"
+        " paint:PRIMVAR for the faces with a painted weight of 0.5 and more, or joint:NAME for"
+        " those that follow a joint as much.",
         shown="nothing", write=values.pins,
     )] = ()
     rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
@@ -178,6 +180,11 @@ class RequestOptions:
         SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
         " simulated and not written.",
         shown="as many as keep accelerations below that of gravity, at least a second", low=1,
+    )] = None
+    loop: Annotated[int | None, Option(
+        SCENE, "Times that --flesh runs through the animation, a cycle, before it has become"
+        " periodic; the last one is written.",
+        shown="1", low=1,
     )] = None
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,

@@ -1,4 +1,8 @@
-"""Prims that name a region of the asset: a GeomSubset, a mesh, or all meshes under a prim."""
+"""What names a region of the asset: a GeomSubset, a mesh, all meshes under a prim, a weight.
+
+A weight is painted on points, or is that by which points follow a joint of a skeleton.  The region
+is made of the faces all of whose points have `HALF` of it and more.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdSkel
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, first_time_code
@@ -41,6 +45,106 @@ def read_regions(
         stage = open_stage(file)
         first = Usd.TimeCode(first_time_code(facts, rest))
         return tuple(_region(stage, facts, name, first, times, option) for name in names)
+
+
+HALF = 0.5
+PAINT, JOINT = "paint:", "joint:"  # of a name, before that of a primvar or a joint
+
+
+def read_weighted(
+    file: Path,
+    name: str,
+    facts: StageFacts,
+    meshes: Sequence[str],
+    *,
+    rest: float | None,
+    times: Sequence[float],
+    option: str = "--pin",
+) -> tuple[Region, ...]:
+    """The regions where meshes have a weight, with their motion; arguments as of `read_regions`.
+
+    name : "paint:PRIMVAR" or "joint:NAME", the last part of the joint's path or all of it.
+    meshes : prim paths.
+
+    Raises InputError where no mesh has that weight, or none of HALF.
+    """
+    said = f"{option} {name}"
+    with reading(file):
+        stage = open_stage(file)
+        first = Usd.TimeCode(first_time_code(facts, rest))
+        made: list[Region] = []
+        known: list[str] = []
+        for path in meshes:
+            prim = named_prim(stage, facts.path, path)
+            weight = _painted(prim, name, first) if name.startswith(PAINT) else None
+            if name.startswith(JOINT):
+                weight, joints = _of_joint(prim, name.removeprefix(JOINT))
+                known += joints
+            if weight is None:
+                continue
+            points, triangles = _triangles([prim], facts, first, said)
+            if len(weight) != len(points):
+                raise InputError(
+                    f"{facts.path}: {said}: <{path}> has {len(weight)} weights for"
+                    f" {len(points)} points",
+                    "paint a weight on each point",
+                )
+            chosen = triangles[weight[triangles].min(1) >= HALF]
+            if not len(chosen):
+                continue
+            moving = _posed([prim], facts, times)
+            if moving is not None:
+                moving[0] = points
+            used, renumbered = np.unique(chosen, return_inverse=True)
+            whole = points[None] if moving is None else moving
+            made.append(
+                Region(
+                    name=name,
+                    kind="patch",
+                    points=points[used],
+                    triangles=renumbered.reshape(-1, 3),
+                    path=whole[:, used],
+                    body=path,
+                )
+            )
+    if not made:
+        what = "joints are " + ", ".join(dict.fromkeys(known)) if known else "none has it"
+        raise InputError(
+            f"{facts.path}: {said}: no face of {len(meshes)} mesh(es) has a weight of"
+            f" {HALF:g} and more",
+            f"name a float primvar on points, or a joint of the skeleton; {what}",
+        )
+    return tuple(made)
+
+
+def _painted(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats | None:
+    """(V,) of a primvar on points; None where the mesh has none of that name."""
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name.removeprefix(PAINT))
+    if not primvar or not primvar.HasValue():
+        return None
+    values = np.atleast_1d(np.asarray(primvar.ComputeFlattened(time)))
+    numeric = values.ndim == 1 and np.issubdtype(values.dtype, np.number)
+    on_points = primvar.GetInterpolation() in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
+    return values.astype(np.float64) if numeric and on_points else None
+
+
+def _of_joint(prim: Usd.Prim, name: str) -> tuple[Floats | None, list[str]]:
+    """(V,) by which points follow a joint, None where there is none; and all joints' names."""
+    binding = UsdSkel.BindingAPI(prim)
+    skeleton = UsdSkel.Skeleton(binding.GetInheritedSkeleton())
+    joints: list[str] = list(binding.GetJointsAttr().Get() or ())
+    if not joints and skeleton:
+        joints = list(skeleton.GetJointsAttr().Get() or ())
+    indices, weights = binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()
+    if not joints or not indices.HasValue() or not weights.HasValue():
+        return None, joints
+    mine = [k for k, joint in enumerate(joints) if name in (joint, joint.rpartition("/")[2])]
+    wide = max(1, indices.GetElementSize())
+    of = np.asarray(indices.ComputeFlattened()).reshape(-1, wide)
+    by = np.asarray(weights.ComputeFlattened(), float).reshape(-1, wide)
+    if not mine or of.shape != by.shape:
+        return None, joints
+    return np.where(np.isin(of, mine), by, 0.0).sum(1), joints
 
 
 def _region(

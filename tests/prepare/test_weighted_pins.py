@@ -1,0 +1,61 @@
+"""Pins by a painted weight, and by the joint that points follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from physics_stages import mesh
+from planned import planner
+
+from gf_usd.core.errors import InputError
+from gf_usd.prepare.plan import Plan
+
+# A cube of a meter: the weight is on the four points of one end along x.
+PAINTED = """
+    float[] primvars:held = [0, 1, 0, 1, 0, 1, 0, 1] (
+        interpolation = "vertex"
+    )
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Callable[..., Plan]:
+    return planner(tmp_path)
+
+
+def test_the_faces_with_a_painted_weight_are_held(plan) -> None:
+    made = plan(mesh("One", PAINTED), pins=("paint:held",))
+    (pin,) = made.pins
+    high = made.particles.X.max()
+    assert pin.name == "paint:held"
+    assert {round(float(x), 6) for x in pin.anchors[:, 0]} == {
+        round(float(made.asset.surfaces[0].points[:, 0].max()), 6)
+    }
+    outside = np.array([[2.0 * high, 0.5, 0.5], [-1.0 * high, 0.5, 0.5]])
+    assert pin.inside(outside).tolist() == [True, False], "beyond the painted end alone"
+
+
+def test_a_weight_that_nobody_has_is_refused(plan) -> None:
+    with pytest.raises(InputError) as caught:
+        plan(mesh("One", PAINTED), pins=("paint:nothing",))
+    assert "--pin paint:nothing: no face of 1 mesh(es) has a weight of 0.5" in caught.value.message
+    with pytest.raises(InputError, match="joint:hips"):
+        plan(mesh("One"), pins=("joint:hips",))
+
+
+def test_the_faces_that_follow_a_joint_are_held(tmp_path: Path) -> None:
+    from gf_usd.pipeline.run import prepare
+
+    creature = Path(__file__).parents[2] / "samples" / "creature.usda"
+    options = {"particles": 300, "frames": 3, "output": tmp_path / "out.usda"}
+    made = prepare(creature, pins=("joint:Head",), **options).plan
+    (pin,) = made.pins
+    surface = made.asset.surfaces[0].points
+    assert 0 < len(pin.anchors) < len(surface) / 2
+    with pytest.raises(InputError) as caught:
+        prepare(creature, pins=("joint:wing",), **options)
+    assert "joints are " in caught.value.hint
+    assert "Head" in caught.value.hint
