@@ -409,9 +409,13 @@ PHYSICAL: dict[str, Physical] = {
         Physical(
             name="modelling-clay", density=1850.0, youngs_modulus=3.0e6, poissons_ratio=0.45,
             friction=0.9, restitution=0.1, law="vonMises",
-            parameters={"yield_stress": 1.3e5, "hardening": 5e4, "flow_viscosity": 5e3},
-            source="Plasticine at 20 C as a model of hot metal: flow stress 0.1 to 0.2 MPa, to an"
-            " order of magnitude",
+            parameters={
+                "yield_stress": 2e4, "hardening": 5e4, "saturation": 1.1e5, "saturation_rate": 5.0,
+                "flow_viscosity": 500.0,
+            },
+            source="Plasticine at 20 C as a model of hot metal: flow stress 0.1 to 0.2 MPa at"
+            " strains above 0.2, to an order of magnitude; it begins to flow without a sharp yield"
+            " point, and the yield stress is fitted such that it hardly bounces",
         ),
         Physical(
             name="wet-clay", density=1900.0, youngs_modulus=5.0e6, poissons_ratio=0.45,
