@@ -60,7 +60,7 @@ def test_every_diagram_was_drawn() -> None:
 def test_every_page_has_its_place_in_the_site() -> None:
     """A new page needs a line in mkdocs.yml."""
     text = (ROOT / "mkdocs.yml").read_text("utf-8")
-    listed = re.findall(r"^ +- (?:[^:]+: )?(\S+\.md)$", text[text.index("\nnav:") :], re.M)
+    listed = re.findall(r"^ +- (?:[^:\n]+: )?(\S+\.md)$", text[text.index("\nnav:") :], re.M)
     docs = ROOT / "docs"
     pages = {page.relative_to(docs).as_posix() for page in docs.rglob("*.md")}
     assert sorted(listed) == sorted(pages | set(site_hooks.ROOT_PAGES.values()))
