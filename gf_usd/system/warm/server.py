@@ -98,38 +98,38 @@ class Server:
 
     def _serve(self, client: socket.socket) -> None:
         with client:
-            say = _Voice(client)
+            send = _Events(client)
             if is_same_user(client):
-                self._answer(client, say)
+                self._answer(client, send)
             else:
-                say("error", status=2, message="this server belongs to another user", hint="")
+                send("error", status=2, message="this server belongs to another user", hint="")
         with self._lock:
             self._clients.discard(threading.current_thread())
 
-    def _answer(self, client: socket.socket, say: _Voice) -> None:
+    def _answer(self, client: socket.socket, send: _Events) -> None:
         try:
             asked = _request(client)
             if asked.get("ask"):
-                self._tell(str(asked["ask"]), say)
+                self._tell(str(asked["ask"]), send)
                 return
             words, folder = self._words(asked), _folder(asked)
-            timeout = asked.get("timeout", self._timeout)
+            timeout = _timeout(asked, self._timeout)
         except GfUsdError as error:
-            say("error", status=error.exit_status, message=error.message, hint=error.hint)
-            say(ENDED, status=error.exit_status, seconds=0.0, cpu_seconds=0.0, peak_memory=0,
+            send("error", status=error.exit_status, message=error.message, hint=error.hint)
+            send(ENDED, status=error.exit_status, seconds=0.0, cpu_seconds=0.0, peak_memory=0,
                 timed_out=False, log="")  # fmt: skip
             return
         with self._lock:
             self._commands += 1
         try:
-            ended = self._run(client, say, words, folder, timeout)
+            ended = self._run(client, send, words, folder, timeout)
         finally:
             with self._lock:
                 self._commands -= 1
                 self._done += 1
                 self._last = time.monotonic()
         status = None if ended is None else ended.status
-        say(
+        send(
             ENDED, status=143 if status is None else status,
             seconds=round(ended.seconds, 3) if ended else 0.0,
             cpu_seconds=round(ended.cpu_seconds, 3) if ended else 0.0,
@@ -137,10 +137,10 @@ class Server:
             timed_out=bool(ended and ended.timed_out), log=ended.err if ended and status else "",
         )  # fmt: skip
 
-    def _tell(self, what: str, say: _Voice) -> None:
+    def _tell(self, what: str, send: _Events) -> None:
         """Answer a question that is no command."""
         with self._lock:
-            say(SERVER, pid=os.getpid(), version=__version__, at_once=self._at_once,
+            send(SERVER, pid=os.getpid(), version=__version__, at_once=self._at_once,
                 running=self._commands, done=self._done)  # fmt: skip
         if what == "stop":
             self.stop()
@@ -148,7 +148,7 @@ class Server:
     def _run(
         self,
         client: socket.socket,
-        say: _Voice,
+        send: _Events,
         words: list[str],
         folder: str,
         timeout: float | None,
@@ -174,7 +174,7 @@ class Server:
             try:
                 if not watcher.is_alive():
                     return None
-                with listening(say.line) as events:
+                with listening(send.line) as events:
                     return self._workers.run(
                         words, events=events, timeout=timeout, folder=folder,
                         started=running.append,
@@ -186,8 +186,8 @@ class Server:
             watcher.join()
 
 
-class _Voice:
-    """Says events to a client, for as long as it listens."""
+class _Events:
+    """Sends events to a client until its connection ends."""
 
     def __init__(self, client: socket.socket) -> None:
         self._client = client
@@ -225,6 +225,16 @@ def _request(client: socket.socket) -> dict[str, Any]:
             "docs/farm.md shows requests",
         )
     return asked
+
+
+def _timeout(asked: dict[str, Any], default: float | None) -> float | None:
+    """[s] that a request may take.  Raises UsageError for anything but a number above 0."""
+    seconds = asked.get("timeout", default)
+    if seconds is None:
+        return None
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0.0:
+        raise UsageError(f'"timeout" is {seconds!r}', "give seconds, or leave it out")
+    return float(seconds)
 
 
 def _folder(asked: dict[str, Any]) -> str:

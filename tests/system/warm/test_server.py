@@ -120,6 +120,10 @@ def test_what_is_no_request_is_refused_in_words(path: Path) -> None:
             assert told[1]["status"] == 2
         _, ended = ask(path, "well", folder="nowhere")
         assert ended["status"] == 2
+        for seconds in ("soon", 0, -1.0, True, float("nan")):
+            error, ended = events(path, {"arguments": ["well"], "timeout": seconds})
+            assert '"timeout" is' in error["message"]
+            assert ended["status"] == 2
 
 
 def test_status_and_stop(path: Path) -> None:
