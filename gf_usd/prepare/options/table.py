@@ -124,7 +124,7 @@ class RequestOptions:
         parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
-        SCENE, "Pull with this gravity [m/s^2], downward, or along a vector x,y,z.",
+        SCENE, "Apply this gravity [m/s^2], downward, or along a vector x,y,z.",
         shown="9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
     floor: Annotated[Floor | None, Option(
@@ -206,11 +206,11 @@ class RequestOptions:
         " longer.", shown="the material's", low=0.0, high=1e6,
     )] = None
     friction: Annotated[float | None, Option(
-        MATERIAL, "Rub with this Coulomb friction coefficient; 0 is ice.",
+        MATERIAL, "Use this Coulomb friction coefficient; 0 is frictionless.",
         shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Bounce with this restitution of the contact springs, 0 to 1.",
+        MATERIAL, "Use this restitution of the contact springs, 0 to 1.",
         shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Boxes, Option(
