@@ -103,12 +103,15 @@ def test_a_material_file_counts_by_its_content(tmp_path: Path) -> None:
 
 def test_no_bake_runs_what_the_code_leaves_out() -> None:
     """The hash of the code is over everything but these; nothing else may import them."""
-    apart = {f"gf_usd.{room}" for room in APART}
+    apart = {f"gf_usd.{package}" for package in APART}
     for path in PACKAGE.rglob("*.py"):
         # An advisor is shown a picture; a batch, whose records the hash is for, asks none.  Nor
-        # does it call the functions of the API that draw.
+        # does it call the functions of the API that draw.  The package itself names types of
+        # results, which are loaded when somebody asks for them.
         inside = path.relative_to(PACKAGE)
-        if inside.parts[0] in (*APART, "api", "cli") or str(inside) == "pipeline/run.py":
+        if inside.parts[0] in (*APART, "__init__.py", "api", "cli"):
+            continue
+        if str(inside) == "pipeline/run.py":
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
