@@ -17,7 +17,7 @@ RESULT = [
 REPORT = {
     "command", "version", "source", "input_sha256", "bodies", "riders", "particles", "spacing_m",
     "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m", "settings", "outputs",
-    "notes", "seconds", "bakes", "warnings", "check", "pins",
+    "notes", "seconds", "bakes", "warnings", "check", "pins", "rigid",
     "separate_bodies", "obstacles", "tables", "advice", "own_values",
 }  # fmt: skip
 BAKE = ["look", "cache", "material", "frames", "health"]
