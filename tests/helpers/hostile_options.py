@@ -61,6 +61,10 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "handles": (0, 2, -1),
     "mass_scaling": (1.0, 10.0, *NUMBERS),
     "clip_frames": (0, 1, 2, -1),
+    "velocity": ("1,0,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),
+    "spin": ("0,1,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),
+    "colliders": (("gone.usda",), ("a.usda",), (".",), ("a\0b.usda",), ("",)),
+    "rigid": (("box:-1,-1,-1,0,0,0",), ("/A/M",), ("/A",), ("/gone",), ("box:1,2",), ("",)),
 }  # fmt: skip
 OF_THE_RUN = {"strict", "max_hours", "slice", "limits"}  # what no plan hangs on
 

@@ -11,7 +11,7 @@ from hostile_options import OPTIONS, asset, planned
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-FLESH = ("flesh", "bone_radius", "preroll", "goal_frequency", "goal_damping")
+FLESH = ("flesh", "bone_radius", "preroll", "loop", "goal_frequency", "goal_damping")
 COMBINED = st.fixed_dictionaries(
     {}, optional={name: st.sampled_from(values) for name, values in OPTIONS.items()}
 )
@@ -39,6 +39,7 @@ def test_options_together(here: Path, options: dict[str, Any]) -> None:
 def test_each_value_alone(here: Path, name: str) -> None:
     """The first value of each is one that is right."""
     found = [planned(here, {name: value}) for value in OPTIONS[name]]
-    # the box has no such label and no skeleton, and with all of it pinned nothing is left to move
-    assert found[0] or name in ("material_labels", "pins", *FLESH)
+    # The box has no such label and no skeleton, with all of it pinned nothing is left to move, and
+    # no other file is there.
+    assert found[0] or name in ("material_labels", "pins", "colliders", *FLESH)
     assert [path.name for path in here.parent.iterdir()] == [here.name]
