@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -179,17 +180,20 @@ class BodyContact:
             self.planes.forget(self._members[k])
         self._detected = time
 
+    @cached_property
+    def _own_offset(self) -> Floats:
+        """(n,) [m] from its own body at which each sample begins to be pushed."""
+        out = np.zeros(len(self._of))
+        for k, own in self._own.items():
+            out[self._members[k]] = own.offset
+        return out
+
     @property
     def _offset(self) -> Floats:
         """(n,) [m] from what it faces at which each sample begins to be pushed; not 0: its own."""
-        out = np.zeros(len(self._of))
-        facing = self.planes.carried
-        facing = facing[self._of[self.planes.partner[facing]] == self._of[facing]]
-        for k in np.unique(self._of[facing]):
-            m = self._members[k]
-            rows = facing[self._of[facing] == k]
-            out[rows] = self._own[int(k)].offset[np.searchsorted(m, rows)]
-        return out
+        partner = self.planes.partner
+        own = (partner >= 0) & (self._of[partner] == self._of)
+        return np.where(own, self._own_offset, 0.0) if own.any() else np.zeros(len(own))
 
     def _note_overlap(self, state: State) -> float:
         """Count how deep samples were under the present planes; returns the deepest so far [m]."""
