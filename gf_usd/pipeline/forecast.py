@@ -27,8 +27,6 @@ MATTERS = 60.0  # [s] longer, at least: less is no news
 LATELY = 10  # samples: an impact is over, or what it did to the step stays
 OVERRUN = 2.0  # times --max-hours at which a bake ends, since its estimate holds within that
 MORE = 1.5  # times the substeps at rest, which then explain a surprise
-
-
 FEW = 3  # samples with substeps that say more than the estimate
 
 READING, FILLING, COMPILING = "reading", "filling", "compiling kernels"

@@ -205,9 +205,11 @@ def _again(plan: Plan) -> str:
 
 def _flying(plan: Plan) -> int:
     """Frames at the start that need no substeps, since all bodies are in free flight."""
+    from gf_usd.physics.total_lagrangian.shape_correction import acts
+
     s = plan.settings
     held = plan.pins or plan.goals or any(map(callable, plan.velocity))
-    if held or not s.shortcuts or s.solver != "tl" or s.drag or s.procrustes or s.wls:
+    if held or not s.shortcuts or s.solver != "tl" or s.drag or acts(s):
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
         return 0
