@@ -8,7 +8,6 @@ bake that is one flattened file keeps what is flattened in it.
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +16,14 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.errors import BakeError
 from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
-from gf_usd.layers.flatten import PACKAGE, FolderFiles, Package
+from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.recording import select_look, world_points
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import open_stage, reading
-from gf_usd.system.atomic_files import partial_path
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
 MOVING = ("points", "normals", "velocities", "accelerations", "extent")
@@ -61,19 +58,7 @@ def write_usd(bake: Path, target: Path, looks: Sequence[Look]) -> tuple[str, ...
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
         for look in looks:
             _author(stage, look)
-        partial = partial_path(target)
-        if target.suffix != PACKAGE:
-            files = FolderFiles(target.parent.absolute(), {})
-            UsdUtils.ModifyAssetPaths(layer, files.place)
-            _export(layer, partial)
-            return tuple(files.notes)
-        with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
-            package = LayerPackage(Path(folder))
-            UsdUtils.ModifyAssetPaths(layer, package.place)
-            first = Path(folder) / f"{target.stem}.usdc"
-            _export(layer, first)
-            package.write(partial, first)
-        return tuple(package.notes)
+        return write_placed(layer, target, package=LayerPackage)
 
 
 def error_of(target: Path, look: Look) -> float:
@@ -255,14 +240,6 @@ class LayerPackage(Package):
         copy.TransferContent(source)
         UsdUtils.ModifyAssetPaths(copy, lambda path: self.place(absolute(source, path)))
         made = self._scratch / name
-        _export(copy, made)
+        export(copy, made)
         self._names[made] = name
         return name
-
-
-def _export(layer: Sdf.Layer, path: Path) -> None:
-    if not layer.Export(str(path)):
-        raise BakeError(
-            f"{path} could not be written.",
-            f"check that {path.absolute().parent} is writable and has space left",
-        )

@@ -8,8 +8,10 @@ The files that a flattened layer refers to: kept where they are, or put into a p
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
+import time
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -64,19 +66,7 @@ def write_flat(
     layer = stage.Flatten(addSourceFileComment=False)
     anchor_tiles(stage, layer)
     _restore_displays(layer, root, asset, source, choices)
-    if path.suffix != PACKAGE:
-        files = FolderFiles(path.parent.absolute(), moved or {})
-        UsdUtils.ModifyAssetPaths(layer, files.place)
-        _export(layer, partial_path(path))
-        return tuple(files.notes)
-    with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
-        package = Package(Path(folder))
-        UsdUtils.ModifyAssetPaths(layer, package.place)
-        # AR clients want a crate as the first file
-        first = Path(folder) / f"{path.stem}.usdc"
-        _export(layer, first)
-        package.write(partial_path(path), first)
-    return tuple(package.notes)
+    return write_placed(layer, path, moved=moved)
 
 
 def _restore_displays(
@@ -108,17 +98,9 @@ def _restore_displays(
                 layer.GetPrimAtPath(path).RemoveProperty(authored)
 
 
-def _export(layer: Sdf.Layer, path: Path) -> None:
-    try:
-        done = layer.Export(str(path))
-    except Tf.ErrorException as error:
-        raise refused(path) from error
-    if not done:
-        raise refused(path)
-
-
 FOLDER = "files"  # in a package
 TILES = "<UDIM>"
+MADE = (2000, 1, 1, 12, 0, 0, 0, 1, 0)  # local time, as the times in a zip archive are
 # what a usdz may hold next to layers (OpenUSD's specification of the format)
 ALLOWED = {".png", ".jpg", ".jpeg", ".exr", ".avif", ".m4a", ".mp3", ".wav"}
 
@@ -209,8 +191,15 @@ class Package(Files):
     def write(self, path: Path, layer: Path) -> None:
         """Write the package, uncompressed and aligned, with the layer as its first file.
 
+        A zip archive has the time of each file: files made for the package get a fixed one, so
+        that equal contents are equal bytes.
+
         Raises BakeError where the disk refuses.
         """
+        made = time.mktime(MADE)
+        for file in (layer, *self._names):
+            if file.is_relative_to(self._scratch):
+                os.utime(file, (made, made))
         try:
             writer = Sdf.ZipFileWriter.CreateNew(str(path))
             done = bool(writer) and writer.AddFile(str(layer), layer.name)
@@ -218,9 +207,9 @@ class Package(Files):
                 done = done and writer.AddFile(str(file), name)
             done = done and writer.Save()
         except Tf.ErrorException as error:
-            raise refused(path) from error
+            raise _refused(path) from error
         if not done:
-            raise refused(path)
+            raise _refused(path)
 
 
 def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
@@ -241,8 +230,56 @@ def anchor_tiles(stage: Usd.Stage, flat: Sdf.Layer) -> None:
                 spec.default = Sdf.AssetPath(path)
 
 
-def refused(path: Path) -> BakeError:
-    """The disk did not take a file."""
+def write_placed(
+    layer: Sdf.Layer,
+    path: Path,
+    *,
+    moved: Mapping[Path, Path] | None = None,
+    package: type[Package] = Package,
+) -> tuple[str, ...]:
+    """Write a layer of absolute paths under the partial name of ``path``.
+
+    Parameters
+    ----------
+    path : final name; .usdz becomes a package with every file the layer needs, anything else a
+        layer that refers to files by relative paths.
+    moved : as for `write_flat`; a package takes files from where they are now.
+    package : the kind of package for a .usdz.
+
+    Returns
+    -------
+    Notes in words: files that could not be found.
+
+    Raises
+    ------
+    BakeError : the folder or the disk refuses.
+    """
+    if path.suffix != PACKAGE:
+        files = FolderFiles(path.parent.absolute(), moved or {})
+        UsdUtils.ModifyAssetPaths(layer, files.place)
+        export(layer, partial_path(path))
+        return tuple(files.notes)
+    with tempfile.TemporaryDirectory(prefix="gf-usd-") as folder:
+        files = package(Path(folder))
+        UsdUtils.ModifyAssetPaths(layer, files.place)
+        # AR clients want a crate as the first file
+        first = Path(folder) / f"{path.stem}.usdc"
+        export(layer, first)
+        files.write(partial_path(path), first)
+    return tuple(files.notes)
+
+
+def export(layer: Sdf.Layer, path: Path) -> None:
+    """Write a layer; raises BakeError where the folder or the disk refuses."""
+    try:
+        done = layer.Export(str(path))
+    except Tf.ErrorException as error:
+        raise _refused(path) from error
+    if not done:
+        raise _refused(path)
+
+
+def _refused(path: Path) -> BakeError:
     return BakeError(
         f"{path} could not be written.",
         f"check that {path.absolute().parent} is writable and has space left",

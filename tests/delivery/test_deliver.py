@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -310,6 +311,9 @@ def test_the_same_bytes_each_time(ball: Path, tmp_path: Path) -> None:
         ]
         first, second = (path.read_bytes() for path in made)
         assert first.replace(b"a.usdc", b"b.usdc") == second
+    with zipfile.ZipFile(tmp_path / "a.usdz") as package:
+        # whenever it is made
+        assert {one.date_time for one in package.infolist()} == {(2000, 1, 1, 12, 0, 0)}
 
 
 def test_the_smaller_file_is_kept(ball: Path, tmp_path: Path) -> None:
