@@ -11,7 +11,8 @@ from gf_usd.verify.registry import CASES, run_case
 ORDERED = sorted(CASES, key=lambda case: case.f64)
 LONG = {  # more than half of the time of all
     "hertz", "lamb", "penetration", "collisions", "slope", "solvers", "expansion", "law-crushable",
-    "law-neoHookean", "law-vonMises", "patch", "patch-f64", "spin-apic",
+    "law-neoHookean", "law-vonMises", "patch", "patch-f64", "spin-apic", "slump", "rigid-end",
+    "goals", "law-corotated",
 }  # fmt: skip
 
 
