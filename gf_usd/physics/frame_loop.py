@@ -196,13 +196,16 @@ class Guard:
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
         gain = after - before - now.work - now.injected + (now.plastic_dissipation or 0.0)
+        # Of a body at rest that a pin sets in motion the work of the frame is the only measure.  An
+        # unstable step gains by the square of its forces, of which work has the first power.
+        most = GAIN * max(self._scale, abs(now.work))
         # A clipped F or a cut stress is no gradient of an energy: what it gains says nothing of
         # the step.  Written so that an energy that is no number fails too.
         limited = now.clamped + now.stress_capped > 0 and np.isfinite(gain)
-        if not (gain <= GAIN * self._scale or limited):
+        if not (gain <= most or limited):
             return worst(particles), (
                 f"energy rose from {before:.4g} J to {after:.4g} J within the frame"
-                f" (at most {GAIN * self._scale:.2g} J is rounding and integration error)"
+                f" (at most {most:.2g} J is rounding and integration error)"
             )
         # A particle is no further from the middle of its body than the box around all is long.
         low, high = corners(particles.x)

@@ -59,6 +59,15 @@ def test_what_a_pin_does_to_the_body_is_no_gain() -> None:
     assert words(guard, health(), health(5.0 * ALLOWED, work=-5.0 * ALLOWED)) != ""
 
 
+def test_what_is_little_follows_the_work_of_the_frame() -> None:
+    """A pin hits a body at rest: its own weight is no measure of what the integrator leaves."""
+    guard, work = Guard(SCALE, 1.0), 1e3 * SCALE
+    assert words(guard, health(), health(work * (1.0 + 0.99 * GAIN), work=work)) == ""
+    assert words(guard, health(), health(work * (1.0 + 1.01 * GAIN), work=work)) != ""
+    # Only of that frame: the next has no work of its own, and nothing to gain from.
+    assert words(guard, health(), health(2.0 * ALLOWED)) != ""
+
+
 def test_a_particle_that_flew_off_is_named() -> None:
     x = np.zeros((5, 3))
     x[3, 1] = 2.0 * ESCAPE
