@@ -146,7 +146,7 @@ class Splats:
     path: str = ""  # prim path; "" for what comes from no stage
     to_world: Floats = field(default_factory=lambda: np.eye(4))  # (4, 4) x_world [m] = x M
     half: bool = False  # the coefficients are authored in half precision only
-    anchors: Floats | None = None  # (N, 3) [m] the points of the body that carry them, world
+    anchors: Floats | None = None  # (N, 3) [m] the points of the body that they move with, world
     labels: Mapping[str, Ints] = field(default_factory=dict)  # (N,) of each whole-number property
 
     def __len__(self) -> int:
@@ -168,8 +168,8 @@ class Splats:
         return self.to_world[:3, :3].T @ gaussian_axes(self.orientations, self.scales)
 
     @property
-    def riding(self) -> Floats:
-        """(N, 3) [m] the points that ride on the body: the centers, or what carries them."""
+    def embedded_points(self) -> Floats:
+        """(N, 3) [m] the points that are embedded in the body: the centers or their anchors."""
         return self.points if self.anchors is None else self.anchors
 
     @property

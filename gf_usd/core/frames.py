@@ -139,7 +139,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """A set of points that rides on the body, at one time."""
+    """A set of embedded points at one time."""
 
     x: Floats  # (n, 3) [m]
     v: Floats  # (n, 3) [m/s]

@@ -38,7 +38,9 @@ class Solid:
     volume: float  # [m^3]
     low: Floats  # (3,) [m]
     high: Floats  # (3,) [m]
-    embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of surfaces that only ride along
+    embedded: tuple[
+        tuple[str, str], ...
+    ]  # (prim path, reason) of surfaces that are not filled and move with the body
 
     def inside(self, X: Floats) -> NDArray[np.bool_]:
         """(n,) True for points (n, 3) [m] inside any of the surfaces."""
@@ -110,7 +112,7 @@ def hole_fraction(points: Floats, triangles: Ints) -> float:
 
 
 def build_solid(asset: Asset, *, repaired: bool = False) -> Solid:
-    """Sort an asset's surfaces into those that bound a solid and those that ride on it.
+    """Sort an asset's surfaces into those that bound a solid and those that are embedded in it.
 
     repaired : --repair was asked for, so that no hint names it.
 

@@ -1,7 +1,7 @@
 """A closed surface around captured Gaussians, which is filled in their place.
 
 Gaussians that say nothing of the body are set aside: faint ones, giants, strays far from all
-others and small islands.  They still ride along.
+others and small islands.  They still move with the body.
 
 The density of Gaussians on a grid, and the closed region that it shows.
 
@@ -104,7 +104,10 @@ def _of_the_body(splats: Splats) -> tuple[Ints, float, list[str]]:
     def drop(bad: NDArray[np.bool_], why: str) -> None:
         nonlocal rows
         if bad.any():
-            notes.append(f"{int(bad.sum())} of {len(splats)} Gaussians {why}: they only ride along")
+            notes.append(
+                f"{int(bad.sum())} of {len(splats)} Gaussians {why}:"
+                " they move with it but fill nothing"
+            )
             rows = rows[~bad]
         _require(splats, rows)
 
@@ -135,7 +138,7 @@ def _without_islands(
         return rows, grid, rho
     notes.append(
         f"{int(small.sum())} of {len(splats)} Gaussians are islands of fewer than"
-        f" {100 * ISLAND:g} %: they only ride along"
+        f" {100 * ISLAND:g} %: they move with it but fill nothing"
     )
     kept = rows[~small]
     _require(splats, kept)

@@ -1,12 +1,12 @@
 """Deformed Gaussians as orientation and scale, continuous in time.
 
-A Gaussian rides as Sigma = F Sigma0 F^T (GaussianFlesh section 3.1).  USD stores it as a rotation Q
-and standard deviations s, Sigma = Q diag(s^2) Q^T, which leaves axes that may swap and flip from
-frame to frame; a client that interpolates would then show a spinning needle.  So each frame starts
-from the last one's axes turned by the body's own rotation and turns them no further than it must:
-cyclic Jacobi rotations of at most 45 degrees.
+A Gaussian deforms as Sigma = F Sigma0 F^T (GaussianFlesh section 3.1).  USD stores it as a rotation
+Q and standard deviations s, Sigma = Q diag(s^2) Q^T, whose axes may swap and flip from frame to
+frame; a client that interpolates would then show a spinning needle.  So each frame starts from the
+last one's axes turned by the body's own rotation and turns them no further than it must: cyclic
+Jacobi rotations of at most 45 degrees.
 
-Captured Gaussians that ride on the body.
+Captured Gaussians that move with the body.
 
 A Gaussian at X with Sigma0 and coefficients h goes to
 
@@ -54,7 +54,7 @@ class GaussianTrack:
         """What the next frame starts from: axes and turn (N, 3, 3), quaternions (N, 4)."""
         return {"axes": self._axes, "turn": np.array(self._turn), "last": self._last}
 
-    def recall(self, state: Mapping[str, Floats]) -> None:
+    def load(self, state: Mapping[str, Floats]) -> None:
         """Go on from `state`."""
         self._axes, self._turn, self._last = state["axes"], state["turn"], state["last"]
 
@@ -84,7 +84,7 @@ class CarriedSplats:
         scales = np.asarray(splats.scales, float)
         self._least = scales.min(axis=1, keepdims=True) / STRETCH
         self._most = scales.max(axis=1, keepdims=True) * STRETCH
-        arm = splats.points - splats.riding
+        arm = splats.points - splats.embedded_points
         self._hanging = np.flatnonzero((arm != 0.0).any(axis=1))
         self._arm = arm[self._hanging]
         self._colors = splats.degree > 0
@@ -94,9 +94,9 @@ class CarriedSplats:
         """What the next frame starts from: that of `GaussianTrack`, and what was clamped."""
         return {**self._track.state(), "clamped": np.array([self.clamped])}
 
-    def recall(self, state: Mapping[str, Floats]) -> None:
+    def load(self, state: Mapping[str, Floats]) -> None:
         """Go on from `state`."""
-        self._track.recall(state)
+        self._track.load(state)
         self.clamped = int(state["clamped"][0])
 
     def advance(self, pose: Pose, to_local: Floats) -> SplatPose:

@@ -91,13 +91,13 @@ FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
-# a crash.  A body that only meets itself is looked at once in many substeps.
-MEETING_SECONDS = 1e-6
+# a crash.  Self-contact is detected once in many substeps.
+CONTACT_PAIR_SECONDS = 1e-6
 
 PROCESS_MEMORY = 320e6  # [bytes] Python, USD, Taichi and its compiler
 PARTICLE_MEMORY = 4400.0  # [bytes] a particle, mostly the rows of W and G
 VERTEX_MEMORY = 2200.0  # [bytes] a vertex: the surface, its rows, a frame
-MEETING_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
+CONTACT_PAIR_MEMORY = 9e3  # [bytes] a contact sample where bodies meet others
 
 
 def estimate(
@@ -107,7 +107,7 @@ def estimate(
     *,
     particles: int,
     vertices: int,
-    meeting: int,
+    paired: int,
     frame_bytes: float,
     first_contact: int | None,
     flying: int = 0,
@@ -123,7 +123,7 @@ def estimate(
 
     substeps : of a frame of each material, all samples together.
     vertices : of meshes and captured Gaussians.
-    meeting : contact samples where bodies meet others or themselves; 0 where none does.
+    paired : contact samples where bodies meet others or themselves; 0 where none does.
     frame_bytes : on the disk.
     flying : frames at the start without substeps; fall : [m] that bodies fall before they land.
     crowd : several bodies or obstacles meet.
@@ -137,9 +137,9 @@ def estimate(
     memory = PROCESS_MEMORY + PARTICLE_MEMORY * n * waiting + VERTEX_MEMORY * vertices
     fixed, each = SUBSTEP_SECONDS[settings.solver]
     substep = CONTACT * (fixed + each * n)
-    if meeting:
-        memory += MEETING_MEMORY * meeting
-        substep += MEETING_SECONDS * meeting * crowd
+    if paired:
+        memory += CONTACT_PAIR_MEMORY * paired
+        substep += CONTACT_PAIR_SECONDS * paired * crowd
     if settings.solver == "tl" and settings.device == "cpu":
         substep /= max(1, min(settings.threads or cores(), n // ALONE))
     frame = FRAME_SECONDS[0] + FRAME_SECONDS[1] * n + FRAME_SECONDS[2] * vertices
@@ -152,7 +152,7 @@ def estimate(
     for material, count, ratio in zip(materials, substeps, ratios, strict=True):
         many = float(count)
         if not settings.substeps:
-            many *= strained(material, settings, fall) * (CROWD if meeting and crowd else 1.0)
+            many *= strained(material, settings, fall) * (CROWD if paired and crowd else 1.0)
         work = many * substep * (FLOW if LAWS[material.law].flows else 1.0)
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end

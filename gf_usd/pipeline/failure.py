@@ -41,8 +41,10 @@ def place(
     if error.particle >= 0:
         unit = asset.facts.units.length
         surface = int(particles.surface[error.particle])
-        riding = {path for path, _ in embedded}  # particles count the surfaces that are filled
-        filled = [s.path for s in asset.surfaces if s.path not in riding]
+        embedded_paths = {
+            path for path, _ in embedded
+        }  # particles count the surfaces that are filled
+        filled = [s.path for s in asset.surfaces if s.path not in embedded_paths]
         found = {
             "particle": error.particle,
             "prim": filled[surface],

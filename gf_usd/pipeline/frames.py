@@ -75,8 +75,8 @@ class FrameBuilder:
             frames = self.solver.frames()
         else:
             self.solver.load(since.solver)
-            self._track.recall(since.track)
-            self._splats.recall(since.track)
+            self._track.load(since.track)
+            self._splats.load(since.track)
             frames = self.solver.frames_after(since.index, since.last)
         for frame in frames:
             yield self.sample(frame)
@@ -172,10 +172,10 @@ class SplatDeformer:
         for kind in sorted({self._space_of(one) for one in self._files} - {OWN}):
             self._elsewhere[kind] = {path: CarriedSplats(one) for path, one in splats.items()}
 
-    def recall(self, state: Mapping[str, Floats]) -> None:
+    def load(self, state: Mapping[str, Floats]) -> None:
         """Go on from `state`, which may hold more."""
         for name, track in self._named():
-            track.recall({k[len(name) :]: v for k, v in state.items() if k.startswith(name)})
+            track.load({k[len(name) :]: v for k, v in state.items() if k.startswith(name)})
 
     def state(self) -> dict[str, Floats]:
         """What the next frame starts from, for `Checkpoint.track`."""

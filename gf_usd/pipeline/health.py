@@ -71,7 +71,7 @@ class HealthLog:
             "passing": [asdict(health) for health in self._passing],
         }
 
-    def recall(self, state: Mapping[str, Any]) -> None:
+    def load(self, state: Mapping[str, Any]) -> None:
         """Go on from `state`."""
         self.frames = [health_of(row) for row in state["frames"]]
         self._passing = [health_of(row) for row in state["passing"]]

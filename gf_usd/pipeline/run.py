@@ -84,7 +84,7 @@ class Prepared:
             [samples * self.solvers.substeps(variant) for variant in plan.variants],
             particles=len(plan.particles),
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
-            meeting=len(plan.samples.X) if setup and setup.any else 0,
+            paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
             first_contact=None if plan.held else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
@@ -331,7 +331,7 @@ def _run_variant(
     if since is None:
         clear(variant.sequences)
     else:
-        log.recall(since.log)
+        log.load(since.log)
     stages.begin(
         SIMULATING, variant.name,
         done=number * total, total=total * len(plan.materials), left=forecast.left,
@@ -443,7 +443,7 @@ def solver_of(plan: Plan, variant: Variant) -> Solver:
             "contact_setup": plan.contact_setup,
             "goals": plan.goals,
             "embedded_body": plan.bodies.embedded,
-            "embedded_copy": plan.riding,
+            "embedded_copy": plan.embedded_copies,
         }
     return make_solver(
         sampled(variant.settings),
@@ -458,9 +458,9 @@ def solver_of(plan: Plan, variant: Variant) -> Solver:
 
 def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:
     """The captured Gaussians of a plan, at their start."""
-    riding = [s for s in plan.asset.surfaces if s.path in plan.points]
+    surfaces = [s for s in plan.asset.surfaces if s.path in plan.points]
     return SplatDeformer(
-        {s.path: s.splats for s in riding if s.splats is not None},
+        {s.path: s.splats for s in surfaces if s.splats is not None},
         plan.source,
         variant.settings,
         plan.asset.facts,

@@ -34,7 +34,7 @@ class BodyPlan:
     of_surface: Ints  # (S,) body of each filled surface, in the order of `Solid.surfaces`
     radius: Floats  # (B,) [m] r = (3 V / 4 pi)^(1/3)
     surfaces: tuple[tuple[str, ...], ...]  # prim paths of each body
-    embedded: dict[str, int]  # body that each mesh rides on, by prim path
+    embedded: dict[str, int]  # body that each mesh moves with, by prim path
     notes: tuple[str, ...] = ()
 
     @property
@@ -97,7 +97,7 @@ def _listed(names: Sequence[Sequence[str]]) -> str:
 def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, list[Any]]:
     """Bodies of too few particles become one with the nearest; (surface, particles, host) of each.
 
-    A surface without any particle is a shell about nothing: it can only ride along.
+    A surface without any particle is a shell about nothing: it can only be embedded.
     """
     of, fused = of.copy(), []
     for body in range(int(of.max()) + 1):
@@ -119,7 +119,7 @@ def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, lis
 def _embedded(
     asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
 ) -> dict[str, int]:
-    """Body that each surface rides on: its own, or the one that most of its points are nearest."""
+    """Body that each surface moves with: its own, or that which most of its points are nearest."""
     tree, out = None, {}
     for surface in asset.surfaces:
         if surface.path in filled:
@@ -138,16 +138,16 @@ class LimbPlan:
     particles: Particles
     samples: SurfaceSamples
     contact_setup: ContactSetup
-    riding: dict[str, Ints] = field(default_factory=dict)  # copies of cells of points, by path
+    embedded_copies: dict[str, Ints] = field(default_factory=dict)  # of cells, of points, by path
     notes: tuple[str, ...] = ()
 
 
 def keep_limbs_apart(
-    solid: Solid, bodies: BodyPlan, filled: LimbPlan, riding: Mapping[str, Floats]
+    solid: Solid, bodies: BodyPlan, filled: LimbPlan, points: Mapping[str, Floats]
 ) -> LimbPlan:
-    """The particles with the copies of cells that limbs share, and what rides on which copy.
+    """The particles with the copies of cells that limbs share; the copy of each embedded point.
 
-    riding : (n, 3) [m] points that ride, by prim path.
+    points : (n, 3) [m] embedded points, by prim path.
     """
     from gf_usd.geometry.connected.copies import find_limbs
 
@@ -171,9 +171,9 @@ def keep_limbs_apart(
         particles=replace(filled.particles, copies=limbs.copies),
         samples=replace(samples, cell_copy=limbs.of_points(samples.X, samples.body)),
         contact_setup=replace(setup, skins=skins),
-        riding={
+        embedded_copies={
             path: limbs.of_points(X, np.full(len(X), bodies.embedded[path]))
-            for path, X in riding.items()
+            for path, X in points.items()
         },
         notes=tuple(notes),
     )

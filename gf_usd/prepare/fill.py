@@ -44,7 +44,7 @@ from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import Flesh, flesh_of, make_pins, read_animation
-from gf_usd.prepare.plan import Plan, frame_bytes, riding_points
+from gf_usd.prepare.plan import Plan, embedded_points, frame_bytes
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
 
@@ -209,7 +209,7 @@ def fill(
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
     choices, split = _chosen(request, files, settings, asset, len(particles))
-    embedded_points = [f"<{p}> rides along and is not filled: {why}" for p, why in solid.embedded]
+    unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
@@ -222,7 +222,7 @@ def fill(
         ),
     )  # fmt: skip
     if not paper and request.solver != "ul":
-        limbs = keep_limbs_apart(solid, bodies, limbs, riding_points(asset))
+        limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -241,7 +241,7 @@ def fill(
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,
-        riding=limbs.riding,
+        embedded_copies=limbs.embedded_copies,
         velocity=tuple(
             start_velocities(
                 asset, bodies, spec.bodies, settings.time_scale, limbs.particles,
@@ -254,7 +254,7 @@ def fill(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
             *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak, *physics.notes,
-            *embedded_points, *left, *skin, *_options(made, each), *split,
+            *unfilled, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip

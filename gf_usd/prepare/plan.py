@@ -57,7 +57,9 @@ class Plan:
     settings: Settings  # of the first material
     outputs: Outputs
     source: Path  # the USD file to lie over: the asset, or the layer that is made of it
-    embedded: tuple[tuple[str, str], ...]  # (prim path, reason) of meshes that only ride along
+    embedded: tuple[
+        tuple[str, str], ...
+    ]  # (prim path, reason) of meshes that are not filled and move with a body
     drop: float  # [m] free fall before the floor
     notes: tuple[str, ...]
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
@@ -66,7 +68,9 @@ class Plan:
     cycle: int = 0  # frames of a period that was repeated before it is written; 0: none was
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
-    riding: Mapping[str, Ints] = field(default_factory=dict)  # copies of cells: see `LimbPlan`
+    embedded_copies: Mapping[str, Ints] = field(
+        default_factory=dict
+    )  # copies of cells: see `LimbPlan`
     contact_setup: ContactSetup | None = None
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `start_velocities`
     each: tuple[Settings, ...] = ()  # of each variant, where they are not all the same
@@ -102,9 +106,9 @@ class Plan:
 
     @property
     def points(self) -> dict[str, Floats]:
-        """Points (n, 3) [m] at rest that ride, by prim path: vertices, or captured Gaussians."""
+        """Embedded points (n, 3) [m] at rest, by prim path: vertices, or captured Gaussians."""
         exported = any(self.sequences)
-        every = riding_points(self.asset)
+        every = embedded_points(self.asset)
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
@@ -118,9 +122,11 @@ class Plan:
         return size / self.settings.frames if self.choices.settled else size
 
 
-def riding_points(asset: Asset) -> dict[str, Floats]:
-    """Points (n, 3) [m] at rest that ride on bodies, by prim path, whatever is written."""
-    return {s.path: s.points if s.splats is None else s.splats.riding for s in asset.surfaces}
+def embedded_points(asset: Asset) -> dict[str, Floats]:
+    """Points (n, 3) [m] at rest that move with bodies, by prim path, whatever is written."""
+    return {
+        s.path: s.points if s.splats is None else s.splats.embedded_points for s in asset.surfaces
+    }
 
 
 def command_line(source: Path, **asked: Any) -> str:

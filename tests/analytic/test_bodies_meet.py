@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
-from meetings import bricks, depth, half_space, meeting, momenta, obstacle, tilted
+from contact_scenes import bricks, contact_solver, depth, half_space, momenta, obstacle, tilted
 from solids import cube, sphere, surface
 
 from gf_usd.core.materials import G0
@@ -23,7 +23,7 @@ ROUNDING = 1e-5  # of m v: float32 sums over some hundred substeps
 @cache
 def crash(material: str):
     """Two balls that run into each other, and their frames."""
-    solver = meeting(
+    solver = contact_solver(
         LEFT, RIGHT, particles=600, material=material, frames=20,
         velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],
     )  # fmt: skip
@@ -43,7 +43,7 @@ def test_what_one_body_loses_another_gains(material):
 def test_angular_momentum_is_kept_to_rounding():
     """Off the line, with friction, sliding and deep: the forces of a pair act in one line."""
     # The filter keeps that of the rest shape, sum X x m v; without it only contact could change it.
-    solver = meeting(
+    solver = contact_solver(
         LEFT, RIGHT, particles=600, frames=20, velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],
         filter_rate=0.0,
     )  # fmt: skip
@@ -85,7 +85,7 @@ def test_energy_is_never_made_out_of_nothing(material):
 @pytest.mark.parametrize("g", [0.0, 10.0 * G0])
 def test_new_planes_store_what_the_old_ones_did(g):
     """A look moves nothing: all that it changes of the contact energy is injected."""
-    solver = meeting(
+    solver = contact_solver(
         LEFT, RIGHT, particles=300, frames=7, gravity=(0.0, 0.0, -g),
         velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],
     )  # fmt: skip
@@ -110,7 +110,7 @@ def test_new_planes_store_what_the_old_ones_did(g):
 
 def test_equal_bodies_swap_velocities_up_to_restitution():
     right = sphere(center=(1.3, 0.0, 0.0), path="/Right")
-    solver = meeting(
+    solver = contact_solver(
         LEFT, right, particles=600, frames=20, velocity=[(SPEED, 0.0, 0.0), (0.0, 0.0, 0.0)]
     )
     v = momenta(solver, list(solver.frames())[-1]) / (0.5 * solver.body.m.sum())
@@ -123,7 +123,7 @@ def test_equal_bodies_swap_velocities_up_to_restitution():
 
 
 def test_bodies_that_are_filtered_pass_through_each_other():
-    solver = meeting(
+    solver = contact_solver(
         LEFT, RIGHT, particles=300, frames=12, through=frozenset({(0, 1)}),
         velocity=[(SPEED, 0.0, 0.0), (-SPEED, 0.0, 0.0)],
     )  # fmt: skip
@@ -137,7 +137,7 @@ def test_bodies_that_are_filtered_pass_through_each_other():
 def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
     lower = cube((-0.5, 0.0, -0.5), path="/Lower")
     upper = cube((-0.5, 1.1, -0.5), path="/Upper")
-    solver = meeting(
+    solver = contact_solver(
         lower, upper, particles=400, frames=36, gravity=(0.0, -G0, 0.0), floor=0.0, drag=8.0,
         velocity=[(0.0, 0.0, 0.0)] * 2,
     )  # fmt: skip
@@ -160,11 +160,11 @@ def test_a_moving_obstacle_is_a_resting_one_seen_by_a_traveller():
     count, w = 16, np.array([0.8, 3.0, 0.0])
     ball = sphere(center=1.4 * tilted([[0.0, 1.0, 0.0]], 25.0)[0], path="/Ball")
     track = np.arange(count)[:, None] / 24.0 * w
-    hit = meeting(
+    hit = contact_solver(
         ball, particles=300, frames=count, velocity=[(0.0, 0.0, 0.0)],
         colliders=(plate(25.0, offset=track),),
     )  # fmt: skip
-    hits = meeting(
+    hits = contact_solver(
         ball, particles=300, frames=count, velocity=[tuple(-w)], colliders=(plate(25.0),)
     )
     one, other = list(hit.frames()), list(hits.frames())
@@ -191,7 +191,7 @@ def test_a_plane_without_friction_leaves_what_is_along_it():
     along, out = tilted([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 25.0)
     # Far from the corners that define the plane: it has no end.
     ball = sphere(center=1.3 * out + 50.0 * along, path="/Ball")
-    solver = meeting(
+    solver = contact_solver(
         ball, particles=300, frames=16, colliders=(slope,), velocity=[tuple(along - 2.0 * out)]
     )
     frames = list(solver.frames())
@@ -206,7 +206,7 @@ def slope(degrees: float, frames: int = 36) -> np.ndarray:
     """Speed [m/s] between frames of a box put on a slope with friction 0.5, down along it."""
     box = cube((-0.5, 0.002, -0.5), path="/Box")
     box = surface(tilted(box.points, degrees), box.triangles, path="/Box")
-    solver = meeting(
+    solver = contact_solver(
         box, particles=200, frames=frames, gravity=(0.0, -G0, 0.0), velocity=[(0.0, 0.0, 0.0)],
         changes={"restitution": 0.1}, colliders=(half_space(degrees, friction=0.5),),
     )  # fmt: skip
@@ -246,7 +246,7 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
 
     gap = {}
     for asked in (True, False):
-        solver = meeting(
+        solver = contact_solver(
             body, particles=500, material=material, self_contact=asked, velocity=[close], frames=12
         )
         frames = list(solver.frames())
@@ -270,7 +270,7 @@ def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):
         speed = -rate * np.sign(X[:, 0]) * np.maximum(X[:, 1], 0.0)
         return np.stack([speed, 0.0 * speed, 0.0 * speed], -1)
 
-    solver = meeting(
+    solver = contact_solver(
         tongs(), particles=500, material=material, self_contact=True, velocity=[close], frames=14
     )
     h = [f.health for f in solver.frames()]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from contact_scenes import bricks, contact_solver, half_space
 from launching import WAYS, launched
-from meetings import bricks, half_space, meeting
 from solids import sphere, surface
 
 from gf_usd.core.frames import Health
@@ -17,7 +17,7 @@ def falling(threads: int = 2, frames: int = 7):
     rise = np.arange(frames)[:, None] * [0.0, 0.02, 0.0]
     low = sphere(center=(0.0, 1.1, 0.0), subdivisions=2, path="/Low")
     high = sphere(center=(0.3, 3.2, 0.1), subdivisions=2, path="/High")
-    return meeting(
+    return contact_solver(
         low, high, particles=400, frames=frames, threads=threads, gravity=(0.0, -9.81, 0.0),
         velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)], colliders=(half_space(10.0, offset=rise),),
         self_contact=True,
@@ -81,7 +81,7 @@ def closing(frames: int = 10):
         speed = -5.0 * np.sign(X[:, 0]) * np.maximum(X[:, 1], 0.0)
         return np.stack([speed, 0.0 * speed, 0.0 * speed], -1)
 
-    return meeting(body, particles=300, self_contact=True, velocity=[close], frames=frames)
+    return contact_solver(body, particles=300, self_contact=True, velocity=[close], frames=frames)
 
 
 def test_a_body_that_meets_itself_goes_on_to_the_bit():
@@ -112,7 +112,7 @@ def test_samples_far_from_the_floor_are_left_out_without_a_trace(monkeypatch):
 
     for chosen in (counted, lambda self, state, near, span: near):
         monkeypatch.setattr(ActiveSamples, "nearer", chosen)
-        solver = meeting(
+        solver = contact_solver(
             sphere(center=(0.0, 1.1, 0.0), subdivisions=2, path="/Low"),
             sphere(center=(0.3, 3.2, 0.1), subdivisions=2, path="/High"),
             particles=300, frames=6, gravity=(0.0, -9.81, 0.0), floor=0.0,

@@ -167,7 +167,7 @@ def test_what_is_no_part_of_the_body_is_set_aside():
     # they ride all the same, those outside on the nearest point of the surface
     assert surface.splats is not None
     assert len(surface.splats) == len(everything)
-    carriers = surface.splats.riding
+    carriers = surface.splats.embedded_points
     np.testing.assert_allclose(carriers[2000], [0.5, 0, 0], atol=NEAR)
     np.testing.assert_array_equal(carriers[:2000], everything.points[:2000])
 

@@ -21,7 +21,7 @@ def launched(solver: TotalLagrangian, way: str, monkeypatch: pytest.MonkeyPatch)
         solver.launches = Launches(solver.body, solver.state, over_all=True)
         return solver
     monkeypatch.setattr(launch, "BUSY", 0.0)  # keeps its threads on a busy machine, too
-    monkeypatch.setattr(launch, "MOMENT", 1e-9 if way == "one by one" else 1e9)
+    monkeypatch.setattr(launch, "LAUNCH_SECONDS", 1e-9 if way == "one by one" else 1e9)
     team = solver.launches.thread_count
     assert team is not None
     team.most = team.size = 1 if way == "alone" else 4

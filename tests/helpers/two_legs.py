@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from meetings import bricks
+from contact_scenes import bricks
 from solids import solid, surface
 
 from gf_usd.core.asset import Surface

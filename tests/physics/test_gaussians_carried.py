@@ -142,7 +142,7 @@ def test_strays_hang_stiffly_on_their_carriers():
     rest = replace(rest, anchors=anchors)
     R = Rotation.from_euler("x", 1.0).as_matrix()
     F = R @ np.diag([2.0, 1.0, 0.5])
-    at = rest.riding @ F.T + [0.0, 5.0, 0.0]
+    at = rest.embedded_points @ F.T + [0.0, 5.0, 0.0]
     made = CarriedSplats(rest).advance(pose(at, F), np.eye(3))
     np.testing.assert_allclose(made.positions[2:], at[2:])
     arm = rest.points[:2]

@@ -202,7 +202,7 @@ def test_the_damping_ratio_is_that_of_the_step(plan: Plan) -> None:
 def test_bodies_in_flight_and_those_that_meet_only_themselves_are_cheap(plan: Plan) -> None:
     def seconds(**more: Any) -> float:
         known: dict[str, Any] = {
-            "particles": 1000, "vertices": 100, "meeting": 800, "frame_bytes": 1.0,
+            "particles": 1000, "vertices": 100, "paired": 800, "frame_bytes": 1.0,
             "first_contact": None,
         }  # fmt: skip
         made = budget.estimate(plan.settings, plan.materials, [1000], **{**known, **more})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meetings import bricks
+from contact_scenes import bricks
 from physics_stages import head, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
 

@@ -37,7 +37,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plan(source: Path) -> Plan:
-    """A ball of two materials with a mesh that rides along."""
+    """A ball of two materials with a mesh that is not filled."""
     shape = sphere(0.5, path=PATH)
     particles, samples = fill(solid(shape), 200)
     return Plan(

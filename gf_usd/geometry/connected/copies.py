@@ -38,7 +38,7 @@ MOST_SHELLS = 256  # pairs that meet in cells: beyond it all count as touching
 
 @dataclass(frozen=True, kw_only=True)
 class Limbs:
-    """The copies of the cells of a solid, and which copy a point of it rides on."""
+    """The copies of the cells of a solid, and which copy a point of it is in."""
 
     copies: CellCopies
     nodes: int  # copies of nodes beyond the first of each
@@ -49,9 +49,9 @@ class Limbs:
     _corners: Floats  # (bodies, 3) [m]
 
     def of_points(self, X: Floats, body: Ints | None = None) -> Ints:
-        """(n,) the copies that points X (n, 3) [m] ride on: those behind their nearest triangles.
+        """(n,) the copies that points X (n, 3) [m] are in: those behind their nearest triangles.
 
-        body : (n,) the body that each rides on; None: the first.
+        body : (n,) the body of each; None: the first.
         """
         body = np.zeros(len(X), np.int64) if body is None else body
         row = self._patches.behind((X - self._corners[body]) / self.copies.h, body)

@@ -11,7 +11,7 @@ from gf_usd.physics.total_lagrangian.state import State
 
 
 class ActiveSamples:
-    """Which contact samples the kernels of a body look at."""
+    """Which contact samples the kernels of a body evaluate."""
 
     def __init__(self, body: Body) -> None:
         self._body = body
@@ -67,24 +67,24 @@ class ActiveSamples:
 
         move_springs(state, velocity, body.settings.normal, time)
 
-    def select(self, state: State, near: Ints, meeting: Ints, dt: float) -> int:
-        """Have the kernels look at these samples and no others; returns how many there are.
+    def select(self, state: State, near: Ints, paired: Ints, dt: float) -> int:
+        """Restrict the kernels to these samples; returns how many there are.
 
-        near, meeting : (k,) ascending, those that the floor may reach and those that face a body or
-        an obstacle or carry a plane.  The nodes' side is W^T of both alone: the others would be
-        summed as zeros, substep by substep.  dt : [s] of the substeps to come.
+        near, paired : (k,) ascending, those that the floor may reach and those of contact pairs,
+        with a body or an obstacle.  The nodal sums are W^T of these alone: all others are 0.
+        dt : [s] of the substeps to come.
         """
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
         if self._body.options.driven and self._body.settings.floor is not None:
             self._drive(state, dt)
-        samples = np.union1d(near, meeting) if len(meeting) else near
-        if self._active is None or not _same(self._active, (samples, meeting)):
-            self._active = samples, meeting
+        samples = np.union1d(near, paired) if len(paired) else near
+        if self._active is None or not _same(self._active, (samples, paired)):
+            self._active = samples, paired
             of_nodes = self._body.contact.nodes[samples].T.tocsr()  # sorted by counting
-            others = np.setdiff1d(samples, meeting, assume_unique=True)
-            state.put_first("sample_active", np.concatenate([[len(meeting)], meeting, others]))
+            others = np.setdiff1d(samples, paired, assume_unique=True)
+            state.put_first("sample_active", np.concatenate([[len(paired)], paired, others]))
             state.put_first("node_sample", samples[of_nodes.indices])
             state.put_first("node_sample_weight", of_nodes.data)
             state.put("node_sample_start", of_nodes.indptr)

@@ -1,6 +1,6 @@
 """Three samples of a surface that carry a plane: which they are, and how they turn.
 
-A plane rides on three samples k of the body it belongs to, with weights w_k that are barycentric of
+A plane moves with three samples k of the body it belongs to, with weights w_k barycentric of
 its point in their triangle.  With r_k from their centroid they turn at the rate of the rigid motion
 nearest to theirs,
 

@@ -35,7 +35,7 @@ STOPPING_DISTANCE = 0.25  # of s
 # Of the second and third term where two bodies meet, or a body and an obstacle, which may come
 # twice as fast as one body alone: twice the stiffness for a mass of half.  Balls of jelly overlap
 # by .41 spacings with it, by .54 without (measured, at 3 m/s each).
-MEETING = 2.0
+PAIR_STIFFNESS = 2.0
 REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
 
 
@@ -59,7 +59,7 @@ class FloorContact:
     nodes: sparse.csr_matrix  # (n, nodes) of what is not: free nodes, and those of rigid regions
     mass: Floats  # (n,) [kg] that each sample stands for: rho * area * s
     stiffness: Floats  # (n,) [N/m]
-    meeting: Floats  # (n,) [N/m] where it meets a body or an obstacle
+    pair_stiffness: Floats  # (n,) [N/m] where it meets a body or an obstacle
     damping: Floats  # (n,) [N s/m]
     tangential: Floats  # (n,) [N/m] of the springs by which friction sticks; 0: none
     friction: Floats  # (n,)
@@ -168,7 +168,7 @@ def build_contact(
         nodes=nodes,
         mass=m,
         stiffness=k,
-        meeting=stiffness(MEETING),
+        pair_stiffness=stiffness(PAIR_STIFFNESS),
         damping=c,
         tangential=k.copy() if rate is None else np.zeros_like(k),
         friction=np.broadcast_to(friction, m.shape).astype(float),

@@ -79,8 +79,8 @@ class ContactPlanes:
         start = np.searchsorted(carriers[order], np.arange(len(self.partner) + 1))
         return start, entries[order]
 
-    def ridden(self, values: Floats) -> Floats:
-        """sum_k w_k (n, 3) of what the carriers have of values (n, 3); 0 for obstacles."""
+    def interpolated(self, values: Floats) -> Floats:
+        """Values (n, 3) of the samples, interpolated to the planes: sum_k w_k; 0 for obstacles."""
         out, who = np.zeros_like(values), self.carried
         out[who] = np.einsum("nk,nka->na", self.weights[who], values[self.carriers[who]])
         return out
@@ -88,7 +88,7 @@ class ContactPlanes:
     def depth(self, x: Floats, elapsed: float) -> Floats:
         """(n,) [m] of samples at x (n, 3) [m] under their planes, elapsed [s] since detection."""
         active = np.flatnonzero(self.partner != NOBODY)
-        q = self.point + self.ridden(x) + elapsed * self.velocity
+        q = self.point + self.interpolated(x) + elapsed * self.velocity
         out = np.zeros(len(x))
         out[active] = np.maximum(0.0, ((q - x)[active] * self.normal[active]).sum(1))
         return out
@@ -124,7 +124,7 @@ def moved(planes: ContactPlanes, x: Floats, v: Floats, time: float) -> ContactPl
         normal[who] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         point[who] += cross(turn[who], point[who])
     if (stuck := np.flatnonzero(spring.any(1))).size:
-        way = time * (v - p.ridden(v) - p.velocity) - cross(turn, x - p.ridden(x))
+        way = time * (v - p.interpolated(v) - p.velocity) - cross(turn, x - p.interpolated(x))
         spring[stuck] += (way + cross(turn, spring))[stuck]
         spring[stuck] = along(spring[stuck], normal[stuck])
     return replace(p, normal=normal, point=point, spring=spring)
@@ -196,10 +196,12 @@ def pair_values(
     walls : (friction, restitution) of each obstacle, None: the sample's own.
     """
     mass, friction, restitution = contact.mass, contact.friction, contact.restitution
-    k, m, mu, e = (np.array(v, float) for v in (contact.meeting, mass, friction, restitution))
+    k, m, mu, e = (
+        np.array(v, float) for v in (contact.pair_stiffness, mass, friction, restitution)
+    )
     a = planes.carried
     b = planes.partner[a]
-    k[a] = np.minimum(contact.meeting[a], contact.meeting[b])
+    k[a] = np.minimum(contact.pair_stiffness[a], contact.pair_stiffness[b])
     m[a] = mass[a] * mass[b] / (mass[a] + mass[b])
     mu[a], e[a] = np.sqrt(friction[a] * friction[b]), np.minimum(restitution[a], restitution[b])
     for number, (wall_friction, wall_restitution) in enumerate(walls):

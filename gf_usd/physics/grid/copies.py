@@ -64,7 +64,7 @@ class NodeCopies:
         return sparse.csr_matrix((np.ones(len(copy), np.float32), ends), shape=shape)
 
     def base(self, cells: Floats, copy: Ints) -> Ints:
-        """Base node (n, 3) of points at `cells` (n, 3), which ride on copies (n,) of cells.
+        """Base node (n, 3) of points at `cells` (n, 3), which belong to copies (n,) of cells.
 
         A point on the face of a cell is in the cell of its copy.
         """

@@ -4,8 +4,8 @@ Nodes that hardly any particle reaches have next to no mass and stiffness: left 
 hundreds of cells (measured) and spoil F of the particles at the surface.  A light node follows the
 free ones by an affine fit, u_l = sum_j e_lj u_j with sum e = 1 and sum e X_j = X_l, and hands its
 force and mass on by the same numbers, which keeps linear and angular momentum exact.  Nodes that no
-particle reaches at all are read the same way by whatever rides there.  Nodes that a pin holds
-follow its motion (`holds`).
+particle reaches at all are evaluated the same way for points embedded there.  Pinned nodes follow
+the motion of their pin (`holds`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Embedded points: their poses, deformed normals and deformation gradients.
 
-Rows of the many points of a mesh or a capture that rides on a body, in little memory.
+Rows of the many points of a mesh or a capture that is embedded in a body, in little memory.
 
 Most of a surface lies on light nodes, each of which follows a dozen free ones.  A row over free
 nodes names them all, some hundred; a row over the 27 nodes around a point names those, once what

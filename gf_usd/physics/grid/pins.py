@@ -249,7 +249,7 @@ class PinConstraint:
     ) -> Pose:
         """A pose with the held points where they belong; offset (3,) [m] shifts all.
 
-        Along a free axis they ride on the grid as they are.
+        Along a free axis they are evaluated from the grid, like all others.
         """
         mine = np.flatnonzero(held.pin >= 0)
         if not len(mine):

@@ -149,8 +149,8 @@ class Stencil:
     def rows(self, X: Floats, body: Ints | None = None, cell_copy: Ints | None = None) -> Rows:
         """W and G of any points (n, 3) on the free nodes; with pins, also on the followers' c.
 
-        body : (n,) the body that each rides on; None: the first.
-        cell_copy : (n,) the copy of a cell that each rides on, see `Particles.copies`; None: any.
+        body : (n,) the body of each; None: the first.
+        cell_copy : (n,) the copy of a cell that each is in, see `Particles.copies`; None: any.
         """
         body = np.zeros(len(X), int) if body is None else body
         parts = [

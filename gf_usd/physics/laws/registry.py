@@ -14,7 +14,7 @@ q = (mu, lam, then the row's own parameters):
 In Taichi F and P are lists of nine lane vectors (`simd3x3`), q and a lists of lane vectors, in
 NumPy q has rows (N,).  psi and pk1 are defined for every F, inverted ones included.  `flow` gives
 lanes that do not flow their F back to the bit.  The tests run over the registry, so that a new row
-is held to gradient, objectivity and rest state the moment it stands there.
+is tested for gradient, objectivity and rest state as soon as it is listed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Substeps as launches of kernels.
 
-On the CPU a launch is as many substeps as take a moment, shared among threads inside it; on a GPU
+On the CPU a launch has the substeps of `LAUNCH_SECONDS`, shared among threads inside it; on a GPU
 it is one substep, over all threads.  Both take the same sums in the same order: how substeps are
 cut into launches, and among threads, changes no bit.
 
@@ -88,7 +88,7 @@ def filter_of(rate: float, dt: float) -> tuple[int, float]:
     return every, float(1.0 - np.exp(-rate * every * dt))
 
 
-MOMENT = 0.1  # [s] of a launch; between launches Ctrl-C is heard and threads are counted anew
+LAUNCH_SECONDS = 0.1  # [s] of a launch; Ctrl-C and a change of the thread count wait for its end
 FEW = 1_500  # particles for each thread, at least: with fewer they wait more than they work
 GUESS = 1e-7  # [s] of a particle and substep, until one is measured
 BUSY = 0.75  # of the time that passed: threads that ran for less lacked a core
@@ -122,7 +122,7 @@ class ThreadCount:
 
     def fitting(self, substeps: int) -> int:
         """How many of so many substeps the next launch takes."""
-        return max(1, min(substeps, int(MOMENT / self._pace)))
+        return max(1, min(substeps, int(LAUNCH_SECONDS / self._pace)))
 
     def launch(self, work: Callable[[int], None], substeps: int) -> None:
         """`work` with as many threads as there seem to be cores for."""

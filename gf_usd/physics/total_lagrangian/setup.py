@@ -60,7 +60,7 @@ class Body:
     stencil: Stencil
     mass: NodalMass  # of the free nodes
     rows: Rows  # of the particles on the nodes
-    embedded: Mapping[str, Rows]  # of each set of points that rides along
+    embedded: Mapping[str, Rows]  # of each set of embedded points
     pin_constraint: PinConstraint | None  # the pins
     regions: RigidRegions | None  # what moves as rigid bodies
     goals: NodeGoals | None  # springs that draw the free nodes to a pose

@@ -1,7 +1,7 @@
 """Once a frame: the paper's shape correction, and F anew from where the particles are.
 
-Both come after the substeps of a frame, in this order, and act on the state, which is all there is:
-what rides on the body, and the points that feel the floor, follow by the same rows as ever.
+Both come after the substeps of a frame, in this order, and act on the state alone: embedded points
+and contact samples follow, since they are evaluated from it.
 
 Shape correction of strength alpha (GaussianFlesh section 4.3, "Procrustes"), on positions only,
 towards the rest shape as it lies, without rotation (docs/physics.md):
@@ -14,9 +14,9 @@ A body that has turned is pulled back: that is what no rotation means.
 
 WLS (section 3.2): F <- argmin sum_q w_pq |F (X_q - X_p) - (x_q - x_p)|^2 over the k nearest
 particles at rest, weights Gaussian.  That is linear in x, one constant sparse operator for each
-column: F = I + D u_particles.  From there on F = F0 + G u with F0 = F_wls - G u of that moment,
-its singular values clipped where a clamp is set: the anchor (x0, F0, u0) = (X + W u, F_wls, u),
-kept as one matrix for each particle.  x needs no anchor, since nothing but u ever moves it.
+column: F = I + D u_particles.  From there on F = F0 + G u with F0 = F_wls - G u at that time,
+its singular values clipped where a clamp is set: the reference (x0, F0, u0) = (X + W u, F_wls, u),
+kept as one matrix for each particle.  x needs no reference, since only u moves it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Total Lagrangian APIC: the production solver.
 
 The state is a displacement u and a velocity v on the nodes of a grid that never moves
-(docs/physics.md).  Everything that rides on the body, particles included, is read off them:
-x = X + offset + W u, F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
+(docs/physics.md).  Particles and embedded points are evaluated from them: x = X + offset + W u,
+F = I + G u.  `offset` is a rigid translation taken out of u once a frame, so
 that a long fall costs the strain no digits.  The paper's options are in `limits` and
 `shape_correction`.
 """
@@ -38,15 +38,15 @@ class TotalLagrangian(Solver):
     Parameters
     ----------
     particles, materials, settings : see `core`; materials of any mix of laws.
-    samples : surface points that feel the floor; None or no floor: no contact.
-    embedded : named points (n, 3) [m] that ride along; their poses come with every frame.
+    samples : surface points at which contact acts; None or no floor: no contact.
+    embedded : named points (n, 3) [m] that move with the body; every frame has their poses.
     velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3) [m/s]: the motion at the start; or a list
         of these, one a body.
     pins : regions whose motion is given.
     contact_setup : what the bodies meet besides the floor.
     goals : springs that draw the body to a pose; None: none do.
-    embedded_body : the body that a named set of points rides on; the first where it is not named.
-    embedded_copy : the copies of cells that the points of a named set ride on, where
+    embedded_body : the body of a named set of points; the first where it is not named.
+    embedded_copy : the copies of cells that the points of a named set are in, where
         `particles.copies` has several.
     acceleration : X (n, 3) [m] -> (n, 3) [m/s^2]: a body force besides gravity, constant in time.
     real : numpy dtype of the kernels.
@@ -121,15 +121,15 @@ class TotalLagrangian(Solver):
         active = taken = 0
         last = 0.0  # [s] the substep before
         while left:
-            chunk, parts, low, meeting = left, left, near, near[:0]
+            chunk, parts, low, paired = left, left, near, near[:0]
             if pairs:
                 chunk, parts = pairs.detect(state, index, whole, substeps - left, left)
                 low = self.active.nearer(state, near, chunk * whole)
-                meeting = pairs.planes.active
+                paired = pairs.planes.active
             dt = chunk * whole / parts
             if dt != last:  # springs stand where the forces before are taken, half a step back
                 self.active.move_springs(state, 0.5 * (last - dt))
-            watched = self.active.select(state, low, meeting, dt)
+            watched = self.active.select(state, low, paired, dt)
             active = max(active, watched)
             self.launches.run(state, parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 # Of what a part has an item each.
 FREE, FOLLOWERS, NODES, GROUPS, SAMPLES = "free", "followers", "nodes", "groups", "samples"
 REGIONS = "regions"  # rigid ones
-MEETING = "meeting"  # samples that face a body or an obstacle, or carry a plane
+PAIRED = "paired"  # samples of contact pairs, with a body or an obstacle
 
 # When a stage is due: in every substep, where a frame opens, where the filter acts, where samples
 # meet.
@@ -55,9 +55,9 @@ def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tupl
 
     summed = [stage(("node force", NODES))] if plain else []
     gathered = [stage(("node momentum", NODES), when=FILTERING)] if plain else []
-    motion = [("sample motion", MEETING)] if meets else []
-    pairs = [("pair contact", MEETING)] if meets else []
-    totals = [stage(("pair total", MEETING), when=TOUCHING)] if meets else []
+    motion = [("sample motion", PAIRED)] if meets else []
+    pairs = [("pair contact", PAIRED)] if meets else []
+    totals = [stage(("pair total", PAIRED), when=TOUCHING)] if meets else []
     lost = [stage(("filter lumped", FREE), when=FILTERING)] if coupled else []
     pushed = [stage(("move lumped", FREE))] if coupled else []
 

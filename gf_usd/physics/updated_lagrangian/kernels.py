@@ -3,7 +3,7 @@
 Per substep of length dt (GaussianFlesh section 4.4; Hu et al. 2018), with `ul_transfer_kernel`:
 
     sort the particles by the cells they are in now      `ul_sort_kernel`
-    forces of the floor on the samples they carry        `ul_particle_kernel`
+    forces of the floor on the samples embedded in them  `ul_particle_kernel`
     mass and momentum to the nodes, with the stress      `ul_transfer_kernel`
     v_i <- (p_i / m_i + dt g) exp(-drag dt)
     v, C, L back to the particles;  x, F move by dt
@@ -50,13 +50,19 @@ STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 3
 
 REALS = (
     *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
-    *("push", "block", "node_v", "ride_weight", "ride_arm"),
+    *("push", "block", "node_v", "support_weight", "support_arm"),
     *("sample_constants", "sample_spring"),
     *("sample_force", "sample_depth"),
 )
 WHOLE = (
     *("box", "key", "rank", "order", "slot", "cell_key", "cell_start", "clamped", "stress_capped"),
-    *("ride_particle", "particle_ride_start", "particle_ride", "sample_active", "sample_capped"),
+    *(
+        "support_particle",
+        "particle_support_start",
+        "particle_support",
+        "sample_active",
+        "sample_capped",
+    ),
 )
 
 

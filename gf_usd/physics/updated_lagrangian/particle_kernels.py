@@ -3,7 +3,7 @@
 import taichi as ti
 
 from gf_usd.physics.contact.kernels import floor_force
-from gf_usd.physics.updated_lagrangian.riding import CARRIERS
+from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT
 
 
 @ti.func
@@ -85,10 +85,10 @@ def sample_force(body: ti.template(), s, up, lift, dt):
     """
     x = up * 0.0
     v = up * 0.0
-    for e in range(CARRIERS * s, CARRIERS * (s + 1)):
-        p = body.ride_particle[e]
-        w = body.ride_weight[e]
-        d = turned(body.F, p, vector(body.ride_arm, 3 * e))
+    for e in range(SUPPORT * s, SUPPORT * (s + 1)):
+        p = body.support_particle[e]
+        w = body.support_weight[e]
+        d = turned(body.F, p, vector(body.support_arm, 3 * e))
         x += w * (vector(body.x, 3 * p) + d)
         v += w * (vector(body.v, 3 * p) + turned(body.L, p, d))
     floor_force(body, s, 0.0 - (lift + x.dot(up)), v, up, dt)
@@ -96,7 +96,7 @@ def sample_force(body: ti.template(), s, up, lift, dt):
 
 @ti.func
 def push_particle(body: ti.template(), p):
-    """Force f_p and moment M_p = sum w f (x) d of the samples that particle p carries.
+    """Force f_p and moment M_p = sum w f (x) d of the samples in whose support particle p is.
 
     The transpose of how a sample reads its motion, so that work, momentum and angular momentum
     agree on both sides.
@@ -105,10 +105,10 @@ def push_particle(body: ti.template(), p):
     m0 = f
     m1 = f
     m2 = f
-    for at in range(body.particle_ride_start[p], body.particle_ride_start[p + 1]):
-        e = body.particle_ride[at]
-        g = body.ride_weight[e] * vector(body.sample_force, 3 * (e // CARRIERS))
-        d = turned(body.F, p, vector(body.ride_arm, 3 * e))
+    for at in range(body.particle_support_start[p], body.particle_support_start[p + 1]):
+        e = body.particle_support[at]
+        g = body.support_weight[e] * vector(body.sample_force, 3 * (e // SUPPORT))
+        d = turned(body.F, p, vector(body.support_arm, 3 * e))
         f += g
         m0 += g[0] * d
         m1 += g[1] * d

@@ -24,7 +24,7 @@ from gf_usd.physics.total_lagrangian.setup import (
     surface_contact,
     viscosities,
 )
-from gf_usd.physics.updated_lagrangian.riding import CARRIERS, Ride, board
+from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT, EmbeddedPoints, embed
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
@@ -43,9 +43,9 @@ class Body:
     center: Floats  # (3,) [m] of mass
     phase: Floats  # (3,) [cells] where the grid's node 0 lies, from the offset
     start: Mapping[str, Floats]  # v (N, 3), C and L (N, 3, 3): `start_motion`
-    embedded: Mapping[str, Ride]
+    embedded: Mapping[str, EmbeddedPoints]
     contact: FloorContact | None
-    ride: Ride | None  # of the contact samples
+    embedding: EmbeddedPoints | None  # of the contact samples
     step: StableStep
     law: ParticleLaws
     kernels: SimpleNamespace
@@ -79,7 +79,7 @@ def build_body(
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
     rows = at_rest.rows(particles.X)
-    contact, ride = floor_contact(samples, particles, at_rest, rows, settings, per)
+    contact, embedding = floor_contact(samples, particles, at_rest, rows, settings, per)
     center = m @ particles.X / m.sum()
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
@@ -95,9 +95,9 @@ def build_body(
         center=center,
         phase=(at_rest.origin - center) / h,
         start=start_motion(velocity, rows, at_rest),
-        embedded={name: board(X, particles.X) for name, X in (embedded or {}).items()},
+        embedded={name: embed(X, particles.X) for name, X in (embedded or {}).items()},
         contact=contact,
-        ride=ride,
+        embedding=embedding,
         step=largest_step(particles, h, contact, settings, per),
         law=law,
         kernels=build(law.set, damped, clamp, cap, kind, epoch()),
@@ -145,18 +145,18 @@ def floor_contact(
     rows: Rows,
     settings: Settings,
     per: dict[str, Floats],
-) -> tuple[FloorContact | None, Ride | None]:
-    """Stiffness and damping as for the Total Lagrangian solver, on samples carried by particles."""
+) -> tuple[FloorContact | None, EmbeddedPoints | None]:
+    """Stiffness and damping as for the Total Lagrangian solver, on embedded samples."""
     contact = surface_contact(samples, particles, stencil, settings, per)
     if contact is None or samples is None:
         return None, None
-    ride = board(samples.X, particles.X)
-    B = ride.rows(rows)
+    embedding = embed(samples.X, particles.X)
+    B = embedding.rows(rows)
     return replace(
         contact,
         omega2=largest_eigenvalue(B, contact.stiffness, stencil.mass),
         damping_rate=largest_eigenvalue(B, contact.damping, stencil.mass),
-    ), ride
+    ), embedding
 
 
 def arrays(body: Body) -> dict[str, Floats]:
@@ -178,24 +178,26 @@ def arrays(body: Body) -> dict[str, Floats]:
         "push": np.zeros(12 * n),
         "box": np.zeros(9, int),
         **whole,
-        **_contact_arrays(body.contact, body.ride, n),
+        **_contact_arrays(body.contact, body.embedding, n),
     }
 
 
-def _contact_arrays(contact: FloorContact | None, ride: Ride | None, n: int) -> dict[str, Floats]:
+def _contact_arrays(
+    contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int
+) -> dict[str, Floats]:
     """The contact part; without a floor, one sample that is never active."""
-    if contact is None or ride is None:
-        carrier, weight, arm = (
-            np.zeros((1, CARRIERS), int),
-            np.zeros((1, CARRIERS)),
-            np.zeros((1, CARRIERS, 3)),
+    if contact is None or embedding is None:
+        support, weight, arm = (
+            np.zeros((1, SUPPORT), int),
+            np.zeros((1, SUPPORT)),
+            np.zeros((1, SUPPORT, 3)),
         )
         law = np.zeros(FLOOR_ROW)
     else:
-        carrier, weight, arm = ride.particle, ride.weight, ride.arm
+        support, weight, arm = embedding.particle, embedding.weight, embedding.arm
         law = contact.law.ravel()
-    count = len(carrier)
-    order = np.argsort(carrier.ravel(), kind="stable")
+    count = len(support)
+    order = np.argsort(support.ravel(), kind="stable")
     return {
         "sample_constants": law,
         "sample_force": np.zeros(3 * count),
@@ -203,11 +205,11 @@ def _contact_arrays(contact: FloorContact | None, ride: Ride | None, n: int) -> 
         "sample_depth": np.zeros(count),
         "sample_active": np.zeros(count, int),
         "sample_capped": np.zeros(count, int),
-        "ride_particle": carrier.ravel(),
-        "ride_weight": weight.ravel(),
-        "ride_arm": arm.ravel(),
-        "particle_ride_start": np.searchsorted(carrier.ravel()[order], np.arange(n + 1)),
-        "particle_ride": order,
+        "support_particle": support.ravel(),
+        "support_weight": weight.ravel(),
+        "support_arm": arm.ravel(),
+        "particle_support_start": np.searchsorted(support.ravel()[order], np.arange(n + 1)),
+        "particle_support": order,
     }
 
 

@@ -1,9 +1,9 @@
 """Updated Lagrangian MLS-MPM: the usual way, to compare with (GaussianFlesh section 4.4).
 
 The state is x, v, C, F and L = grad v on the particles.  The grid is built anew in every substep
-around where they are now, fixed in the world, and forgotten: `kernels`.  Whatever rides on the
-body, contact samples and mesh vertices, is carried by its particles: `riding`.  APIC acts in
-every substep, so there is no filter rate.
+around where they are now, fixed in the world, and forgotten: `kernels`.  Contact samples and mesh
+vertices are embedded in the particles: `embedded_points`.  APIC acts in every substep, so there is
+no filter rate.
 
 Positions are kept relative to `offset`, which moves with the body by whole cells, so that a long
 fall costs them no digits and the grid stays where it is.
@@ -147,7 +147,7 @@ class UpdatedLagrangian(Solver):
             index=index,
             time=state.time,
             particles=pose,
-            embedded={name: ride.pose(x, v, F, L) for name, ride in body.embedded.items()},
+            embedded={name: e.pose(x, v, F, L) for name, e in body.embedded.items()},
             stress=self.von_mises() if s.stress else None,
             internal=body.law.written(
                 state.rows("history", body.law.set.history).astype(float), elastic_strains[0]

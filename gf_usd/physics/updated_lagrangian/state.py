@@ -1,4 +1,4 @@
-"""The state of the Updated Lagrangian solver: its particles, and room for the grid around them."""
+"""The state of the Updated Lagrangian solver: particles, and memory for the grid around them."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ class State(DeviceState):
 
         lift : [m] of the moving frame of x above the floor.
         """
-        s, ride = self._body.settings, self._body.ride
-        if ride is None:
+        s, embedding = self._body.settings, self._body.embedding
+        if embedding is None:
             return 0
-        pose = ride.pose(*self.motion())
+        pose = embedding.pose(*self.motion())
         span = s.frame_time
         speed = float(np.abs(pose.v @ s.normal).max())
         g = abs(float(np.dot(s.gravity, s.normal)))
@@ -121,21 +121,21 @@ class State(DeviceState):
 
     def move_springs(self, time: float) -> None:
         """See `floor.move_springs`."""
-        ride = self._body.ride
-        if ride is not None:
+        embedding = self._body.embedding
+        if embedding is not None:
             move_springs(
                 self,
-                lambda held: ride.pose(*self.motion()).v[held],
+                lambda held: embedding.pose(*self.motion()).v[held],
                 self._body.settings.normal,
                 time,
             )
 
     def contact_energy(self) -> float:
         """sum_s (k d^2 + k_t xi^2) / 2 [J] stored in the floor's springs."""
-        s, ride, contact = self._body.settings, self._body.ride, self._body.contact
-        if ride is None or contact is None:
+        s, embedding, contact = self._body.settings, self._body.embedding, self._body.contact
+        if embedding is None or contact is None:
             return 0.0
-        x = ride.pose(*self.motion()).x + self.offset
+        x = embedding.pose(*self.motion()).x + self.offset
         height = x @ s.normal - (s.floor or 0.0)
         held = spring_energy(contact.tangential, self.rows("sample_spring"))
         return held + float(0.5 * contact.stiffness @ np.maximum(0.0, -height) ** 2)

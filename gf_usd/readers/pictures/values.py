@@ -61,7 +61,7 @@ class Carrier:
     prim: Usd.Prim
     first: Usd.TimeCode  # when it lies as at rest, wherever it was lifted to
     rest: Floats  # (N, 3) restPositions, stage units
-    meshes: frozenset[str]  # prim paths of what rides on it
+    meshes: frozenset[str]  # prim paths of what is embedded in it
 
 
 class Values:
@@ -124,7 +124,7 @@ class Values:
         return None
 
     def carrier_of(self, mesh: str) -> Carrier | None:
-        """The particles that a mesh rides on; None for a mesh that no bake moved."""
+        """The particles that a mesh is embedded in; None for a mesh that no bake moved."""
         return next((carrier for carrier in self._carriers if mesh in carrier.meshes), None)
 
     def knows(self, mesh: str) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from meetings import half_space, meeting
+from contact_scenes import contact_solver, half_space
 from solids import cube
 
 from gf_usd.core.frames import Frame
@@ -25,7 +25,7 @@ def pressed(on: str, **changes: float) -> tuple[TotalLagrangian, list[Frame]]:
     way = np.append(np.linspace(0.0, DEEP, FRAMES), DEEP)
     path = core.anchors - way[:, None, None] * np.eye(3)[1]
     pin: Pin = replace(core, inside=lambda X: X[:, 1] > GAP + CORE, path=path, sharp=False)
-    solver = meeting(
+    solver = contact_solver(
         body, particles=250, frames=FRAMES, pins=[pin], filter_rate=0.0,
         floor=0.0 if on == "floor" else None,
         colliders=() if on == "floor" else (half_space(),),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from meetings import half_space, meeting
+from contact_scenes import contact_solver, half_space
 from two_legs import legs
 
 GAP = 0.5  # [m]
@@ -21,7 +21,7 @@ def put(solver, y: float) -> None:
 
 def test_what_is_inside_something_else_is_not_held_to_be_inside_its_own_body():
     """The other side of a body squeezed flat lies behind a sample; it never came through it."""
-    solver = meeting(
+    solver = contact_solver(
         legs(GAP), particles=400, self_contact=True, colliders=(half_space(),), frames=2
     )
     pairs, s = solver.pairs, solver.particles.spacing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meetings import bricks
+from contact_scenes import bricks
 from solids import sphere
 from two_legs import SPACING, legs, sampled
 

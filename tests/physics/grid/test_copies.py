@@ -27,7 +27,7 @@ MATERIAL = elastic(E=1e5, nu=0.3, density=1000.0)
 
 @pytest.fixture(scope="module")
 def fork():
-    """Particles, a finely cut skin, its samples and what each rides on."""
+    """Particles, a finely cut skin, its samples and the copy that each is in."""
     import trimesh
 
     made = comb(2, WIDTH, GAP, LENGTH, 0.5, WIDTH)

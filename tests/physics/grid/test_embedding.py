@@ -1,4 +1,4 @@
-"""What rides on the body: exact for affine maps, inside and out."""
+"""Embedded points: exact for affine maps, inside and out."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from meetings import meeting
+from contact_scenes import contact_solver
 from solids import cube
 
 from gf_usd.core.arrays import Floats
@@ -103,7 +103,7 @@ def test_a_region_keeps_its_shape_and_its_stiffness_takes_no_part_in_the_step() 
 @pytest.mark.slow
 def test_a_region_at_the_surface_bounces_off_the_floor() -> None:
     """Its lower half is rigid: contact acts on the region, and no energy comes of it."""
-    solver = meeting(
+    solver = contact_solver(
         cube((0.0, 0.2, 0.0), (1.0, 1.0, 1.0)), particles=250, frames=17, floor=0.0,
         gravity=(0.0, -9.81, 0.0), pins=[stone(lambda X: X[:, 1] < 0.7)],
         changes={"friction": 0.0, "damping_time": 0.0}, filter_rate=0.0,

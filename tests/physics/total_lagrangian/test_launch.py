@@ -105,7 +105,7 @@ def test_a_launch_takes_as_many_substeps_as_last_a_moment() -> None:
     machine = Machine()
     team = machine.thread_count(2)
     machine.launch(team, wall=0.05, cores=2.0, substeps=10)
-    assert team.fitting(1000) == pytest.approx(thread_count.MOMENT / 0.005, abs=1)
+    assert team.fitting(1000) == pytest.approx(thread_count.LAUNCH_SECONDS / 0.005, abs=1)
     assert team.fitting(3) == 3
     machine.launch(team, wall=5.0, cores=2.0, substeps=1)
     assert team.fitting(1000) == 1

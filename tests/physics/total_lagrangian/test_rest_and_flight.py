@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import meetings
+import contact_scenes
 import numpy as np
 import pytest
 from solids import CUBE_POINTS, CUBE_TRIANGLES, cube, sphere
@@ -19,9 +19,9 @@ DOWN = (0.0, -G0, 0.0)
 AWAKE = 100.0  # [s] at rest: longer than anyone is asked to wait
 
 
-def meeting(*surfaces: Any, **said: Any):
+def contact_solver(*surfaces: Any, **said: Any):
     """As a bake has it, with shortcuts unless they are said to be off."""
-    return meetings.meeting(*surfaces, **{"shortcuts": True, **said})
+    return contact_scenes.contact_solver(*surfaces, **{"shortcuts": True, **said})
 
 
 def ball(height: float, x: float = 0.0, path: str = "/Ball"):
@@ -31,7 +31,7 @@ def ball(height: float, x: float = 0.0, path: str = "/Ball"):
 
 def falling(height: float = 2.0, *, frames: int = 20, **said):
     world = {"fps": FPS, "gravity": DOWN, "floor": 0.0}
-    return meeting(ball(height), particles=250, frames=frames, **world, **said)
+    return contact_solver(ball(height), particles=250, frames=frames, **world, **said)
 
 
 def asleep(solver, *bodies: int) -> None:
@@ -95,7 +95,7 @@ def test_what_is_no_free_flight_is_simulated(what):
 
 def test_a_body_that_came_to_rest_sleeps_and_stays():
     # Damped so much that it settles within two seconds of falling a millimeter (measured).
-    solver = meeting(
+    solver = contact_solver(
         cube(low=(0.0, 1e-3, 0.0)), particles=64, frames=80, fps=FPS, gravity=DOWN, floor=0.0,
         changes={"damping_time": 0.03, "restitution": 0.0},
     )  # fmt: skip
@@ -118,7 +118,7 @@ def test_a_body_that_came_to_rest_sleeps_and_stays():
 
 def test_a_bent_body_flies_sleeps_and_stays_bent_and_is_resumed_to_the_bit():
     def made():
-        return meeting(
+        return contact_solver(
             cube(low=(0.0, 0.6, 0.0)), particles=64, frames=40, fps=FPS, gravity=DOWN, floor=0.0,
             material="clay", changes={"damping_time": 0.03, "restitution": 0.0},
         )  # fmt: skip
@@ -151,7 +151,7 @@ def test_a_bent_body_flies_sleeps_and_stays_bent_and_is_resumed_to_the_bit():
 
 
 def test_without_gravity_nothing_sleeps():
-    solver = meeting(
+    solver = contact_solver(
         ball(1.0), particles=200, frames=3, fps=FPS, gravity=(0.0, 0.0, 0.0),
         velocity=lambda X: 1e-4 * np.cross([0.0, 0.0, 1.0], X),
     )  # fmt: skip
@@ -160,7 +160,7 @@ def test_without_gravity_nothing_sleeps():
 
 
 def test_a_body_that_falls_on_a_sleeper_wakes_it():
-    solver = meeting(
+    solver = contact_solver(
         ball(0.0, path="/Sleeper"), ball(3.0, path="/Faller"), particles=400, frames=24, fps=FPS,
         gravity=DOWN, floor=0.0,
     )  # fmt: skip
@@ -190,8 +190,8 @@ def test_an_obstacle_that_comes_wakes_a_sleeper():
     comes[4:, 0] = 0.6 * np.arange(1, 5)
     woken = []
     for way in (stays, comes):
-        wall = meetings.obstacle(CUBE_POINTS + [-2.2, 0.0, -0.5], CUBE_TRIANGLES, offset=way)
-        solver = meeting(
+        wall = contact_scenes.obstacle(CUBE_POINTS + [-2.2, 0.0, -0.5], CUBE_TRIANGLES, offset=way)
+        solver = contact_solver(
             ball(0.0), particles=250, frames=8, fps=FPS, gravity=DOWN, floor=0.0, colliders=(wall,)
         )  # fmt: skip
         asleep(solver, 0)
@@ -204,7 +204,7 @@ def test_an_obstacle_that_comes_wakes_a_sleeper():
 @pytest.mark.parametrize("at", [4, 13])
 def test_resumed_in_flight_or_asleep_it_goes_on_to_the_bit(at):
     def made():
-        return meeting(
+        return contact_solver(
             ball(0.0, x=-1.5, path="/Sleeper"), ball(1.0, x=1.5, path="/Faller"), particles=400,
             frames=18, fps=FPS, gravity=DOWN, floor=0.0,
         )  # fmt: skip

@@ -90,10 +90,10 @@ def test_the_floor_gives_what_its_samples_feel():
         return np.array([1.0, -1.0, 0.5]) + 0.5 * np.cross([0.2, 1.0, 0.3], X)
 
     solver = UpdatedLagrangian(body, [made], s, samples=samples, velocity=velocity, real=np.float64)
-    assert solver.body.ride is not None
+    assert solver.body.embedding is not None
     x, v, F, L = solver.state.motion()
     half = 0.5 * solver.frame_time
-    where = solver.body.ride.pose(x + half * v, v, F + half * L @ F, L).x + solver.state.offset
+    where = solver.body.embedding.pose(x + half * v, v, F + half * L @ F, L).x + solver.state.offset
     before, after = (f.health for f in solver.frames())
     f = solver.state.rows("sample_force")
     assert (np.abs(f).sum(1) > 0.0).sum() > 5

@@ -33,7 +33,7 @@ def moved(points: np.ndarray, time: float) -> np.ndarray:
 
 
 def bake(path, *, gradients: bool = True, stress: bool = True, meshes: bool = True):
-    """A cube of particles and a mesh that rides on it, with a mesh that does not."""
+    """A cube of particles and a mesh embedded in it, with a mesh that is not."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)

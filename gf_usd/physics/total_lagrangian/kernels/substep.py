@@ -69,10 +69,10 @@ from gf_usd.physics.total_lagrangian.stages import (
     FOLLOWERS,
     FREE,
     GROUPS,
-    MEETING,
     NODES,
     OPENING,
     OPENS,
+    PAIRED,
     REGIONS,
     TOUCHING,
     stages,
@@ -122,7 +122,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
 
     @ti.func
-    def size(part: ti.template(), groups, free, followers, active, meeting):
+    def size(part: ti.template(), groups, free, followers, active, paired):
         """Items of a part; the samples that meet something are the first of the active ones."""
         count = active
         if ti.static(part.items == FREE):
@@ -133,14 +133,14 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             count = free + followers
         elif ti.static(part.items == GROUPS):
             count = groups
-        elif ti.static(part.items == MEETING):
-            count = meeting
+        elif ti.static(part.items == PAIRED):
+            count = paired
         elif ti.static(part.items == REGIONS):
             count = options.rigid
         return count
 
     @ti.func
-    def due(stage: ti.template(), s, ends, every, phase, meeting):
+    def due(stage: ti.template(), s, ends, every, phase, paired):
         """1 where a stage is part of substep s of a launch, else 0."""
         on = 1
         if ti.static(stage.when == OPENING):
@@ -148,7 +148,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         if ti.static(stage.when == FILTERING):
             on = int(every > 0 and (s + phase) % every == 0)
         if ti.static(stage.when == TOUCHING):
-            on = int(meeting > 0)
+            on = int(paired > 0)
         return on
 
     @ti.func
@@ -226,20 +226,20 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         for z in range(threads * SPAN):
             if z % SPAN == 0:
                 before = 0
-                meeting = body.sample_active[0]
+                paired = body.sample_active[0]
                 work_item = take(body.queue)
                 for s in range(substeps):
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
                         drift = 0.5 * dt
                     for stage in ti.static(table):
-                        count = size(stage.parts[0], groups, free, followers, active, meeting)
+                        count = size(stage.parts[0], groups, free, followers, active, paired)
                         pieces = pieces_of(stage.parts[0], count, threads)
-                        pieces *= due(stage, s, ends, every, phase, meeting)
+                        pieces *= due(stage, s, ends, every, phase, paired)
                         while work_item < before + pieces:
                             wait(body.queue, before)
                             for part in ti.static(stage.parts):
-                                many = size(part, groups, free, followers, active, meeting)
+                                many = size(part, groups, free, followers, active, paired)
                                 first, behind = piece(many, work_item - before, pieces)
                                 for n in range(first, behind):
                                     act(
@@ -258,12 +258,12 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     ):  # fmt: skip
         """One substep, a thread an item: for GPUs."""
         closing = (ends & CLOSES) // CLOSES
-        meeting = body.sample_active[0]
+        paired = body.sample_active[0]
         for stage in ti.static(table):
             for part in ti.static(stage.parts):
                 for n in range(
-                    size(part, groups, free, followers, active, meeting)
-                    * due(stage, 0, ends, every, phase, meeting)
+                    size(part, groups, free, followers, active, paired)
+                    * due(stage, 0, ends, every, phase, paired)
                 ):
                     act(
                         part, body, n, free, free + followers, active, alpha, g, up, lift, dt,

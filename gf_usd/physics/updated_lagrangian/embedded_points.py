@@ -1,13 +1,13 @@
-"""Points that ride on particles: what the grid of a Total Lagrangian body does, without a grid.
+"""Points embedded in particles: what the grid does for a Total Lagrangian body, without a grid.
 
-A point at rest position X is carried by the particles nearest to it at rest, each of which takes it
-along as its own deformation says, and moves as their weighted mean:
+A point at rest position X is interpolated from the particles nearest to it at rest.  Each particle
+maps the point by its own deformation; the point moves as the weighted mean of these:
 
     x = sum_p w_p (x_p + F_p (X - X_p)),   F = sum_p w_p F_p
     v = sum_p w_p (v_p + L_p F_p (X - X_p))
 
 with w = (1 - d^2 / R^2)^2, R a hair beyond the first particle left out, scaled to sum to one: a
-surface stays continuous where the particles that carry it change.  Exact for every affine map.
+surface stays continuous where its support changes.  Exact for every affine map.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from gf_usd.core.frames import Pose
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.grid.reference import Rows
 
-CARRIERS = 8  # particles that carry a point: about a cell's
+SUPPORT = 8  # particles that a point is interpolated from: about one cell of them
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ride:
-    """Who carries a set of points."""
+class EmbeddedPoints:
+    """A set of points and the particles that each is interpolated from."""
 
     X: Floats  # (n, 3) [m] rest positions of the points
-    particle: Ints  # (n, CARRIERS)
-    weight: Floats  # (n, CARRIERS), rows sum to 1
-    arm: Floats  # (n, CARRIERS, 3) [m] X - X_p
+    particle: Ints  # (n, SUPPORT)
+    weight: Floats  # (n, SUPPORT), rows sum to 1
+    arm: Floats  # (n, SUPPORT, 3) [m] X - X_p
 
     def pose(self, x: Floats, v: Floats, F: Floats, L: Floats) -> Pose:
         """Pose of the points for the particles' x, v (N, 3), F, L (N, 3, 3)."""
@@ -52,27 +52,29 @@ class Ride:
         shape = (len(self.X), len(particles.X))
         start = np.arange(len(self.X) + 1) * self.weight.shape[1]
 
-        def carried(values: Floats) -> sparse.csr_matrix:
+        def by_particle(values: Floats) -> sparse.csr_matrix:
             return sparse.csr_matrix((values.ravel(), self.particle.ravel(), start), shape=shape)
 
-        B = carried(self.weight) @ particles.W
+        B = by_particle(self.weight) @ particles.W
         for axis, G in enumerate(particles.G):
-            B = B + carried(self.weight * self.arm[..., axis]) @ G
+            B = B + by_particle(self.weight * self.arm[..., axis]) @ G
         return sparse.csr_matrix(B)
 
 
-def board(points: Floats, X: Floats) -> Ride:
-    """Let points (n, 3) [m] ride on particles at X (N, 3) [m].
+def embed(points: Floats, X: Floats) -> EmbeddedPoints:
+    """Embed points (n, 3) [m] in particles at X (N, 3) [m].
 
-    A body of fewer particles than CARRIERS has some of them listed again with no weight.
+    A body of fewer particles than SUPPORT has some of them listed again with no weight.
     """
-    k = min(CARRIERS, len(X))
+    k = min(SUPPORT, len(X))
     distance, near = kd_tree(X).query(points, k=min(k + 1, len(X)))
     distance, near = distance.reshape(len(points), -1), near.reshape(len(points), -1)
     R = 1.01 * distance[:, -1:] + 1e-300
     w = (1.0 - (distance[:, :k] / R) ** 2) ** 2
-    weight = np.zeros((len(points), CARRIERS))
+    weight = np.zeros((len(points), SUPPORT))
     weight[:, :k] = w / w.sum(1, keepdims=True)
-    particle = np.repeat(near[:, :1], CARRIERS, axis=1)
+    particle = np.repeat(near[:, :1], SUPPORT, axis=1)
     particle[:, :k] = near[:, :k]
-    return Ride(X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle])
+    return EmbeddedPoints(
+        X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle]
+    )

@@ -21,7 +21,7 @@ from gf_usd.prepare.bodies import skins
 FILTER = 10.0 / 0.319  # [1/s] what a bake has for a body of 1 m
 
 
-def meeting(
+def contact_solver(
     *surfaces: Surface,
     particles: int,
     material: str = "rubber",
@@ -36,7 +36,7 @@ def meeting(
 ) -> TotalLagrangian:
     """A solver of surfaces that are bodies of their own where they lie apart.
 
-    changes : fields of the material; said : settings.  Every surface rides along by its path.
+    changes : fields of the material; said : settings.  Every surface is embedded by its path.
     """
     made = solid(*surfaces)
     of = find_bodies(made, float(np.cbrt(made.volume / particles)))

@@ -1,4 +1,4 @@
-"""Points that ride on particles: exact for affine maps, continuous, transposed for forces."""
+"""Points embedded in particles: exact for affine maps, continuous, transposed for forces."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from solids import ball
 
 from gf_usd.physics.grid.reference import build_stencil
-from gf_usd.physics.updated_lagrangian.riding import CARRIERS, board
+from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT, embed
 
 A = np.array([[1.10, 0.06, -0.03], [0.02, 0.62, 0.05], [-0.04, 0.33, 1.05]])
 RATE = np.array([[0.3, -0.6, 0.1], [0.2, 0.2, 0.5], [-0.1, 0.3, -0.2]])  # [1/s]
@@ -21,7 +21,7 @@ def test_an_affine_map_is_exact_in_and_out_of_the_body(count):
     n = len(body)
     F, L = (np.broadcast_to(M, (n, 3, 3)) for M in (A, RATE))
     x = body @ A.T + shift
-    pose = board(points, body).pose(x, x @ RATE.T, F, L)
+    pose = embed(points, body).pose(x, x @ RATE.T, F, L)
     at = points @ A.T + shift
     np.testing.assert_allclose(pose.x, at, atol=1e-12)
     np.testing.assert_allclose(pose.v, at @ RATE.T, atol=1e-12)
@@ -30,18 +30,18 @@ def test_an_affine_map_is_exact_in_and_out_of_the_body(count):
 
 def test_weights_sum_to_one_and_fade_before_a_carrier_changes():
     # Along a line the weight of whoever enters or leaves the eight is small: the place that they
-    # carry the point to does not jump where they disagree.
+    # move the point to does not jump where they disagree.
     body = ball(500)[0].X
     line = np.linspace([-1.0, 0.1, 0.05], [1.0, 0.2, -0.1], 20_001)
-    ride = board(line, body)
-    np.testing.assert_allclose(ride.weight.sum(1), 1.0, rtol=1e-14)
-    assert ride.weight.min() >= 0.0
+    embedding = embed(line, body)
+    np.testing.assert_allclose(embedding.weight.sum(1), 1.0, rtol=1e-14)
+    assert embedding.weight.min() >= 0.0
     rng = np.random.default_rng(0)
     x = body + 0.05 * rng.normal(size=body.shape)
     F = np.eye(3) + 0.1 * rng.normal(size=(len(body), 3, 3))
-    at = ride.pose(x, x, F, F).x
+    at = embedding.pose(x, x, F, F).x
     step = np.linalg.norm(np.diff(at, axis=0), axis=1)
-    changed = (np.diff(np.sort(ride.particle, axis=1), axis=0) != 0).any(1)
+    changed = (np.diff(np.sort(embedding.particle, axis=1), axis=0) != 0).any(1)
     assert changed.sum() > 20
     # 1e-4 a step, and the particles' places and strains are off by a few of their own distances.
     assert step.max() < 20 * 1e-4
@@ -55,9 +55,9 @@ def test_velocity_is_the_time_derivative_of_the_place():
     v = rng.normal(size=(n, 3))
     F = np.eye(3) + 0.2 * rng.normal(size=(n, 3, 3))
     L = rng.normal(size=(n, 3, 3))
-    ride, dt = board(points, body), 1e-6
-    before = ride.pose(body, v, F, L)
-    after = ride.pose(body + dt * v, v, F + dt * L @ F, L)
+    embedding, dt = embed(points, body), 1e-6
+    before = embedding.pose(body, v, F, L)
+    after = embedding.pose(body + dt * v, v, F + dt * L @ F, L)
     np.testing.assert_allclose((after.x - before.x) / dt, before.v, atol=1e-8)
 
 
@@ -66,15 +66,17 @@ def test_rows_are_the_motion_of_the_points_by_the_nodes():
     m = 1000.0 * body.V0
     grid = build_stencil(body.X, m, 2.0 * body.lattice, body.corner, free_mass=0.0)
     rows = grid.rows(body.X)
-    ride = board(samples.X, body.X)
+    embedding = embed(samples.X, body.X)
     nodes = np.random.default_rng(0).normal(size=(grid.node_count, 3))
     v = rows.W @ nodes
     L = np.stack([G @ nodes for G in rows.G], -1)
     F = np.broadcast_to(np.eye(3), L.shape)
-    np.testing.assert_allclose(ride.rows(rows) @ nodes, ride.pose(body.X, v, F, L).v, atol=1e-12)
+    np.testing.assert_allclose(
+        embedding.rows(rows) @ nodes, embedding.pose(body.X, v, F, L).v, atol=1e-12
+    )
 
 
 def test_few_particles_are_listed_again_with_no_weight():
-    ride = board(np.zeros((4, 3)), np.eye(3))
-    assert ride.particle.shape == (4, CARRIERS)
-    assert (ride.weight[:, 3:] == 0.0).all()
+    embedding = embed(np.zeros((4, 3)), np.eye(3))
+    assert embedding.particle.shape == (4, SUPPORT)
+    assert (embedding.weight[:, 3:] == 0.0).all()
