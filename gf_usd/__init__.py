@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gf_usd.api.bake import bake
     from gf_usd.api.check import check
     from gf_usd.api.deliver import deliver
+    from gf_usd.api.drawing.compare import compare
     from gf_usd.api.drawing.preview import Preview, preview
     from gf_usd.api.inspect import inspect
     from gf_usd.api.materials import materials
@@ -41,10 +42,12 @@ if TYPE_CHECKING:
     from gf_usd.layers.check.run import CheckResult
     from gf_usd.pipeline.inspect import Inspection
     from gf_usd.pipeline.result import BakeResult, VariantResult
+    from gf_usd.view.compare import Comparison
 
 _HOMES = {
     "bake": "gf_usd.api.bake",
     "check": "gf_usd.api.check",
+    "compare": "gf_usd.api.drawing.compare",
     "deliver": "gf_usd.api.deliver",
     "inspect": "gf_usd.api.inspect",
     "materials": "gf_usd.api.materials",
@@ -56,6 +59,7 @@ _HOMES = {
     "BakeFrame": "gf_usd.api.read",
     "BakeResult": "gf_usd.pipeline.result",
     "CheckResult": "gf_usd.layers.check.run",
+    "Comparison": "gf_usd.view.compare",
     "Delivered": "gf_usd.delivery.deliver",
     "DeliveredBody": "gf_usd.delivery.deliver",
     "Health": "gf_usd.core.frames",
@@ -82,6 +86,7 @@ __all__ = [
     "BakeFrame",
     "BakeResult",
     "CheckResult",
+    "Comparison",
     "Delivered",
     "DeliveredBody",
     "GfUsdError",
@@ -102,6 +107,7 @@ __all__ = [
     "__version__",
     "bake",
     "check",
+    "compare",
     "deliver",
     "inspect",
     "materials",

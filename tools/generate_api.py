@@ -31,6 +31,7 @@ GROUPS = {
     "Look before and after": ("inspect", "Inspection", "check", "CheckResult"),
     "Read a bake": ("read", "Bake", "BakeFrame", "Health", "Settings"),
     "Show": ("preview", "Preview", "report"),
+    "Compare": ("compare", "Comparison"),
     "Deliver": ("deliver", "Delivered", "DeliveredBody"),
     "Simulate without a file": ("Scene", "simulate", "Simulation", "SimulationFrame"),
     "Errors": ("GfUsdError", "UsageError", "InputError", "BakeError", "SolverError", "Unfinished",

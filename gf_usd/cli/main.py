@@ -21,6 +21,7 @@ from gf_usd.cli import exit, folder_options
 from gf_usd.cli.bake import bake
 from gf_usd.cli.batch import batch
 from gf_usd.cli.check import check
+from gf_usd.cli.compare import compare
 from gf_usd.cli.deliver import deliver
 from gf_usd.cli.exit import leave, prepare_to_leave
 from gf_usd.cli.help import HelpfulCommand
@@ -51,6 +52,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "deliver": (deliver, {}),
     "view": (view, {}),
     "check": (check, {}),
+    "compare": (compare, {}),
     "verify": (verify, {}),
     "materials": (materials, {}),
     "schema-path": (schema_path, {}),

@@ -87,7 +87,8 @@ class Quantity:
     low: float = 0.0  # in that unit
     high: float = 1.0
     largest: float = 1.0  # of any particle over the whole motion
-    chosen: bool = False  # True: the range was given; False: most particles lie in it
+    chosen: bool = False  # True: the range was given; False: it is that of the source
+    source: tuple[str, ...] = ("99 % of particles", "in every frame,")  # of the range, in words
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,7 +107,7 @@ def _range_note(quantity: Quantity) -> list[str]:
     highest = f"highest {written(quantity.largest / divisor)} {unit}".rstrip()
     if quantity.chosen:
         return ["range as given,", highest]
-    return ["99 % of particles", "in every frame,", highest]
+    return [*quantity.source, highest]
 
 
 def _bar(

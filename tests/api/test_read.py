@@ -106,7 +106,7 @@ def test_what_cannot_be_read_is_said(result: gf_usd.BakeResult, tmp_path: Path) 
         gf_usd.read(SPHERE)
     with pytest.raises(gf_usd.InputError, match="does not exist"):
         gf_usd.read(tmp_path / "nope.usda")
-    with pytest.raises(gf_usd.UsageError, match="has no look 'jelly'"):
+    with pytest.raises(gf_usd.UsageError, match="has no variant 'jelly'"):
         gf_usd.read(result.root, variant="jelly")
     with pytest.raises(gf_usd.UsageError, match="the asset is 3"):
         gf_usd.read(3)  # pyright: ignore[reportArgumentType]

@@ -112,7 +112,7 @@ def thin_for_gif(codes: list[float], fps: float) -> tuple[list[float], float]:
 
 
 def write_film(
-    draw: Drawing,
+    draw: Callable[[float], Pixels],
     codes: Sequence[float],
     fps: float,
     options: Options,

@@ -295,8 +295,10 @@ def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
     """
     looks = looks_of(stage)
     if look is not None and look not in looks:
-        there = f"it holds {', '.join(looks)}" if looks else "it holds no bake: leave --look out"
-        raise UsageError(f"{path} has no look {look!r}.", there)
+        there = (
+            f"it holds {', '.join(looks)}" if looks else "it holds no bake: leave the variant out"
+        )
+        raise UsageError(f"{path} has no variant {look!r}.", there)
     prims = _switches(stage)
     if not prims or not looks:
         return looks[0] if looks else ""

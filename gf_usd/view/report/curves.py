@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from gf_usd.view.compare import Comparison
 from gf_usd.view.report.motion import Motion
 from gf_usd.view.report.record import Record, finite
 
@@ -26,6 +27,34 @@ def plots(motion: Motion, record: Record) -> list[Plot]:
         *_drift(motion, record),
     ]
     return [plot for plot in made if plot["curves"]]
+
+
+def comparison_plots(found: Comparison, names: tuple[str, str]) -> list[Plot]:
+    """How far two motions are apart over time; names : of the two."""
+    x = found.seconds.tolist()
+    distance = _plot(
+        "Distance",
+        "of the same points in the two files",
+        [
+            {"name": "largest", "x": [*x], "y": found.largest.tolist()},
+            {"name": "rms", "x": [*x], "y": found.rms.tolist()},
+            {"name": "centers of mass", "x": [*x], "y": found.center.tolist()},
+        ],
+        LENGTHS,
+    )
+    factor = distance.pop("factor")
+    if found.tolerance is not None:
+        distance["line"], distance["line_name"] = found.tolerance / factor, "tolerance"
+    first = found.volumes[0, 0] or 1.0
+    volume = _plot(
+        "Volume",
+        f"over that of {names[0]} in the first frame",
+        [
+            {"name": name, "x": [*x], "y": (found.volumes[:, i] / first).tolist()}
+            for i, name in enumerate(names)
+        ],
+    )
+    return [distance, volume]
 
 
 def unit_for(values: Sequence[float | None], units: Sequence[tuple[float, str]]) -> float:

@@ -9,7 +9,8 @@ from importlib.resources import files
 from typing import Any, Protocol
 
 from gf_usd.core.scene import MotionFrame, Recording
-from gf_usd.view.report.curves import LENGTHS, plots, unit_for
+from gf_usd.view.compare import Comparison
+from gf_usd.view.report.curves import LENGTHS, Plot, comparison_plots, plots, unit_for
 from gf_usd.view.report.html import (
     Html,
     data_script,
@@ -60,10 +61,39 @@ def build_report(
     Parameters
     ----------
     sources : one for each look.
-    report : what `report_record.load_report` found next to the root layer, and why it is empty.
+    report : what `record.load_report` found next to the root layer, and why it is empty.
     """
+    records = [make_record(source.recording(), report, why_empty) for source in sources]
+    return _page(sources, records, [source.recording().look for source in sources], limits)
+
+
+def build_comparison(
+    sources: Sequence[Source],
+    reports: Sequence[tuple[Mapping[str, Any], str]],
+    names: tuple[str, str],
+    found: Comparison,
+    limits: Limits,
+) -> str:
+    """The page of two motions that were compared, with a switch between them.
+
+    Parameters
+    ----------
+    reports : of each, as for `build_report`.
+    names : of each, as the page calls them.
+    found : is drawn above the plots of both.
+    """
+    records = [make_record(s.recording(), *report) for s, report in zip(sources, reports)]
+    return _page(sources, records, names, limits, comparison_plots(found, names))
+
+
+def _page(
+    sources: Sequence[Source],
+    records: Sequence[Record],
+    names: Sequence[str],
+    limits: Limits,
+    more_plots: Sequence[Plot] = (),
+) -> str:
     recordings = [source.recording() for source in sources]
-    records = [make_record(recording, report, why_empty) for recording in recordings]
     shots = []
     plotly = _plotly()
     bytes_left = limits.size - len(plotly.encode("utf-8")) - 60_000 - 150_000 * len(sources)
@@ -76,12 +106,12 @@ def build_report(
         shots.append([(f, w, uri) for (f, _), w, uri in zip(chosen, words, uris)])
     cell = _cell(motions[0])
     looks = [
-        _look(motion, record, table, cell)
-        for motion, record, (table, _) in zip(motions, records, packed)
+        _look(motion, name, record, table, cell, more_plots)
+        for motion, name, record, (table, _) in zip(motions, names, records, packed)
     ]
     seconds = max(look["seconds"][-1] for look in looks)
     body = [
-        header(recordings[0].name, [r.look for r in recordings], records),
+        header(recordings[0].name, names, records),
         tag(
             "main",
             tag(
@@ -98,8 +128,8 @@ def build_report(
         _footer(records),
     ]
     blobs = [data_script(f"motion-{i}", blob) for i, (_, blob) in enumerate(packed)]
-    names = " and ".join(r.look for r in recordings if r.look)
-    title = f"{recordings[0].name}: {names}" if names else recordings[0].name
+    named = " and ".join(name for name in names if name)
+    title = f"{recordings[0].name}: {named}" if named else recordings[0].name
     return _document(title, body, json_text({"looks": looks}), blobs, plotly)
 
 
@@ -132,12 +162,17 @@ def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
 
 
 def _look(
-    motion: Motion, record: Record, table: dict[str, dict[str, Any]], cell: float
+    motion: Motion,
+    name: str,
+    record: Record,
+    table: dict[str, dict[str, Any]],
+    cell: float,
+    more_plots: Sequence[Plot],
 ) -> dict[str, Any]:
     recording = motion.recording
     low, high = bounds(motion)
     return {
-        "name": recording.look,
+        "name": name,
         "codes": [float(f"{code:.8g}") for code in motion.time_codes],
         "seconds": [float(f"{recording.seconds(code):.6g}") for code in motion.time_codes],
         "up": "Z" if recording.up[2] > 0.5 else "Y",
@@ -147,7 +182,7 @@ def _look(
         "cell": cell,
         "grow": _grow(motion),
         "table": table,
-        "plots": plots(motion, record),
+        "plots": [*more_plots, *plots(motion, record)],
     }
 
 

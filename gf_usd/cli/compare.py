@@ -1,0 +1,164 @@
+"""gf-usd compare: two bakes, or a bake and a motion of another program, point by point."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from gf_usd.view.compare import Comparison
+
+
+def compare(
+    first: Annotated[
+        Path, typer.Argument(metavar="A", help="Root layer of a bake, or any moving USD file.")
+    ],
+    second: Annotated[
+        Path,
+        typer.Argument(
+            metavar="B",
+            help="Another one with the same meshes: a second bake, or a cache of another program.",
+        ),
+    ],
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Write a page (.html), a film (.mp4, .gif) of A, B and their distance, or a"
+            " picture of the worst frame (.png); repeat it for several.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Largest distance that counts as the same: 2mm, 1cm, 0.01m, or 0.5% of the radius"
+            " of a sphere of A's volume.",
+            show_default="report the distances; exit with 0",
+        ),
+    ] = None,
+    variant: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Variant of A.", show_default="the selected one"),
+    ] = None,
+    other_variant: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Variant of B.", show_default="the selected one"),
+    ] = None,
+    align: Annotated[
+        str,
+        typer.Option(
+            metavar="time|start",
+            help="Compare at equal times of the two stages, or from the first frame of each.",
+        ),
+    ] = "time",
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH",
+            help="Width and height of each of the three parts of a picture or film [pixels].",
+            show_default="480x360; 360x270 for films",
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frames per second of the film.", show_default="real time"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+) -> None:
+    """Compare two motions of the same meshes, point by point over time.
+
+    Meshes are paired by prim path, else by name.  With --tolerance the exit status is 1 where a
+    point is ever farther off, and 0 otherwise.
+    """
+    # pxr takes a second to import, which --help must not wait for
+    from gf_usd.api.drawing.compare import FILMS, run
+    from gf_usd.cli.preview import progress
+
+    targets = output or []
+    film = any(target.suffix.lower() in FILMS for target in targets)
+    with progress() if film else nullcontext() as advance:
+        found = run(
+            first, second, targets, tolerance=tolerance, variants=(variant, other_variant),
+            align=align, size=size, fps=fps, progress=advance,
+        )  # fmt: skip
+    for note in found.notes:
+        typer.echo(f"note: {note}", err=True)
+    if as_json:
+        typer.echo(json.dumps(as_data(found, first, second), indent=1))
+    else:
+        for line in lines(found):
+            typer.echo(line)
+        for target in targets:
+            typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
+    if tolerance is not None and not found.same:
+        raise typer.Exit(1)
+
+
+def lines(found: Comparison) -> list[str]:
+    """What a comparison found, in words."""
+    worst, (mesh, point) = found.worst_frame, found.worst
+    center = int(found.center.argmax())
+    ratio = found.volumes[:, 1] / found.volumes[:, 0] if found.volumes.all() else None
+    told = [
+        f"{len(found.meshes)} {'mesh' if len(found.meshes) == 1 else 'meshes'}, {found.points}"
+        f" points, {len(found.time_codes)} frames; radius {length(found.radius)}",
+        f"largest distance {length(found.error)} ({100 * found.error / found.radius:.3g} % of the"
+        f" radius): point {point} of <{mesh}> at time code {found.time_codes[worst]:g}",
+        f"rms distance at most {length(float(found.rms.max()))}, of the centers of mass"
+        f" {length(float(found.center[center]))} (time code {found.time_codes[center]:g})",
+    ]
+    if ratio is not None:
+        told.append(f"volume of B over that of A: {ratio.min():.4g} to {ratio.max():.4g}")
+    if found.tolerance is not None:
+        over = found.first_over
+        told.append(
+            f"same: within {length(found.tolerance)} at all times"
+            if over is None
+            else f"different: farther off than {length(found.tolerance)} from time code {over:g} on"
+        )
+    return told
+
+
+def length(meters: float) -> str:
+    """A length in a unit that suits it."""
+    for factor, unit in ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm")):
+        if meters >= factor:
+            return f"{meters / factor:.3g} {unit}"
+    return f"{meters / 1e-6:.3g} µm" if meters else "0"
+
+
+def as_data(found: Comparison, first: Path, second: Path) -> dict[str, Any]:
+    """The comparison for --json; lengths are meters."""
+    return {
+        "a": str(first),
+        "b": str(second),
+        "same": found.same,
+        "tolerance": found.tolerance,
+        "first_over": found.first_over,
+        "largest": found.error,
+        "worst": {
+            "mesh": found.worst[0],
+            "point": found.worst[1],
+            "time_code": float(found.time_codes[found.worst_frame]),
+        },
+        "radius": found.radius,
+        "points": found.points,
+        "meshes": [{"a": a, "b": b} for a, b in found.meshes],
+        "per_frame": [
+            {
+                "time_code": float(found.time_codes[i]),
+                "largest": float(found.largest[i]),
+                "rms": float(found.rms[i]),
+                "center": float(found.center[i]),
+                "volumes": found.volumes[i].tolist(),
+            }
+            for i in range(len(found.time_codes))
+        ],
+        "notes": list(found.notes),
+    }

@@ -1,0 +1,320 @@
+"""Two motions of the same meshes, point by point over time.
+
+With x_i(t) the points of one motion and y_i(t) those of the other, in meters and in the world
+frame of the first, a comparison has for each time
+
+    largest = max_i |x_i - y_i|          rms = sqrt(mean_i |x_i - y_i|^2)
+
+the volume of each motion, V = sum over triangles of a . (b x c) / 6 (divergence theorem), and the
+distance of their centers of mass, those of homogeneous solids, which are sums over the same
+tetrahedra (a + b + c) / 4.  Of an open surface, which encloses nothing, the center is the mean of
+the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.scene import MotionFrame, Recording, RenderMesh
+
+Align = Literal["time", "start"]
+# Y up to Z up: x stays, y becomes z, and z becomes -y
+TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+CLOSED = 1e-6  # of the box's volume: a surface that encloses less is taken to be open
+SAME_TIME = 1e-6  # time codes
+
+
+class Source(Protocol):
+    """A motion that can be read at any time."""
+
+    def recording(self) -> Recording: ...
+
+    def frames(self, time_codes: Sequence[float]) -> Iterator[MotionFrame]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two motions, A and B, at the T time codes of A that both have."""
+
+    meshes: tuple[tuple[str, str], ...]  # prim paths that were compared, in A and in B
+    points: int  # of these meshes
+    radius: float  # [m] of a sphere of A's volume at its first frame
+    time_codes: Floats  # (T,) of A
+    other_time_codes: Floats  # (T,) of B at the same moments
+    seconds: Floats  # (T,) [s] of playback since A's first frame
+    largest: Floats  # (T,) [m] distance of the point that is farthest off
+    rms: Floats  # (T,) [m] root of the mean square of the distances
+    volumes: Floats  # (T, 2) [m^3] of A and of B
+    center: Floats  # (T,) [m] distance of the centers of mass
+    worst: tuple[str, int]  # mesh of A and point where the distance is largest over all times
+    tolerance: float | None = None  # [m]
+    notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+
+    @property
+    def worst_frame(self) -> int:
+        """Which of the T times has the largest distance."""
+        return int(np.argmax(self.largest))
+
+    @property
+    def error(self) -> float:
+        """[m] the largest distance over points and times."""
+        return float(self.largest.max())
+
+    @property
+    def first_over(self) -> float | None:
+        """Time code of A at which a distance first exceeds the tolerance; None: none does."""
+        over = np.flatnonzero(self.largest > (np.inf if self.tolerance is None else self.tolerance))
+        return float(self.time_codes[over[0]]) if len(over) else None
+
+    @property
+    def same(self) -> bool:
+        """Whether all distances are within the tolerance; without one, whether all are 0."""
+        return self.error <= (self.tolerance or 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairing:
+    """Which mesh of B is which of A, and how B's world turns into A's."""
+
+    first: tuple[int, ...]  # meshes of A
+    second: tuple[int, ...]  # those of B, in the same order
+    turn: Floats  # (3, 3): x of A = turn x of B
+    notes: tuple[str, ...]
+
+    def distances(self, mine: MotionFrame, other: MotionFrame) -> list[Floats]:
+        """(V,) [m] for each pair of meshes, at one moment."""
+        return [
+            np.linalg.norm(mine.meshes[i] - other.meshes[j] @ self.turn.T, axis=1)
+            for i, j in zip(self.first, self.second)
+        ]
+
+
+def compare_motions(a: Source, b: Source, *, align: Align = "time") -> Comparison:
+    """Compare motion B with motion A at the times of A that lie in both.
+
+    B is read between its samples where it has none, as USD interpolates.
+
+    Parameters
+    ----------
+    align : "time": equal times of the two stages [s] are the same moment; "start": their first
+        frames are.
+
+    Raises
+    ------
+    InputError : no mesh is in both, a mesh has another number of points, or the motions have no
+        time in common.
+    """
+    mine, other = a.recording(), b.recording()
+    pairing = pair_meshes(mine, other)
+    codes, partners, notes = _moments(mine, other, align)
+    first = [mine.meshes[i] for i in pairing.first]
+    second = [other.meshes[j] for j in pairing.second]
+    largest, rms, volumes, center = [], [], [], []
+    worst, farthest = (first[0].name, 0), -1.0
+    for frame, partner in zip(a.frames(codes), b.frames(partners)):
+        away = pairing.distances(frame, partner)
+        for mesh, distance in zip(first, away):
+            if len(distance) and distance.max() > farthest:
+                farthest, worst = float(distance.max()), (mesh.name, int(distance.argmax()))
+        joined = np.concatenate(away)
+        largest.append(joined.max())
+        rms.append(np.sqrt(np.mean(joined**2)))
+        here = _solid([frame.meshes[i] for i in pairing.first], first)
+        there = _solid([partner.meshes[j] @ pairing.turn.T for j in pairing.second], second)
+        volumes.append((here[0], there[0]))
+        center.append(np.linalg.norm(here[1] - there[1]))
+    return Comparison(
+        meshes=tuple((m.name, n.name) for m, n in zip(first, second)),
+        points=sum(len(m.points) for m in first),
+        radius=_radius(first),
+        time_codes=np.array(codes),
+        other_time_codes=np.array(partners),
+        seconds=np.array([mine.seconds(code) for code in codes]),
+        largest=np.array(largest),
+        rms=np.array(rms),
+        volumes=np.array(volumes),
+        center=np.array(center),
+        worst=worst,
+        notes=(*pairing.notes, *notes),
+    )
+
+
+def with_tolerance(found: Comparison, tolerance: str | float | None) -> Comparison:
+    """The comparison with a tolerance: [m], a text as for `parse_tolerance`, or None.
+
+    Raises UsageError for what is neither a length nor a share.
+    """
+    if isinstance(tolerance, str):
+        tolerance = parse_tolerance(tolerance, found.radius)
+    return replace(found, tolerance=tolerance)
+
+
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+def parse_tolerance(text: str, radius: float) -> float:
+    """Meters of "2mm", "0.5cm", "0.01m", or "0.5%" of the radius [m].
+
+    Raises UsageError for anything else.
+    """
+    hint = "give a length or a share of the radius: --tolerance 2mm, --tolerance 0.5%"
+    number = text.strip().lower()
+    unit = next((unit for unit in ("%", *LENGTHS) if number.endswith(unit)), "")
+    if not unit:
+        raise UsageError(f"--tolerance {text!r} has no unit.", hint)
+    try:
+        value = float(number.removesuffix(unit))
+    except ValueError:
+        raise UsageError(f"--tolerance {text!r} is not a length.", hint) from None
+    if not (np.isfinite(value) and value >= 0.0):
+        raise UsageError(f"--tolerance {text!r} is not a length of 0 or more.", hint)
+    return value * (0.01 * radius if unit == "%" else LENGTHS[unit])
+
+
+def pair_meshes(a: Recording, b: Recording) -> Pairing:
+    """Pair the meshes that A's bake moves with those of B: by path, else by name, else by count.
+
+    Raises InputError where none is in both, or one has another number of points.
+    """
+    mine = [i for i, moves in enumerate(a.baked) if moves]
+    left = list(range(len(b.meshes)))
+    pairs: dict[int, int] = {}
+    for same in (_same_path, _same_name):
+        for i in mine:
+            found = [j for j in left if same(a.meshes[i], b.meshes[j])]
+            if i not in pairs and len(found) == 1:
+                pairs[i] = found[0]
+                left.remove(found[0])
+    alone = [i for i in mine if i not in pairs]
+    if not pairs and len(alone) == 1:
+        found = [j for j in left if len(b.meshes[j].points) == len(a.meshes[alone[0]].points)]
+        if len(found) == 1:
+            pairs[alone[0]] = found[0]
+            left.remove(found[0])
+    if not pairs:
+        raise InputError(
+            f"{a.path} and {b.path} have no mesh in common: {_listed(a, mine)} in the one,"
+            f" {_listed(b, left)} in the other.",
+            "compare two bakes of one asset, or give the meshes of both the same names",
+        )
+    for i, j in pairs.items():
+        if len(a.meshes[i].points) != len(b.meshes[j].points):
+            raise InputError(
+                f"{a.path}: <{a.meshes[i].name}> has {len(a.meshes[i].points)} points, and"
+                f" <{b.meshes[j].name}> of {b.path} has {len(b.meshes[j].points)}.",
+                "point by point means the same points: compare before subdivision and decimation",
+            )
+    return Pairing(
+        first=tuple(pairs),
+        second=tuple(pairs.values()),
+        turn=_turn(a, b),
+        notes=tuple(_pairing_notes(a, b, pairs, mine, left)),
+    )
+
+
+def _same_path(a: RenderMesh, b: RenderMesh) -> bool:
+    return a.name == b.name
+
+
+def _same_name(a: RenderMesh, b: RenderMesh) -> bool:
+    return a.name.rsplit("/", 1)[-1] == b.name.rsplit("/", 1)[-1]
+
+
+def _listed(recording: Recording, which: Sequence[int]) -> str:
+    names = [f"<{recording.meshes[i].name}>" for i in which]
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "") or (
+        "none"
+    )
+
+
+def _pairing_notes(
+    a: Recording, b: Recording, pairs: dict[int, int], mine: Sequence[int], left: Sequence[int]
+) -> Iterator[str]:
+    renamed = [(i, j) for i, j in pairs.items() if not _same_path(a.meshes[i], b.meshes[j])]
+    if renamed:
+        i, j = renamed[0]
+        more = f" and {len(renamed) - 1} more" if len(renamed) > 1 else ""
+        yield f"<{a.meshes[i].name}> is compared with <{b.meshes[j].name}>{more}"
+    if missing := [i for i in mine if i not in pairs]:
+        yield f"not in {b.path.name}: {_listed(a, missing)}"
+    if extra := [j for j in left if b.baked[j]]:
+        yield f"not in {a.path.name}: {_listed(b, extra)}"
+    if a.up != b.up:
+        yield f"{b.path.name} has another up axis and is turned to that of {a.path.name}"
+
+
+def _turn(a: Recording, b: Recording) -> Floats:
+    """The rotation between Y up and Z up, as importers make it."""
+    if a.up == b.up:
+        return np.eye(3)
+    return TO_Z if a.up[2] > 0.5 else TO_Z.T
+
+
+def _moments(
+    a: Recording, b: Recording, align: Align
+) -> tuple[list[float], list[float], tuple[str, ...]]:
+    """Time codes of A that B covers, B's at the same moments, and notes."""
+    begin = (a.time_codes[0], b.time_codes[0]) if align == "start" else (0.0, 0.0)
+    rate = b.time_codes_per_second / a.time_codes_per_second
+    pairs = [(code, begin[1] + (code - begin[0]) * rate) for code in a.time_codes]
+    low, high = b.time_codes[0] - SAME_TIME, b.time_codes[-1] + SAME_TIME
+    kept = [
+        (code, min(max(at, b.time_codes[0]), b.time_codes[-1]))
+        for code, at in pairs
+        if low <= at <= high
+    ]
+    if not kept:
+        raise InputError(
+            f"{a.path} moves in time codes {a.time_codes[0]:g} to {a.time_codes[-1]:g} and {b.path}"
+            f" in {b.time_codes[0]:g} to {b.time_codes[-1]:g}: they have no time in common.",
+            "compare from the first frame of each: --align start",
+        )
+    codes, partners = [code for code, _ in kept], [at for _, at in kept]
+    notes = []
+    if len(kept) < len(pairs):
+        notes.append(
+            f"{len(kept)} of {len(pairs)} frames are compared, time codes {codes[0]:g} to"
+            f" {codes[-1]:g}: {b.path.name} has no others"
+        )
+    known = np.asarray(b.time_codes)
+    between = sum(float(np.abs(known - at).min()) > SAME_TIME for at in partners)
+    if between:
+        notes.append(f"{b.path.name} is interpolated at {between} of {len(kept)} frames")
+    return codes, partners, tuple(notes)
+
+
+def _solid(points: Sequence[Floats], meshes: Sequence[RenderMesh]) -> tuple[float, Floats]:
+    """Volume [m^3] and center of mass (3,) [m] of meshes together, at these points."""
+    volume, moment = 0.0, np.zeros(3)
+    low, high = (f(np.concatenate(points), axis=0) for f in (np.min, np.max))
+    middle = 0.5 * (low + high)  # far from the origin differences of large numbers would remain
+    for x, mesh in zip(points, meshes):
+        six, sums = _tetrahedra(x - middle, mesh.triangles)
+        volume += float(six.sum()) / 6.0
+        moment += (six[:, None] * sums).sum(0) / 24.0
+    if abs(volume) <= CLOSED * float(np.prod(high - low)):
+        return abs(volume), np.mean(np.concatenate(points), axis=0)
+    return abs(volume), middle + moment / volume
+
+
+def _tetrahedra(x: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Six volumes (T,) of each tetrahedron with the origin, and the sums of its corners."""
+    a, b, c = (x[np.asarray(triangles)[:, k]] for k in range(3))
+    return np.einsum("ij,ij->i", a, np.cross(b, c)), a + b + c
+
+
+def _radius(meshes: Sequence[RenderMesh]) -> float:
+    """[m] of a sphere of their volume; half the diagonal of the box where they enclose nothing."""
+    points = [np.asarray(mesh.points) for mesh in meshes]
+    volume, _ = _solid(points, meshes)
+    joined = np.concatenate(points)
+    size = joined.max(0) - joined.min(0)
+    if volume <= CLOSED * float(np.prod(size)):
+        return 0.5 * float(np.linalg.norm(size))
+    return float(np.cbrt(3.0 * volume / (4.0 * np.pi)))
