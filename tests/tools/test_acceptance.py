@@ -134,7 +134,7 @@ def test_bakes_with_limbs_are_read_one_by_one() -> None:
         "figures": {
             "min_J": 0.3, "inverted_max": 0, "rollbacks": 0, "deepest_overlap_spacings": 0.2,
         },
-        "fault": "",
+        "fault": "", "date": "2001-02-03T04:05:06Z", "commit": "0123456789abcdef",
     }  # fmt: skip
     bad = {**good, "look": "jelly", "inside": None, "figures": None, "fault": "status 1: no"}
     for runs, passed in (([good], True), ([good, bad], False)):
@@ -144,4 +144,17 @@ def test_bakes_with_limbs_are_read_one_by_one() -> None:
     assert outcome.summary.startswith("1 of 2 bakes")
     assert outcome.summary.endswith("not: hand jelly")
     assert outcome.table[1][3] == "0.04 %"
+    assert outcome.table[1][-2] == "2001-02-03 `0123456789ab`"
+    assert all(len(row) == len(outcome.table[0]) for row in outcome.table)
     assert outcome.table[2][-1] == "**FAIL** status 1: no"
+
+
+def test_a_record_of_limbs_has_no_paths() -> None:
+    from argparse import Namespace
+
+    from tools.acceptance.sections import limbs_words
+
+    asked = Namespace(assets="/a/b", keep="/c", recorded="/d/e.json", kept=True)
+    more, said = limbs_words(asked)
+    assert more == ["/a/b", "--keep", "/c", "--recorded", "/d/e.json", "--kept"]
+    assert said == ["ASSETS", "--keep", "FOLDER", "--recorded", "e.json", "--kept"]

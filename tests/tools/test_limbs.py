@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from limbed import LIMBED, write_limbed
@@ -9,7 +12,15 @@ from pxr import Usd, UsdGeom
 from solids import CUBE_POINTS, CUBE_TRIANGLES
 
 from gf_usd.core.mesh import boundary_edges, signed_volume, weld
-from tools.acceptance.limbs import shares_inside, triangles_at, which_inside
+from tools.acceptance.limbs import (
+    RESULT,
+    Ran,
+    main,
+    recorded,
+    shares_inside,
+    triangles_at,
+    which_inside,
+)
 
 
 @pytest.mark.parametrize("name", LIMBED)
@@ -31,10 +42,24 @@ def test_of_a_cube_in_a_cube_all_of_the_inner_one_is_inside() -> None:
     inner = 0.25 + 0.5 * CUBE_POINTS
     points = np.concatenate([CUBE_POINTS, inner])
     triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
-    inside, area = which_inside(points, triangles)
+    mesh = np.repeat([0, 1], 12)
+    inside, area = which_inside(points, triangles, mesh)
     assert inside.tolist() == [False] * 12 + [True] * 12
     np.testing.assert_allclose(area, np.repeat([0.5, 0.125], 12))
-    assert not which_inside(CUBE_POINTS, CUBE_TRIANGLES)[0].any()
+    assert not which_inside(CUBE_POINTS, CUBE_TRIANGLES, mesh[:12])[0].any()
+    both, _ = which_inside(points, triangles, np.zeros(24, int))
+    assert both.tolist() == inside.tolist(), "the same of one mesh"
+
+
+@pytest.mark.parametrize(("gap", "inside"), [(1e-4, False), (-1e-4, True)])
+def test_what_touches_is_not_inside(gap, inside) -> None:
+    """Two cubes beside each other, with a gap and an overlap of a tenth of BESIDE and less."""
+    points = np.concatenate([CUBE_POINTS, CUBE_POINTS + [1.0 + gap, 0.0, 0.0]])
+    triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
+    found, area = which_inside(points, triangles, np.repeat([0, 1], 12))
+    faces = np.isclose(points[triangles][:, :, 0], 1.0, atol=2e-4).all(1)
+    assert found.tolist() == (faces & inside).tolist()
+    assert area[faces].sum() == pytest.approx(2.0)
 
 
 def test_what_is_inside_at_rest_is_told_apart_from_what_comes_there() -> None:
@@ -66,8 +91,34 @@ def test_a_frame_in_the_world_is_read_in_triangles() -> None:
     mesh.GetFaceVertexIndicesAttr().Set([0, 1, 2, 3, 1, 4, 2])
     UsdGeom.Mesh.Define(stage, "/Still")
     np.testing.assert_allclose(triangles_at(stage, 0)[0], square + [0.0, 5.0, 0.0])
-    points, triangles = triangles_at(stage, -1)
+    points, triangles, whose = triangles_at(stage, -1)
+    assert whose.tolist() == [0, 0, 0]
     np.testing.assert_allclose(points, 2.0 * square + [0.0, 5.0, 0.0])
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [1, 4, 2]]
     mesh.GetOrientationAttr().Set(UsdGeom.Tokens.leftHanded)
     assert triangles_at(stage, -1)[1].tolist() == [[2, 1, 0], [3, 2, 0], [2, 4, 1]]
+
+
+def test_rows_of_an_earlier_record_say_of_what_they_are(tmp_path) -> None:
+    row = {"asset": "hand", "look": "jelly", "seconds": 1.0}
+    later = {**row, "look": "metal", "date": "2001-02-04", "commit": "fed"}
+    tree = {"date": "2001-02-03", "commit": "abc", "outcome": {"data": {"runs": [row, later]}}}
+    file = tmp_path / "record.json"
+    file.write_text(json.dumps(tree))
+    rows = recorded(file)
+    assert rows["hand", "jelly"] == Ran(**row, date="2001-02-03", commit="abc")
+    assert rows["hand", "metal"] == Ran(**later)
+
+
+def test_what_is_kept_or_recorded_is_not_baked(tmp_path, capsys) -> None:
+    """Of the folder the newer row is taken, before that of the record; nothing else is printed."""
+    rows = [Ran(asset="hand", look=look, seconds=1.0) for look in ("rubber", "jelly")]
+    tree = {"outcome": {"data": {"runs": [asdict(row) for row in rows]}}, "date": "", "commit": ""}
+    file, keep = tmp_path / "record.json", tmp_path / "kept"
+    file.write_text(json.dumps(tree))
+    (keep / "hand" / "jelly").mkdir(parents=True)
+    (keep / "hand" / "jelly" / RESULT).write_text(json.dumps({**asdict(rows[1]), "seconds": 2.0}))
+    words = [str(tmp_path), "--keep", str(keep), "--recorded", str(file), "--kept", "--json"]
+    assert main([*words, "--only", "hand"]) == 0
+    seen = json.loads(capsys.readouterr().out)["runs"]
+    assert [(one["look"], one["seconds"]) for one in seen] == [("rubber", 1.0), ("jelly", 2.0)]

@@ -1,12 +1,14 @@
 """Bodies with limbs, each with the three looks at defaults: no warning, nothing inside itself.
 
     python -m tools.acceptance.limbs ASSETS [--only NAME[:LOOK]]... [--json] [--keep FOLDER]
+                                            [--again] [--recorded FILE] [--kept]
 
 ASSETS is a folder with the four assets of `FILES` that are not made here.  A bake is sound if it
 warns of nothing and at most 1 % of its surface lies inside a body at the end that did not at rest,
 as shells do which overlap in the source.  What lies inside is measured on the baked stage, by the
-winding number of its meshes all together.  What FOLDER has
-already is not baked again.  Exit status 1 if a bake was not sound.
+winding numbers of its meshes.  What FOLDER has already is not baked again (with --again it is
+measured again), nor what FILE has, the record of an earlier run; each row says when it was baked
+and of what commit.  With --kept nothing is baked.  Exit status 1 if a bake was not sound.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ from pxr import Usd, UsdGeom
 
 from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
 from tools.acceptance.jitter import gf_usd
+from tools.acceptance.record import git
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
 
@@ -43,7 +46,8 @@ PATIENCE = 7200.0  # [s] for a bake
 RESULT = "limbs.json"  # beside a bake: what came of it
 BESIDE = 2e-3  # of the box: how far from the surface a point is asked for, on both sides
 FIGURES = ("inverted_max", "rollbacks", "min_J", "substeps", "deepest_penetration_spacings",
-           "deepest_overlap_spacings", "energy_gain_max_share")  # fmt: skip
+           "deepest_overlap_spacings", "energy_gain_max_share", "inside_at_end_share",
+           "inside_at_end_m")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +62,14 @@ class Ran:
     at_rest: float | None = None  # of the surface, at the first frame
     figures: dict[str, Any] | None = None  # of its health
     fault: str = ""  # "" if it was sound
+    date: str = ""  # ISO 8601, UTC, of the bake
+    commit: str = ""  # of which it was baked
 
 
-def triangles_at(stage: Usd.Stage, frame: int) -> tuple[Any, Any]:
-    """Points (n, 3) in the world and triangles (t, 3) of the animated meshes; -1: the last frame.
+def triangles_at(stage: Usd.Stage, frame: int) -> tuple[Any, Any, Any]:
+    """Points (n, 3) in the world, triangles (t, 3) and whose they are (t,) of the animated meshes.
 
-    Polygons are fans; faces of meshes that are left handed are turned.
+    frame : -1 is the last one.  Polygons are fans; faces of meshes that are left handed are turned.
     """
     points, triangles, count = [], [], 0
     for prim in stage.Traverse():
@@ -84,29 +90,39 @@ def triangles_at(stage: Usd.Stage, frame: int) -> tuple[Any, Any]:
         points.append(X @ world[:3, :3] + world[3, :3])
         triangles.append(faces + count)
         count += len(X)
-    return np.concatenate(points), np.ascontiguousarray(np.concatenate(triangles), dtype=np.int64)
+    mesh = np.repeat(np.arange(len(triangles)), [len(one) for one in triangles])
+    every = np.ascontiguousarray(np.concatenate(triangles), dtype=np.int64)
+    return np.concatenate(points), every, mesh
 
 
-def which_inside(points: Any, triangles: Any) -> tuple[Any, Any]:
-    """(t,) whether both sides of a triangle have a winding number above 1/2, and its area."""
+def which_inside(points: Any, triangles: Any, mesh: Any) -> tuple[Any, Any]:
+    """(t,) whether both sides of a triangle have a winding number above 1/2, and its area.
+
+    Its own mesh is asked beside it, where its winding number is a whole number.  The others are
+    asked on it: meshes that touch, and do not stand in each other, have nothing inside.
+    """
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     cross = np.cross(b - a, c - a)
     twice = np.linalg.norm(cross, axis=1)
     used = twice > 1e-12 * twice.max()
     beside = BESIDE * np.ptp(points, axis=0).max() * cross[used] / twice[used, None]
     middle = (a + b + c)[used] / 3.0
-    sides = [
-        np.abs(igl.fast_winding_number(points, triangles, middle + side * beside))
-        for side in (1.0, -1.0)
-    ]
+    around, whose = np.zeros((2, len(middle))), mesh[used]
+    for k in np.unique(mesh):
+        own = whose == k
+        at = np.concatenate([middle[~own], (middle + beside)[own], (middle - beside)[own]])
+        turns = igl.fast_winding_number(points, triangles[mesh == k], at)
+        others, sides = np.split(turns, [(~own).sum()])
+        around[:, ~own] += others
+        around[:, own] += sides.reshape(2, -1)
     inside = np.zeros(len(triangles), bool)
-    inside[used] = np.minimum(*sides) > 0.5
+    inside[used] = np.abs(around).min(0) > 0.5
     return inside, 0.5 * twice
 
 
-def share_inside(points: Any, triangles: Any) -> float:
+def share_inside(points: Any, triangles: Any, mesh: Any) -> float:
     """Of the area."""
-    inside, area = which_inside(points, triangles)
+    inside, area = which_inside(points, triangles, mesh)
     return float(area[inside].sum() / area.sum())
 
 
@@ -122,24 +138,41 @@ def shares_inside(stage: Usd.Stage) -> tuple[float, float]:
 def bake(name: str, look: str, file: Path, folder: Path) -> Ran:
     """One bake at defaults, in a folder of its own."""
     folder.mkdir(parents=True, exist_ok=True)
-    began = time.perf_counter()
+    began, date = time.perf_counter(), time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     words = ("bake", str(file.resolve()), "--material", look, "-o", f"{folder}/", "--json")
-    status, printed, errors = gf_usd(folder, *words, patience=PATIENCE)
-    seconds = round(time.perf_counter() - began, 1)
+    status, _, errors = gf_usd(folder, *words, patience=PATIENCE)
+    ran = Ran(
+        asset=name, look=look, seconds=round(time.perf_counter() - began, 1), date=date,
+        commit=git("rev-parse", "HEAD"),
+    )  # fmt: skip
     if status != 0:
         said = " ".join(errors[errors.find("error:") :].split())[:600]
-        return Ran(asset=name, look=look, seconds=seconds, fault=f"status {status}: {said}")
-    report = json.loads(printed)
+        return replace(ran, fault=f"status {status}: {said}")
+    return measured(ran, folder)
+
+
+def measured(ran: Ran, folder: Path) -> Ran:
+    """A bake with what is seen in its report and on its stage."""
+    (written,) = folder.glob("*.report.json")
+    report = json.loads(written.read_text("utf-8"))
     health = report["bakes"][0]["health"]
-    stage = Usd.Stage.Open(report["root"])
+    stage = Usd.Stage.Open(str(written.with_name(written.name.replace(".report.json", ".usda"))))
     inside, at_rest = shares_inside(stage)
     faults = [f"warning: {w['message']}" for w in report["warnings"]]
     if inside > INSIDE:
         faults.append(f"{100.0 * inside:.2g} % of the surface lies inside at the end")
-    return Ran(
-        asset=name, look=look, seconds=seconds, particles=report["particles"], inside=inside,
-        at_rest=at_rest, figures={name: health[name] for name in FIGURES}, fault="; ".join(faults),
+    return replace(
+        ran, particles=report["particles"], inside=inside, at_rest=at_rest,
+        figures={name: health[name] for name in FIGURES}, fault="; ".join(faults),
     )  # fmt: skip
+
+
+def recorded(file: Path) -> dict[tuple[str, str], Ran]:
+    """The bakes in the record of an earlier run, by asset and look."""
+    tree = json.loads(file.read_text("utf-8"))
+    since = {"date": tree["date"], "commit": tree["commit"]}
+    rows = [Ran(**{**since, **row}) for row in tree["outcome"]["data"]["runs"]]
+    return {(ran.asset, ran.look): ran for ran in rows}
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -151,6 +184,9 @@ def main(words: Sequence[str] | None = None) -> int:
     ask.add_argument("--only", action="append", default=[], metavar="NAME[:LOOK]")
     ask.add_argument("--json", action="store_true", help="print the bakes as JSON")
     ask.add_argument("--keep", type=Path, help="folder for what was baked")
+    ask.add_argument("--again", action="store_true", help="measure again what is in that folder")
+    ask.add_argument("--recorded", type=Path, help="record with rows that are not baked again")
+    ask.add_argument("--kept", action="store_true", help="bake nothing")
     asked = ask.parse_args(words)
     wanted = [word.partition(":")[::2] for word in asked.only] or [("", "")]
     pairs = [
@@ -161,7 +197,7 @@ def main(words: Sequence[str] | None = None) -> int:
     ]
     if not pairs:
         ask.error(f"--only: choose of {', '.join((*FILES, *MADE))}, each with :LOOK or without")
-    runs = []
+    runs, before = [], recorded(asked.recorded) if asked.recorded else {}
     with tempfile.TemporaryDirectory() as scratch:
         for name, look in pairs:
             folder = (asked.keep or Path(scratch)) / name
@@ -171,9 +207,18 @@ def main(words: Sequence[str] | None = None) -> int:
                 write_limbed(name, file)
             seen = folder / look / RESULT
             if seen.exists():
-                runs.append(Ran(**json.loads(seen.read_text("utf-8"))))
+                one = Ran(**json.loads(seen.read_text("utf-8")))
+                if not asked.again:
+                    runs.append(one)
+                    continue
+                one = measured(one, folder / look)
+            elif one := before.get((name, look)):
+                runs.append(one)
                 continue
-            one = bake(name, look, file, folder / look)
+            elif asked.kept:
+                continue
+            else:
+                one = bake(name, look, file, folder / look)
             runs.append(one)
             seen.write_text(json.dumps(asdict(one)) + "\n", "utf-8")
             share = "" if one.inside is None else f", {100.0 * one.inside:.2f} % inside"

@@ -4,7 +4,8 @@
 
 Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
 made again from the newest of each.  The section limbs needs the folder of its assets, and is left
-out without it.  Exit status 1 if a section failed.
+out without it; with --recorded FILE the rows of that record are kept, and only what it has not is
+baked.  Records have no paths of the machine.  Exit status 1 if a section failed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
@@ -219,13 +221,14 @@ def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
                 figure(seen.get("min_J")), str(seen.get("inverted_max", "none")),
                 str(seen.get("rollbacks", "none")),
                 figure(seen.get("deepest_overlap_spacings")),
+                " ".join((ran.get("date", "")[:10], f"`{ran.get('commit', '')[:12]}`")),
                 f"**FAIL** {ran['fault']}" if ran["fault"] else "pass",
             )
         )  # fmt: skip
     bad = [f"{ran['asset']} {ran['look']}" for ran in runs if ran["fault"]]
     head = (
         "asset", "look", "particles", "inside at the end", "besides, at rest", "smallest J",
-        "inverted", "repeated", "deepest overlap [spacings]", "verdict",
+        "inverted", "repeated", "deepest overlap [spacings]", "baked", "verdict",
     )  # fmt: skip
     return Outcome(
         passed=done.returncode == 0 and not bad,
@@ -271,12 +274,17 @@ SECTIONS: dict[str, Section] = {
 }
 
 
-def run(name: str, section: Section, more: Sequence[str] = ()) -> bool:
-    """Run one section and save it; whether it passed.  more : words of the command besides."""
+def run(
+    name: str, section: Section, more: Sequence[str] = (), said: Sequence[str] | None = None
+) -> bool:
+    """Run one section and save it; whether it passed.
+
+    more : words of the command besides; said : the same as they are recorded.
+    """
     program, *words = *section.command, *more
     module = [] if program == "python" else ["-m", program.replace("-", "_")]
     interpreter = [sys.executable, *module]
-    command = (*section.command, *more)
+    command = (*section.command, *(more if said is None else said))
     print(f"{name}: {' '.join(command)}", file=sys.stderr)
     began = time.perf_counter()
     done = subprocess.run(
@@ -290,11 +298,24 @@ def run(name: str, section: Section, more: Sequence[str] = ()) -> bool:
     return outcome.passed
 
 
+def limbs_words(options: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Words of the command of the section limbs besides, and the same without paths."""
+    more, said = [str(options.assets)], ["ASSETS"]
+    for name, value in (("--keep", options.keep), ("--recorded", options.recorded)):
+        if value:
+            more += [name, str(value)]
+            said += [name, "FOLDER" if name == "--keep" else Path(value).name]
+    kept = ["--kept"] if options.kept else []
+    return more + kept, said + kept
+
+
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
     parser.add_argument("--assets", metavar="FOLDER", help=f"of the section {LIMBS}")
     parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} goes on from, if it ended")
+    parser.add_argument("--recorded", metavar="FILE", help=f"record whose rows of {LIMBS} are kept")
+    parser.add_argument("--kept", action="store_true", help=f"bake nothing for {LIMBS}")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
     options = parser.parse_args(words)
     chosen = [] if options.page else options.only or list(SECTIONS)
@@ -302,8 +323,11 @@ def main(words: Sequence[str] | None = None) -> None:
         if LIMBS in (options.only or ()):
             parser.error(f"the section {LIMBS} needs --assets")
         chosen = [name for name in chosen if name != LIMBS]
-    more = {LIMBS: [options.assets, *(["--keep", options.keep] if options.keep else [])]}
-    passed = [run(name, SECTIONS[name], more.get(name, ())) for name in chosen]
+    more, said = limbs_words(options)
+    passed = [
+        run(name, SECTIONS[name], more, said) if name == LIMBS else run(name, SECTIONS[name])
+        for name in chosen
+    ]
     write(PAGE, page(newest()))
     sys.exit(0 if all(passed) else 1)
 
