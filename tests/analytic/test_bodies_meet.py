@@ -11,6 +11,7 @@ from contact_scenes import bricks, contact_solver, depth, half_space, momenta, o
 from solids import cube, sphere, surface
 
 from gf_usd.core.materials import G0
+from gf_usd.physics.contact.pairs import APART
 from gf_usd.physics.contact.self_contact import OFFSET
 from gf_usd.pipeline.health import gain_of_frames
 
@@ -61,8 +62,8 @@ def test_bodies_overlap_by_half_a_spacing_at_most(material):
     told = [f.health.overlap for f in frames]
     seen = [depth(f, LEFT, RIGHT) for f in frames]
     s = solver.particles.spacing
-    assert 0.0 < max(told) <= 0.5 * s
-    assert max(seen) <= 0.5 * s
+    assert 0.0 <= max(told) <= (0.5 - APART) * s, "they push before they touch"
+    assert max(seen) <= (0.5 - APART) * s
     # Samples lie a spacing apart and frames show moments: of one depth, not of one place and time.
     assert max(seen) == pytest.approx(max(told), abs=0.2 * s)
 
@@ -134,7 +135,8 @@ def test_bodies_that_are_filtered_pass_through_each_other():
     assert np.abs(change).max() <= ROUNDING * solver.body.m.sum() * SPEED
 
 
-def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
+def test_a_body_at_rest_on_another_does_not_stand_in_it():
+    """Springs yield by a tenth of a spacing at most, as on the floor, and begin APART above."""
     lower = cube((-0.5, 0.0, -0.5), path="/Lower")
     upper = cube((-0.5, 1.1, -0.5), path="/Upper")
     solver = contact_solver(
@@ -144,9 +146,24 @@ def test_a_body_at_rest_on_another_sinks_by_a_tenth_of_a_spacing_at_most():
     frames = list(solver.frames())
     last, s = frames[-1], solver.particles.spacing
     assert last.health.kinetic < 1e-4 * solver.body.m.sum() * G0, "they have come to rest"
-    assert 0.0 < last.health.overlap <= 0.1 * s  # as on the floor, see `test_drop`
-    assert depth(last, lower, upper) <= 0.1 * s
+    assert last.health.overlap == 0.0
+    assert depth(last, lower, upper) == 0.0
+    gap = last.embedded["/Upper"].x[:, 1].min() - last.embedded["/Lower"].x[:, 1].max()
+    assert (APART - 0.1) * s <= gap < APART * s
     assert last.embedded["/Upper"].x[:, 1].min() > 0.8
+
+
+@pytest.mark.parametrize("gap", [-0.02, 0.0, 0.01])
+def test_bodies_that_are_near_at_rest_stay_where_they_are(gap):
+    """What touches, overlaps or is nearer than APART in the asset is not pushed."""
+    lower = cube((-0.5, 0.0, -0.5), path="/Lower")
+    upper = cube((-0.5, 1.0 + gap, -0.5), path="/Upper")
+    solver = meeting(lower, upper, particles=200, frames=3)
+    assert gap < APART * solver.particles.spacing
+    first, *_, last = solver.frames()
+    assert last.health.kinetic <= 1e-12 * solver.body.m.sum()
+    for path, pose in first.embedded.items():
+        np.testing.assert_allclose(last.embedded[path].x, pose.x, atol=1e-6)
 
 
 def plate(degrees: float, **said):

@@ -114,12 +114,12 @@ def test_samples_far_from_the_floor_are_left_out_without_a_trace(monkeypatch):
         monkeypatch.setattr(ActiveSamples, "nearer", chosen)
         solver = contact_solver(
             sphere(center=(0.0, 1.1, 0.0), subdivisions=2, path="/Low"),
-            sphere(center=(0.3, 3.2, 0.1), subdivisions=2, path="/High"),
+            sphere(center=(0.3, 3.4, 0.1), subdivisions=2, path="/High"),
             particles=300, frames=6, gravity=(0.0, -9.81, 0.0), floor=0.0,
-            velocity=[(0.0, -2.0, 0.0), (0.0, -5.0, 0.0)],
+            velocity=[(0.0, -2.0, 0.0), (0.0, -8.0, 0.0)],
         )  # fmt: skip
         ends.append(list(solver.frames())[-1])
     assert sum(few for few, _ in counts) < sum(many for _, many in counts)
     assert ends[0].health.penetration > 0.0
-    assert ends[0].health.overlap > 0.0
+    assert ends[0].health.injected != 0.0, "they pushed each other"
     np.testing.assert_array_equal(ends[0].particles.x, ends[1].particles.x)

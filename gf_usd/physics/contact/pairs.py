@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
+from gf_usd.physics.contact.distance import closest
 from gf_usd.physics.contact.floor import damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
@@ -41,6 +41,9 @@ from gf_usd.physics.grid.embedding import placed
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
+# [spacings] before it touches from where a body pushes another: as much as springs yield under what
+# rests on them, so that surfaces that are pressed together do not stand in each other.
+APART = 0.15
 WAIT = 0.5  # of its gap that a sample may slide besides TRAVEL: it does not touch before
 STAY = 1.0  # [spacings]
 FEWEST = 4  # substeps that are worth a detection of their own before something touches
@@ -84,14 +87,13 @@ class BodyContact:
         ]  # fmt: skip
         g, r = float(np.linalg.norm(body.settings.gravity)), body.particles.radius
         self._budget = BUDGET * g * r * float(body.m.sum()) / time_scale(r)  # [W]
+        self._apart: dict[tuple[int, int], Floats] = {}  # see `_offsets`, of bodies that met
         self._own = {k: self._itself(k, samples) for k in range(len(skins)) if self._meets(k)}
         self._x = samples.X  # [m] at the last detection
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
-        crowd = CROWD * float(
-            (self.contact.pair_stiffness / self.contact.stiffness).max(initial=1.0)
-        )
+        crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
         self._crowd = crowd
         self._hardening = (HARD * self._spacing) ** -2
         self.injected = 0.0  # [J] since `begin`
@@ -182,20 +184,39 @@ class BodyContact:
             self.planes.forget(self._members[k])
         self._detected = time
 
-    @cached_property
-    def _own_offset(self) -> Floats:
-        """(n,) [m] from its own body at which each sample begins to be pushed."""
-        out = np.zeros(len(self._of))
-        for k, own in self._own.items():
-            out[self._members[k]] = own.offset
-        return out
-
     @property
     def _offset(self) -> Floats:
-        """(n,) [m] from what it faces at which each sample begins to be pushed; not 0: its own."""
-        partner = self.planes.partner
-        own = (partner >= 0) & (self._of[partner] == self._of)
-        return np.where(own, self._own_offset, 0.0) if own.any() else np.zeros(len(own))
+        """(n,) [m] from the body it faces at which each sample begins to be pushed."""
+        out = np.zeros(len(self._of))
+        facing = self.planes.carried
+        theirs = self._of[self.planes.partner[facing]]
+        for other in np.unique(theirs):
+            rows = facing[theirs == other]
+            out[rows] = self._offset_from(rows, int(other))
+        return out
+
+    def _offset_from(self, rows: Ints, other: int) -> Floats:
+        """(k,) [m] of samples `rows` from a body: less than a share where they are nearer at rest.
+
+        So a body at rest stays so, and what touches or overlaps then has none.
+        """
+        out = np.zeros(len(rows))
+        for k in map(int, np.unique(self._of[rows])):
+            mine = self._of[rows] == k
+            out[mine] = self._offsets(k, other)[np.searchsorted(self._members[k], rows[mine])]
+        return out
+
+    def _offsets(self, body: int, other: int) -> Floats:
+        """(n,) [m] of all samples of a body from another, or from itself."""
+        if body == other:
+            return self._own[body].offset
+        if (body, other) not in self._apart:
+            X, skin, most = self._X[self._members[body]], self._skins[other].skin, APART
+            seen = closest(X, skin.points, skin.triangles, (FACING + TRAVEL) * self._spacing)
+            apart = np.full(len(X), most * self._spacing)
+            apart[seen.rows] = np.clip(seen.gap, 0.0, most * self._spacing)
+            self._apart[body, other] = apart
+        return self._apart[body, other]
 
     def _note_overlap(self, state: State) -> float:
         """Count how deep samples were under the present planes; returns the deepest so far [m]."""
@@ -282,7 +303,7 @@ class BodyContact:
         """[s] for which no sample touches what it faces, at the speeds v (n, 3) [m/s] and more."""
         f = self.planes
         gap = self._gap - self._offset - NEARLY * self._spacing
-        closing = -((v - f.interpolated(v) - f.velocity) * f.normal).sum(1)
+        closing = -((v - f.ridden(v) - f.velocity) * f.normal).sum(1)
         faces = f.partner != narrow_phase.NOBODY
         if (gap[faces] <= 0.0).any():
             return 0.0
@@ -302,7 +323,7 @@ class BodyContact:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""
         f = self.planes
         near = f.partner != narrow_phase.NOBODY
-        speed = np.linalg.norm(v - f.interpolated(v) - f.velocity, axis=1)[near]
+        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[near]
         way = TRAVEL * self._spacing + WAIT * np.maximum(self._gap[near], 0.0)
         return float((way / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
@@ -348,9 +369,9 @@ class BodyContact:
         known = np.where(was, gap - EASE * self._spacing, 0.0)
         skin = self._skins[other]
         found, rest = skin.near(search.x[rows], known, theirs, nodes, offset, search.reach)
-        search.offer(
-            rows[found.rows], found.gap, found.normal, found.point, *skin.carriers(rest)
-        )  # fmt: skip
+        mine = rows[found.rows]
+        point = found.point + self._offset_from(mine, other)[:, None] * found.normal
+        search.offer(mine, found.gap, found.normal, point, *skin.carriers(rest))
 
     def _face_themselves(self, search: ContactSearch, v: Floats, span: float) -> float:
         """Offer what bodies have near of themselves; returns for how long [s] that is all.
@@ -388,7 +409,7 @@ class BodyContact:
         f, offset = self.planes, self._offset
         unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
         rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
-        point = (f.interpolated(search.x) + f.point)[rows]
+        point = (f.ridden(search.x) + f.point)[rows]
         away = search.x[rows] - point
         beside = away + depth[rows, None] * f.normal[rows]
         near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
