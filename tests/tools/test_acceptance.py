@@ -149,12 +149,31 @@ def test_bakes_with_limbs_are_read_one_by_one() -> None:
     assert outcome.table[2][-1] == "**FAIL** status 1: no"
 
 
-def test_a_record_of_limbs_has_no_paths() -> None:
+def test_assets_at_defaults_are_read_one_by_one() -> None:
+    from tools.acceptance.sections import read_assets
+
+    one = {"ending": "baked", "words": "1 mesh", "seconds": 2.0, "date": "2001-02-03", "commit": ""}
+    two = {**one, "asset": "b.usda", "ending": "failed", "words": "3 frames redone"}
+    for last, passed in (({**two, "ending": "refused"}, True), (two, False)):
+        tree = {"outcomes": [{**one, "asset": "a.usda"}, last], "changed": []}
+        done = subprocess.CompletedProcess([], 0 if passed else 1, json.dumps(tree))
+        outcome = read_assets(done)
+        assert outcome.passed is passed
+    assert outcome.summary.endswith("0 refused in words, 1 failed: b.usda")
+    assert outcome.table[2] == ("`b.usda`", "2", "3 frames redone", "2001-02-03 ``", "**FAIL**")
+
+
+def test_a_record_of_assets_has_no_paths() -> None:
     from argparse import Namespace
 
-    from tools.acceptance.sections import limbs_words
+    from tools.acceptance.sections import words_of
 
-    asked = Namespace(assets="/a/b", keep="/c", recorded="/d/e.json", kept=True)
-    more, said = limbs_words(asked)
+    asked = Namespace(
+        assets="/a/b", keep="/c", recorded="/d/e.json", rows="/f/g.jsonl", kept=True
+    )  # fmt: skip
+    more, said = words_of("limbs", asked)
     assert more == ["/a/b", "--keep", "/c", "--recorded", "/d/e.json", "--kept"]
     assert said == ["ASSETS", "--keep", "FOLDER", "--recorded", "e.json", "--kept"]
+    more, said = words_of("assets", asked)
+    assert more == ["/a/b", "--rows", "/f/g.jsonl", "--kept"]
+    assert said == ["ASSETS", "--rows", "g.jsonl", "--kept"]

@@ -47,6 +47,29 @@ def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path
     assert str(folder) not in page
 
 
+def test_what_was_baked_is_not_baked_again(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each row is there as soon as its asset is done, so that a run that ends early goes on."""
+    rows, asked = folder.parent / "rows.jsonl", []
+
+    def refuse(*words: str, patience: float) -> tuple[int, str, str]:
+        asked.append(Path(words[1]).name)
+        event = {"event": "error", "status": 3, "message": "no", "hint": "yes"}
+        return 3, json.dumps(event) + "\n", "error: no"
+
+    monkeypatch.setattr(bake_assets, "gf_usd", refuse)
+    words = ("--rows", str(rows), "--json")
+    run(monkeypatch, folder, *words, "--only", "block")
+    run(monkeypatch, folder, *words)
+    assert asked == ["block.usda", "damaged.usda"]
+    one, two = map(json.loads, rows.read_text("utf-8").splitlines())
+    assert (one["asset"], two["asset"]) == ("deep/block.usda", "damaged.usda")
+    assert one["date"] < "3000"
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told == {"outcomes": [two, one], "changed": []}
+
+
 def test_a_crash_and_a_changed_file_are_failures(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:

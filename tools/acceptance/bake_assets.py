@@ -3,12 +3,14 @@
     python -m tools.acceptance.bake_assets FOLDER [--write FILE.md] [--particles N] [--frames N]
     python -m tools.acceptance.bake_assets FOLDER --plain [--material NAME] [--only TEXT]...
                                                   [--patience SECONDS]
+                                                  [--rows FILE] [--kept] [--json]
 
 Every file but pictures and texts is baked by the program in a process of its own, and the result
 checked.  It is baked, or refused in words with a hint; anything else is a failure, and so is a file
 of the folder whose bytes changed, a bake with particles inside out and one with a frame redone.
-With --plain the number of particles and of frames is what a bake chooses.  Exit status 1 if there
-was a failure.
+With --plain the number of particles and of frames is what a bake chooses.  Each outcome is added to
+the FILE of --rows, with the day and the commit; what that has already is not baked again.  Exit
+status 1 if there was a failure.
 """
 
 from __future__ import annotations
@@ -20,10 +22,13 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from tools.acceptance.record import git
 
 BESIDE = (".png", ".jpg", ".jpeg", ".exr", ".mtl", ".bin", ".md", ".txt", ".json")
 BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
@@ -39,6 +44,8 @@ class Outcome:
     ending: str  # baked | refused | failed
     words: str  # bodies and notes, or the reason and the hint
     seconds: float  # of the CPU, that of the check left out
+    date: str = ""  # ISO 8601, UTC
+    commit: str = ""  # of which it was baked
 
 
 def assets(folder: Path) -> list[Path]:
@@ -144,6 +151,14 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(rows) + "\n"
 
 
+def earlier(file: Path | None) -> dict[str, Outcome]:
+    """What a file of rows has, by asset; none where it is not there yet."""
+    if file is None or not file.exists():
+        return {}
+    rows = [Outcome(**json.loads(line)) for line in file.read_text("utf-8").splitlines()]
+    return {one.asset: one for one in rows}
+
+
 def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
     """Put the table between the two comments of a Markdown file that mark its place."""
     head, mark, rest = path.read_text(encoding="utf-8").partition(BEGIN)
@@ -166,26 +181,44 @@ def main() -> int:
     parser.add_argument(
         "--patience", type=float, default=PATIENCE, metavar="SECONDS", help="for one asset"
     )
+    parser.add_argument("--rows", type=Path, help="JSON lines of the outcomes, to go on from")
+    parser.add_argument("--kept", action="store_true", help="bake nothing")
+    parser.add_argument("--json", action="store_true", help="print the outcomes as JSON at the end")
     asked = parser.parse_args()
     folder: Path = asked.folder
     few = ("--particles", str(asked.particles), "--frames", str(asked.frames))
     options = () if asked.plain else few
     if asked.material:
         options = (*options, "--material", asked.material)
-    before = digests(folder)
+    before, there = digests(folder), earlier(asked.rows)
     outcomes = []
     with tempfile.TemporaryDirectory() as out:
         for path in assets(folder):
             if asked.only and not any(text in str(path) for text in asked.only):
                 continue
-            outcomes.append(bake(path, folder, Path(out), options, asked.patience))
-            one = outcomes[-1]
-            print(f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}", flush=True)
+            if one := there.get(str(path.relative_to(folder))):
+                outcomes.append(one)
+                continue
+            if asked.kept:
+                continue
+            one = bake(path, folder, Path(out), options, asked.patience)
+            date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+            one = replace(one, date=date, commit=git("rev-parse", "HEAD"))
+            outcomes.append(one)
+            if asked.rows:
+                with asked.rows.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(one)) + "\n")
+            print(
+                f"{one.ending:8} {one.seconds:5.1f} s  {one.asset}: {one.words}",
+                file=sys.stderr if asked.json else sys.stdout, flush=True,
+            )  # fmt: skip
     changed = [name for name, digest in digests(folder).items() if before.get(name) != digest]
     for name in changed:
-        print(f"failed: {name} changed")
+        print(f"failed: {name} changed", file=sys.stderr if asked.json else sys.stdout)
     if asked.write:
         write_table(asked.write, outcomes)
+    if asked.json:
+        print(json.dumps({"outcomes": [asdict(one) for one in outcomes], "changed": changed}))
     return int(bool(changed) or any(one.ending == "failed" for one in outcomes))
 
 

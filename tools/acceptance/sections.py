@@ -3,9 +3,10 @@
     python tools/acceptance.py [--only SECTION]... [--assets FOLDER] [--page]
 
 Every section of SECTIONS runs and leaves docs/acceptance/DATE-SECTION.json; docs/acceptance.md is
-made again from the newest of each.  The section limbs needs the folder of its assets, and is left
-out without it; with --recorded FILE the rows of that record are kept, and only what it has not is
-baked.  Records have no paths of the machine.  Exit status 1 if a section failed.
+made again from the newest of each.  The sections limbs and assets need the folder of their assets,
+and are left out without it; with --recorded FILE the rows of that record are kept for limbs, with
+--rows FILE those of that file for assets, and only what is not there is baked, with --kept nothing.
+Records have no paths of the machine.  Exit status 1 if a section failed.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
 
-LIMBS = "limbs"
+LIMBS, ASSETS = "limbs", "assets"
+OF_ASSETS = (LIMBS, ASSETS)  # sections that need a folder of assets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,6 +242,30 @@ def read_limbs(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_assets(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """What `python -m tools.acceptance.bake_assets --json` found."""
+    tree = printed(done, "bake_assets")
+    ended = [one["ending"] for one in tree["outcomes"]]
+    faults = [one["asset"] for one in tree["outcomes"] if one["ending"] == "failed"]
+    faults += [f"{name} changed" for name in tree["changed"]]
+    rows = [
+        (
+            f"`{one['asset']}`", f"{one['seconds']:.0f}", one["words"].replace("|", "\\|"),
+            f"{one['date'][:10]} `{one['commit'][:12]}`",
+            "**FAIL**" if one["ending"] == "failed" else one["ending"],
+        )
+        for one in tree["outcomes"]
+    ]  # fmt: skip
+    return Outcome(
+        passed=done.returncode == 0 and not faults,
+        summary=f"{ended.count('baked')} baked without particles inside out and without frames"
+        f" redone, {ended.count('refused')} refused in words, {ended.count('failed')} failed"
+        + (f": {', '.join(faults)}" if faults else ""),
+        table=(("asset", "CPU s", "", "baked", "verdict"), *rows),
+        data=tree,
+    )
+
+
 SECTIONS: dict[str, Section] = {
     "batch": Section(
         title="A batch with injected failures",
@@ -265,6 +291,19 @@ SECTIONS: dict[str, Section] = {
         title="Endurance",
         command=("python", "-m", "tools.acceptance.endurance", "--json"),
         read=read_endurance,
+    ),
+    ASSETS: Section(
+        title="Assets at defaults, of rubber",
+        command=(
+            "python",
+            "-m",
+            "tools.acceptance.bake_assets",
+            "--plain",
+            "--material",
+            "rubber",
+            "--json",
+        ),
+        read=read_assets,
     ),
     LIMBS: Section(
         title="Assets with limbs",
@@ -298,13 +337,14 @@ def run(
     return outcome.passed
 
 
-def limbs_words(options: argparse.Namespace) -> tuple[list[str], list[str]]:
-    """Words of the command of the section limbs besides, and the same without paths."""
+def words_of(name: str, options: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Words of the command of a section of OF_ASSETS besides, and the same without paths."""
     more, said = [str(options.assets)], ["ASSETS"]
-    for name, value in (("--keep", options.keep), ("--recorded", options.recorded)):
+    rest = {"--keep": options.keep, "--recorded": options.recorded}
+    for word, value in ({"--rows": options.rows} if name == ASSETS else rest).items():
         if value:
-            more += [name, str(value)]
-            said += [name, "FOLDER" if name == "--keep" else Path(value).name]
+            more += [word, str(value)]
+            said += [word, "FOLDER" if word == "--keep" else Path(value).name]
     kept = ["--kept"] if options.kept else []
     return more + kept, said + kept
 
@@ -312,20 +352,21 @@ def limbs_words(options: argparse.Namespace) -> tuple[list[str], list[str]]:
 def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", action="append", choices=sorted(SECTIONS), help="repeatable")
-    parser.add_argument("--assets", metavar="FOLDER", help=f"of the section {LIMBS}")
+    parser.add_argument("--assets", metavar="FOLDER", help=f"of {' and '.join(OF_ASSETS)}")
     parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} goes on from, if it ended")
     parser.add_argument("--recorded", metavar="FILE", help=f"record whose rows of {LIMBS} are kept")
-    parser.add_argument("--kept", action="store_true", help=f"bake nothing for {LIMBS}")
+    parser.add_argument("--rows", metavar="FILE", help=f"where {ASSETS} goes on from, if it ended")
+    parser.add_argument("--kept", action="store_true", help="bake nothing for these two")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
     options = parser.parse_args(words)
     chosen = [] if options.page else options.only or list(SECTIONS)
     if options.assets is None:
-        if LIMBS in (options.only or ()):
-            parser.error(f"the section {LIMBS} needs --assets")
-        chosen = [name for name in chosen if name != LIMBS]
-    more, said = limbs_words(options)
+        for name in OF_ASSETS:
+            if name in (options.only or ()):
+                parser.error(f"the section {name} needs --assets")
+        chosen = [name for name in chosen if name not in OF_ASSETS]
     passed = [
-        run(name, SECTIONS[name], more, said) if name == LIMBS else run(name, SECTIONS[name])
+        run(name, SECTIONS[name], *(words_of(name, options) if name in OF_ASSETS else ()))
         for name in chosen
     ]
     write(PAGE, page(newest()))
