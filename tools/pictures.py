@@ -16,6 +16,7 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     clay.png     the duck of clay, dropped: before, at its first touch, as it stays
     star.png     a star of foil, dropped: how it crumples
     flesh-goal.png, flesh-bones.png  the creature in one frame of its walk, with three settings each
+    flesh-limits.png  the same frame with no limit of stretch, 0.5 and 0.2
 """
 
 from __future__ import annotations
@@ -42,11 +43,12 @@ PILE = 75  # time code
 STAR, CLAY = (15, 17, 19, 23), (1, 5, 6, 23)  # time codes
 FPS_CAN = 12
 STRIDE = 20  # time code of the creature's walk
+STRETCHES = ("", "0.5", "0.2")
 DIMENSIONLESS = ("rubber", "metal", "jelly")
 DISPLAYS = ("mesh", "gaussians", "ellipsoids", "points")
 LARGEST = 500_000  # bytes of a picture in the repository
 LARGEST_FILM = 2_000_000
-KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star", "flesh")
+KINDS = ("duck", "film", "pile", "walk", "can", "clay", "star", "flesh", "limits")
 FPS = 96  # four times the usual: a bounce of the 10 cm duck is over in three frames at 24
 # The film: a lower fall than the default, so that the duck is larger in it; until it has bounced
 # twice.  Played at 24 frames a second, a fifth of real speed.
@@ -139,6 +141,18 @@ def flesh(goal: Path, bones: Path, folder: Path) -> None:
     strip([shown[name] for name in ("thin", "free", "thick")], bones)
 
 
+def limits(path: Path, folder: Path) -> None:
+    """The same frame of flesh around thin bones: without a limit, and kept nearer to its pose."""
+    shown = []
+    for stretch in STRETCHES:
+        stage = folder / f"stretch{len(shown)}.usda"
+        asked = ("--material", "jelly", "--particles", "3000", "--only", "mesh")
+        words = ("--bone-radius", "0.3", *(("--stretch", stretch) if stretch else ()))
+        gf_usd("bake", CREATURE, "--flesh", *asked, *words, "-o", stage, "--quiet")
+        shown.append(draw(stage, STRIDE, (420, 420)).crop((90, 20, 350, 400)))
+    strip(shown, path)
+
+
 def require(path: Path, largest: int) -> None:
     """Say how large a file is; SystemExit where it is larger than it may be."""
     size = path.stat().st_size
@@ -221,6 +235,8 @@ def main() -> None:
             crumpled(out / "star.png", Path(temporary))
         if "flesh" in made:
             flesh(out / "flesh-goal.png", out / "flesh-bones.png", Path(temporary))
+        if "limits" in made:
+            limits(out / "flesh-limits.png", Path(temporary))
         if "duck" not in made:
             return
         baked = {look: bake(look, Path(temporary)) for look in DIMENSIONLESS}

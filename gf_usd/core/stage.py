@@ -348,6 +348,21 @@ class Pin:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FleshLimits:
+    """How far flesh may go, toward its bone and from the pose that it is drawn to.
+
+    carried : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where its bone alone would carry a point,
+    and (n, 3) unit, from the bone to there).
+    toward, away : X (n, 3) [m] at rest -> (n,) [m] from `carried` against that direction, and from
+    the pose of the goals; inf: any way.
+    """
+
+    carried: Callable[[Floats], Callable[[float], tuple[Floats, Floats]]]
+    toward: Callable[[Floats], Floats]
+    away: Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Goals:
     """Springs that draw a body to a pose: per mass, w^2 times the way and 2 zeta w times the rate.
 
@@ -359,6 +374,7 @@ class Goals:
     rate: Callable[[Floats], Floats]
     damping: float = 0.5  # zeta, of the springs: 1 is critical
     moving: bool = True  # whether the pose changes
+    limits: FleshLimits | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

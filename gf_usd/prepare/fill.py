@@ -154,7 +154,8 @@ def fill(
         flesh = flesh_of(
             asset, solid, samples, sampled(settings), animation, file,
             share=request.bone_radius, frequency=request.goal_frequency,
-            damping=request.goal_damping, lattice=particles.lattice, spacing=particles.spacing,
+            damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
+            lattice=particles.lattice, spacing=particles.spacing,
             cycle=cycle * settings.samples_per_frame, repeats=(request.loop or 1) - 1,
         )  # fmt: skip
         pins += flesh.pins

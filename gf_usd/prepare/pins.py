@@ -134,6 +134,8 @@ def flesh_of(
     share: float | None,
     frequency: float | None,
     damping: float | None,
+    squish: float | None = None,
+    stretch: float | None = None,
     lattice: float,
     spacing: float,
     cycle: int = 0,
@@ -141,14 +143,15 @@ def flesh_of(
 ) -> Flesh:
     """The cores of the bones, and the springs that are asked for.
 
-    settings : as `sampled`.  share, frequency [Hz], damping : of --bone-radius, --goal-frequency
-    and --goal-damping; None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the
-    samples.  cycle : samples of a period, which comes `repeats` times before it is written; 0: the
-    animation is none.  Raises InputError as `read_animation`, where no bone lies in the flesh, and
-    for a cycle that does not close.
+    settings : as `sampled`.  share, frequency [Hz], damping, squish, stretch : of --bone-radius,
+    --goal-frequency, --goal-damping, --squish and --stretch; None: not said.  lattice : [m] half
+    the edge of a cell; spacing : [m] of the samples.  cycle : samples of a period, which comes
+    `repeats` times before it is written; 0: the animation is none.  Raises InputError as
+    `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
+    from gf_usd.geometry.flesh.limits import flesh_limits
     from gf_usd.readers.usd.bones import read_skeleton
     from gf_usd.readers.usd_bake.settings import read_goals
 
@@ -171,14 +174,20 @@ def flesh_of(
             "bind the mesh again: in the bind pose its skeleton lies inside of it",
         )
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
+    limits = None
+    if squish is not None or stretch is not None:
+        limits = flesh_limits(cores, skeleton, squish=squish, stretch=stretch, cell=2.0 * lattice)
     if frequency is None and not painted:
-        return Flesh(pins=pins, notes=notes)
-    if frequency is None:
+        if limits is None:
+            return Flesh(pins=pins, notes=notes)
+        frequency = 0.0  # limits alone: no springs
+    elif frequency is None:
         frequency = GOAL_FREQUENCY
         notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
     goals = flesh_goals(
         solid, samples, skeleton, painted,
         frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
+        limits=limits,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes)
 

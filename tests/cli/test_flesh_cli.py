@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, WIDTH, arm, drawn, skinned, write
+from arm import FIRST, LAST, WIDTH, arm, drawn, points, skinned, write
 from pxr import Usd
 from small_bakes import BLOCK
 
@@ -53,6 +53,7 @@ def test_frames_before_the_animation_are_simulated_but_not_written(tmp_path: Pat
         ({"flesh": True, "drop": "1"}, "flesh=True does not go with drop"),
         ({"flesh": True, "solver": "ul"}, "does not know flesh=True"),
         ({"bone_radius": 0.4}, "bone_radius 0.4 is for flesh=True"),
+        ({"squish": 0.5}, "squish 0.5 is for flesh=True"),
         ({"preroll": 4}, "preroll 4 is for flesh=True"),
         ({"loop": 2}, "loop 2 is for flesh=True"),
         ({"flesh": True, "loop": 2, "frames": 4}, "loop 2 writes one cycle"),
@@ -102,6 +103,42 @@ def test_goals_are_springs_of_the_frequency_asked_for_or_painted(
     rate = plan.goals.rate(np.array([[0.5, 0.0, 0.0]]))
     np.testing.assert_allclose(rate, 2.0 * np.pi * frequency, rtol=1e-6)
     assert ("painted goals" in " ".join(plan.notes)) == (bool(more) and asked is None)
+
+
+def test_limits_are_shares_of_the_distance_to_the_bone(tmp_path: Path) -> None:
+    """The middle of a side of the upper arm: 0.2 m from its bone, or the edge of a cell."""
+    options = {"particles": 300, "squish": 0.75, "stretch": 0.4, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(write(tmp_path, arm()), flesh=True, draw=None, **options)
+    assert plan.goals is not None
+    limits, X = plan.goals.limits, np.array([[0.5, 0.5 * WIDTH, 0.0]])
+    assert limits is not None
+    np.testing.assert_allclose(plan.goals.rate(X), 0.0)  # limits bring no springs
+    r = max(0.5 * WIDTH, 2.0 * plan.particles.lattice)
+    np.testing.assert_allclose(limits.toward(X), 0.25 * r, rtol=1e-6)
+    np.testing.assert_allclose(limits.away(X), 0.4 * r, rtol=1e-6)
+    place, n = limits.carried(X)(0.0)
+    np.testing.assert_allclose((place, n), (X, [[0.0, 1.0, 0.0]]), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_flesh_that_hangs_keeps_its_limit(tmp_path: Path) -> None:
+    """Without it, jelly around thin bones leaves its skinned pose by more."""
+    path, away = write(tmp_path, arm()), {}
+    asked = {"material": "jelly", "bone_radius": 0.2, "gravity": 19.6, "particles": 400}
+    for stretch in (None, 0.2):
+        out = tmp_path / f"out{stretch}.usda"
+        result = gf_usd.bake(
+            path, flesh=True, output=out, stretch=stretch, preroll=12, progress=None, **asked
+        )
+        assert result.health["rollbacks"] == 0
+        way = drawn(Usd.Stage.Open(str(out)), LAST) - skinned(path, LAST)
+        away[stretch] = np.linalg.norm(way, axis=1)
+    plan, _ = prepare(path, flesh=True, draw=None, stretch=0.2, output=tmp_path / "o.usda", **asked)
+    assert plan.goals is not None
+    assert plan.goals.limits is not None
+    limit = plan.goals.limits.away(points())
+    assert (away[0.2] <= limit).all()  # at twice gravity s = 0.46: there is room
+    assert (away[None] > limit).mean() > 0.5
 
 
 def test_a_goal_out_of_range_is_refused(tmp_path: Path) -> None:

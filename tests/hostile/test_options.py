@@ -11,7 +11,10 @@ from hostile_options import OPTIONS, asset, planned
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-FLESH = ("flesh", "bone_radius", "preroll", "loop", "goal_frequency", "goal_damping")
+FLESH = (
+    *("flesh", "bone_radius", "preroll", "loop"),
+    *("goal_frequency", "goal_damping", "squish", "stretch"),
+)
 COMBINED = st.fixed_dictionaries(
     {}, optional={name: st.sampled_from(values) for name, values in OPTIONS.items()}
 )

@@ -38,14 +38,23 @@ class Core:
 
     def depth(self, X: Floats) -> NDArray[np.float64]:
         """(n,) [m] by which points (n, 3) [m] lie inside; below 0: outside."""
-        start, way = self.points[0], self.points[-1] - self.points[0]
-        length2 = float(way @ way)
-        t = np.zeros(len(X))
-        if length2 > 0.0:
-            t = np.clip((X - start) @ way / length2, 0.0, 1.0)
+        t = self._along(X)
         r = np.interp(t, np.linspace(0.0, 1.0, len(self.points)), self.radius)
-        distance = np.linalg.norm(X - start - t[:, None] * way, axis=1)
+        distance = np.linalg.norm(self.away(X), axis=1)
         return np.asarray(np.where(r > 0.0, r - distance, -np.inf))
+
+    def away(self, X: Floats) -> NDArray[np.float64]:
+        """(n, 3) [m] to points (n, 3) [m] from the nearest of the axis."""
+        way = self.points[-1] - self.points[0]
+        return np.asarray(X - self.points[0] - self._along(X)[:, None] * way)
+
+    def _along(self, X: Floats) -> NDArray[np.float64]:
+        """(n,) where on the axis, 0 to 1, the nearest is."""
+        way = self.points[-1] - self.points[0]
+        length2 = float(way @ way)
+        if length2 == 0.0:
+            return np.zeros(len(X))
+        return np.asarray(np.clip((X - self.points[0]) @ way / length2, 0.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import nearest
-from gf_usd.core.stage import Goals, Skeleton
+from gf_usd.core.stage import FleshLimits, Goals, Skeleton
 from gf_usd.geometry.solid import Solid
 
 NEAR = 16  # samples of the skin that a point inside takes its weights of
@@ -60,14 +60,16 @@ def flesh_goals(
     frequency: float,
     damping: float,
     spacing: float,
+    limits: FleshLimits | None = None,
 ) -> Goals:
     """Springs to the skinned pose.
 
     painted : (C,) goals at the corners of the faces, by prim path; frequency : [Hz] where the goal
-    is 1/2; damping : ratio; spacing : [m] of the samples.  A surface that no bone poses has none.
+    is 1/2, 0: no springs; damping : ratio; spacing : [m] of the samples; limits : besides.  A
+    surface that no bone poses has no springs.
     """
     drawn = _drawn(solid, samples, skeleton, painted, spacing)
-    linear, offset = _affine(skeleton)
+    linear, offset = affine(skeleton)
     moving = bool((linear != np.eye(3)).any() or offset.any())
 
     def pose(X: Floats) -> Callable[[float], Floats]:
@@ -87,13 +89,15 @@ def flesh_goals(
         around = drawn.around(X)
         posed = np.asarray((around @ drawn.weights).sum(1)).ravel()
         g = np.clip(around @ drawn.goal, 0.0, 1.0)
+        if frequency == 0.0:
+            return np.zeros(len(X))
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 * np.pi * frequency * posed * np.sqrt(g / (1.0 - g)))
 
-    return Goals(pose=pose, rate=rate, damping=damping, moving=moving)
+    return Goals(pose=pose, rate=rate, damping=damping, moving=moving, limits=limits)
 
 
-def _affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (F, bones, 3, 3) and b (F, bones, 3) [m] of the bones at each frame."""
     rest = np.stack([bone.anchors for bone in skeleton.bones])  # (B, 4, 3)
     path = np.stack([bone.path for bone in skeleton.bones], 1)  # (F, B, 4, 3)

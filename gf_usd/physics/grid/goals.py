@@ -1,4 +1,15 @@
-"""Goals: where springs draw the nodes, and how stiff the springs are."""
+"""Goals: where springs draw the nodes, how stiff the springs are, and how far nodes may go.
+
+A limit D on a way d is a pull that begins at D / 2 and has no end at D.  Per mass, with
+s = (d - D / 2) / (D / 2),
+
+    a = A s^2 / (1 - s)                        0 <= s <= s*
+    a = A s*^2 / (1 - s*) + K (d - d*)         beyond, with da/dd = K at s*
+
+A is five times gravity, so that flesh under its weight comes to s = 0.36.  K is what the step
+takes: with M~ >= m / l, waves of w dt <= 1 and springs of l K dt^2 <= 1 / 2 are stable together, as
+(w^2 + l K) dt^2 < 4.  s* = 1 - 1 / sqrt(1 + K D / (2 A)).
+"""
 
 from __future__ import annotations
 
@@ -6,21 +17,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.stage import Goals
+from gf_usd.core.materials import G0
+from gf_usd.core.stage import FleshLimits, Goals
 
 STIFFEST = 1.0  # [1/dt] of w: as stiff as the grid's own highest frequency
+HARDEST = 0.5  # [1/dt^2] of l K
+PULL = 5.0 * G0  # [m/s^2] A
+BEGIN = 0.5  # of the way to a limit, where its pull begins
 # The kernels have GOAL numbers of a node: G, dG/dt from RATE on, k and c from SPRING on, and WORK.
-GOAL, RATE, SPRING, WORK = 9, 3, 6, 8
+# With limits, K, the rooms D / 2 away from G and toward the bone (0: no limit), the place B that
+# the bone carries it to, as G, and the direction N from the bone, each with its rate.
+GOAL, RATE, SPRING, WORK = 24, 3, 6, 8
+HARD, AWAY, TOWARD, CARRIED, NORMAL = 9, 10, 11, 12, 18
 
 
 class NodeGoals:
-    """The goals of free nodes at X (n, 3) [m]; dt : [s] the stable step."""
+    """The goals of free nodes at X (n, 3) [m]; dt : [s] the stable step; lightest : l, of M~."""
 
-    def __init__(self, goals: Goals, X: Floats, dt: float) -> None:
+    def __init__(self, goals: Goals, X: Floats, dt: float, lightest: float = 1.0) -> None:
         self._X, self._pose = X, goals.pose(X)
         self.moving = goals.moving
         w = np.minimum(goals.rate(X), STIFFEST / dt)
         self.springs = np.stack([w**2, 2.0 * goals.damping * w], 1)  # (n, 2) k and c
+        self._limits = _NodeLimits(goals.limits, X, HARDEST / (lightest * dt**2))
 
     def between(self, index: int, frame_time: float) -> NDArray[np.float64]:
         """(n GOAL,) the kernels' numbers for the way from frame `index` - 1 to `index`.
@@ -32,7 +51,32 @@ class NodeGoals:
         out[:, :RATE] = start - self._X
         out[:, RATE:SPRING] = (end - start) / frame_time
         out[:, SPRING:WORK] = self.springs
+        self._limits.fill(out, self._X, index, frame_time)
         return out.ravel()
+
+
+class _NodeLimits:
+    """The limits' part of the numbers; hardest : [1/s^2] K."""
+
+    def __init__(self, limits: FleshLimits | None, X: Floats, hardest: float) -> None:
+        self.carried = limits.carried(X) if limits else None
+        self._hardest = hardest
+        self._rooms = np.zeros((len(X), 2))
+        if limits:
+            ways = np.stack([limits.away(X), limits.toward(X)], 1)
+            self._rooms = (1.0 - BEGIN) * np.where(np.isfinite(ways), ways, 0.0)
+
+    def fill(self, out: Floats, X: Floats, index: int, frame_time: float) -> None:
+        """Set them in rows (n, GOAL)."""
+        if self.carried is None:
+            return
+        (start, n0), (end, n1) = self.carried(index - 1), self.carried(index)
+        out[:, HARD] = self._hardest
+        out[:, AWAY : TOWARD + 1] = self._rooms
+        out[:, CARRIED : CARRIED + 3] = start - X
+        out[:, CARRIED + 3 : NORMAL] = (end - start) / frame_time
+        out[:, NORMAL : NORMAL + 3] = n0
+        out[:, NORMAL + 3 : GOAL] = (n1 - n0) / frame_time
 
 
 def work_of(numbers: Floats) -> float:

@@ -21,6 +21,7 @@ from gf_usd.physics.total_lagrangian import layout
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
 CLIP_BUFFER = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
+NO_GOALS, SPRINGS, LIMITED = range(3)  # nothing, springs to goals, limits besides
 CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
 
 
@@ -35,7 +36,7 @@ class Options:
     coupled: bool = True  # the mass of a node is coupled to its neighbors' (`grid.mass`)
     plain: bool = False  # one thread a particle (`kernels.scalar`), as on GPUs
     slides: bool = False  # a pin holds some axes and lets the others slide
-    goals: bool = False  # springs draw the nodes to a given pose
+    goals: int = NO_GOALS  # whether springs draw the nodes to a given pose
     driven: bool = False  # pins move contact samples
     rigid: int = 0  # regions that move as rigid bodies
 
@@ -48,7 +49,7 @@ def options_of(
     meets: bool = False,
     plain: bool = False,
     slides: bool = False,
-    goals: bool = False,
+    goals: int = NO_GOALS,
     driven: bool = False,
     rigid: int = 0,
 ) -> Options:

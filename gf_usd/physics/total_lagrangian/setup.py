@@ -181,8 +181,10 @@ def build_body(
     if not (meets and contact):
         contact_setup = None
     plain = settings.device != "cpu" if plain is None else plain
+    springs = limits.LIMITED if goals and goals.limits else limits.SPRINGS
     options = limits.options_of(
-        settings, contact_setup is not None, plain, stencil.factors is not None, goals is not None,
+        settings, contact_setup is not None, plain, stencil.factors is not None,
+        springs if goals else limits.NO_GOALS,
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
         rigid=regions.count if regions else 0,
     )  # fmt: skip
@@ -208,7 +210,7 @@ def build_body(
         },
         pin_constraint=pin_constraint,
         regions=regions,
-        goals=NodeGoals(goals, stencil.free_X, step.dt) if goals else None,
+        goals=NodeGoals(goals, stencil.free_X, step.dt, mass.lightest) if goals else None,
         held=held,
         contact=contact,
         contact_setup=contact_setup,

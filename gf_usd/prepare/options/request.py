@@ -124,6 +124,8 @@ class Request(RequestOptions):
                 ("--bone-radius", self.bone_radius),
                 ("--goal-frequency", self.goal_frequency),
                 ("--goal-damping", self.goal_damping),
+                ("--squish", self.squish),
+                ("--stretch", self.stretch),
                 ("--preroll", self.preroll),
                 ("--loop", self.loop),
             ):

@@ -184,6 +184,15 @@ class RequestOptions:
     goal_damping: Annotated[float | None, Option(
         SCENE, "Damping ratio of these springs; 1 is critical.", shown="0.5", low=0.0, high=100.0,
     )] = None
+    squish: Annotated[float | None, Option(
+        SCENE, "Least distance from flesh of --flesh to its bone, over that at rest.",
+        shown="no limit", low=0.05, high=0.95,
+    )] = None
+    stretch: Annotated[float | None, Option(
+        SCENE, "Largest way of flesh of --flesh from its skinned pose, over its distance to the"
+        " bone at rest.",
+        shown="no limit", low=0.05, high=10.0,
+    )] = None
     preroll: Annotated[int | None, Option(
         SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
         " simulated and not written.",

@@ -13,12 +13,26 @@ middle of the substep, where forces are taken,
     (1 + k dt^2 / 4 + c dt / 2) (v' - v) = dt (f / m - k (u - G) - c (v - dG/dt))
 
 With the mass M~ of `grid.mass`, m in it grows by the same factor.
+
+A limit is a pull of `grid.goals` against a way that is too long, taken at the middle of the substep
+like the forces: away from G, and along n from B toward the bone.
 """
 
 import taichi as ti
 
-from gf_usd.physics.contact.kernels import contact_force
-from gf_usd.physics.grid.goals import GOAL, RATE, SPRING, WORK
+from gf_usd.physics.contact.kernels import contact_force, row
+from gf_usd.physics.grid.goals import (
+    AWAY,
+    CARRIED,
+    GOAL,
+    HARD,
+    NORMAL,
+    PULL,
+    RATE,
+    SPRING,
+    TOWARD,
+    WORK,
+)
 from gf_usd.physics.laws.simd3x3 import LANE_BITS, LANES
 from gf_usd.physics.total_lagrangian.kernels.scalar import number
 from gf_usd.physics.total_lagrangian.layout import (
@@ -29,6 +43,7 @@ from gf_usd.physics.total_lagrangian.layout import (
     PIN_RATE,
     PIN_WORK,
 )
+from gf_usd.physics.total_lagrangian.limits import NO_GOALS, SPRINGS
 
 
 @ti.func
@@ -129,18 +144,23 @@ def drift_node(body: ti.template(), node, drift):
 def force(body: ti.template(), node, contact, plain: ti.template(), goals: ti.template()):
     """The force of the cells, of contact and of its goal on a free node."""
     f = node_sum(body, node, plain)
-    if ti.static(goals):
+    if ti.static(goals > NO_GOALS):
         f += goal_force(body, node)
+    if ti.static(goals > SPRINGS):
+        f += limit_pull(body, node) / body.node_mass[MASS * node + INVERSE]
     if contact > 0:
         f += contact_force(body, node)
     return f
 
 
 @ti.func
-def drift_goal(body: ti.template(), node, drift):
-    """G += drift dG/dt."""
+def drift_goal(body: ti.template(), node, drift, goals: ti.template()):
+    """G += drift dG/dt, and B and n of the limits alike."""
     for a in range(GOAL * node, GOAL * node + 3):
         body.goal[a] = body.goal[a] + drift * body.goal[a + RATE]
+        if ti.static(goals > SPRINGS):
+            for o in ti.static((CARRIED, NORMAL)):
+                body.goal[a + o] = body.goal[a + o] + drift * body.goal[a + o + 3]
 
 
 @ti.func
@@ -165,26 +185,58 @@ def goal_force(body: ti.template(), node):
 def goal_share(body: ti.template(), node, dt, goals: ti.template()):
     """1 / (1 + k dt^2 / 4 + c dt / 2): what the implicit spring leaves of an acceleration."""
     share = dt * 0.0 + 1.0
-    if ti.static(goals):
+    if ti.static(goals > NO_GOALS):
         k, c = goal_spring(body, node)
         share = 1.0 / (1.0 + 0.25 * dt * dt * k + 0.5 * dt * c)
     return share
 
 
 @ti.func
-def goal_work(body: ti.template(), node, before, dt):
+def limit_pull(body: ti.template(), node):
+    """[m/s^2] of the limits on a node: see `grid.goals`."""
+    o = GOAL * node
+    u = row(body.u, 3 * node)
+    y = u - row(body.goal, o)
+    way = y.norm()
+    out = 0.0 * y
+    pull = pull_of(way, body.goal[o + AWAY], body.goal[o + HARD])
+    if pull > 0.0:
+        out = (0.0 - pull / way) * y
+    n = row(body.goal, o + NORMAL).normalized()
+    inward = n.dot(row(body.goal, o + CARRIED) - u)
+    out += pull_of(inward, body.goal[o + TOWARD], body.goal[o + HARD]) * n
+    return out
+
+
+@ti.func
+def pull_of(way, room, hardest):
+    """A s^2 / (1 - s) of s = (way - room) / room, and a straight line from where it is as steep as
+    `hardest`; 0 where there is no room to speak of.
+    """
+    out = 0.0 * way
+    if room > 0.0 and way > room:
+        s = way / room - 1.0
+        left = 1.0 / ti.sqrt(1.0 + hardest * room / PULL)  # 1 - s*
+        soft = ti.min(s, 1.0 - left)
+        out = PULL * soft * soft / (1.0 - soft) + hardest * room * (s - soft)
+    return out
+
+
+@ti.func
+def goal_work(body: ti.template(), node, before, dt, goals: ti.template()):
     """Count the work of a goal's spring in a substep, f . v dt at its middle, of v before it."""
     k, c = goal_spring(body, node)
+    pull = ti.Vector([dt * 0.0, dt * 0.0, dt * 0.0])
+    if ti.static(goals > SPRINGS):
+        pull = limit_pull(body, node)
     work = body.goal[GOAL * node + WORK]
     for d in ti.static(range(3)):
         a, o = 3 * node + d, GOAL * node + d
         change = body.v[a] - before[d]
         y = body.u[a] - body.goal[o] + 0.25 * dt * change
         middle = before[d] + 0.5 * change
-        force = (
-            -(k * y + c * (middle - body.goal[o + RATE])) / body.node_mass[MASS * node + INVERSE]
-        )
-        work += dt * middle * force
+        drawn = pull[d] - (k * y + c * (middle - body.goal[o + RATE]))
+        work += dt * middle * drawn / body.node_mass[MASS * node + INVERSE]
     body.goal[GOAL * node + WORK] = work
 
 
@@ -237,9 +289,9 @@ def move_node(
     for d in ti.static(range(3)):
         a[d] += share * body.acceleration[3 * node + d]
         body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]
-    if ti.static(goals):
-        goal_work(body, node, before, dt)
-        drift_goal(body, node, drift)
+    if ti.static(goals > NO_GOALS):
+        goal_work(body, node, before, dt, goals)
+        drift_goal(body, node, drift, goals)
     for d in ti.static(range(3)):
         v = body.v[3 * node + d] * keep
         body.v[3 * node + d] = v

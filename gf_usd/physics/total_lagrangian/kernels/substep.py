@@ -62,7 +62,13 @@ from gf_usd.physics.total_lagrangian.kernels.work_queue import (
     take,
     wait,
 )
-from gf_usd.physics.total_lagrangian.limits import CONVERGED, DEFAULT, PER_H, Options
+from gf_usd.physics.total_lagrangian.limits import (
+    CONVERGED,
+    DEFAULT,
+    NO_GOALS,
+    PER_H,
+    Options,
+)
 from gf_usd.physics.total_lagrangian.stages import (
     CLOSES,
     FILTERING,
@@ -161,8 +167,8 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         converged = body.numbers[CONVERGED]
         if ti.static(part.name == "open"):
             drift_node(body, n, 0.5 * dt)
-            if ti.static(options.goals):
-                drift_goal(body, n, 0.5 * dt)
+            if ti.static(options.goals > NO_GOALS):
+                drift_goal(body, n, 0.5 * dt, options.goals)
         elif ti.static(part.name == "open followers"):
             follow(body, n, free, 0.5 * dt, options.slides)
         elif ti.static(part.name == "momentum" and options.plain):

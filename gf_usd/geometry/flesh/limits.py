@@ -1,0 +1,75 @@
+"""Limits of flesh: how near to its bone it may come, and how far it may go from its skinned pose.
+
+The bone of a point X is the one whose axis is nearest to it, at P.  As the bone moves,
+x = A X + b, it would carry the point to B = A X + b, in the direction n = A (X - P) / |A (X - P)|
+from its axis.  With r = |X - P| at rest, and a cell's edge where that is more,
+
+    squish q    n . (x - B) >= -(1 - q) r      so that flesh keeps q r to its bone
+    stretch s   |x - G| <= s r                 G the skinned pose
+
+Both are shares of r, so that one value does for a finger and for a belly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.stage import FleshLimits, Skeleton
+from gf_usd.geometry.flesh.cores import Cores
+from gf_usd.geometry.flesh.goals import affine
+
+
+def flesh_limits(
+    cores: Cores,
+    skeleton: Skeleton,
+    *,
+    squish: float | None,
+    stretch: float | None,
+    cell: float,
+) -> FleshLimits:
+    """The limits of flesh around bones.
+
+    squish, stretch : q and s; None: no such limit.  cell : [m] edge of a cell.
+    """
+    linear, offset = affine(skeleton)
+
+    def carried(X: Floats) -> Callable[[float], tuple[Floats, Floats]]:
+        bone, way = nearest_bone(cores, X)
+        # a point on the axis is in a core, and never free
+        way = np.where((way != 0.0).any(1, keepdims=True), way, np.eye(3)[0])
+
+        def at(frame: float) -> tuple[Floats, Floats]:
+            k = int(np.clip(round(frame), 0, len(linear) - 1))
+            A = linear[k][bone]
+            n = np.einsum("nab,nb->na", A, way)
+            place = np.einsum("nab,nb->na", A, X) + offset[k][bone]
+            return place, n / np.linalg.norm(n, axis=1, keepdims=True)
+
+        return at
+
+    def share(X: Floats, of: float | None) -> Floats:
+        if of is None:
+            return np.full(len(X), np.inf)
+        r = np.linalg.norm(nearest_bone(cores, X)[1], axis=1)
+        return np.asarray(of * np.maximum(r, cell))
+
+    return FleshLimits(
+        carried=carried,
+        toward=lambda X: share(X, None if squish is None else 1.0 - squish),
+        away=lambda X: share(X, stretch),
+    )
+
+
+def nearest_bone(cores: Cores, X: Floats) -> tuple[Ints, Floats]:
+    """(n,) the bone whose axis is nearest to each point (n, 3) [m], and X - P (n, 3) [m]."""
+    best = np.full(len(X), np.inf)
+    bone, way = np.zeros(len(X), np.int64), np.zeros((len(X), 3))
+    for core in cores.cores:
+        away = core.away(X)
+        distance = np.linalg.norm(away, axis=1)
+        closer = distance < best
+        best[closer], bone[closer], way[closer] = distance[closer], core.bone, away[closer]
+    return bone, way
