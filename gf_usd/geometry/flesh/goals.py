@@ -64,9 +64,9 @@ def flesh_goals(
 ) -> Goals:
     """Springs to the skinned pose.
 
-    painted : (C,) goals at the corners of the faces, by prim path; frequency : [Hz] where the goal
-    is 1/2, 0: no springs; damping : ratio; spacing : [m] of the samples; limits : besides.  A
-    surface that no bone poses has no springs.
+    painted : (C,) goals at the corners of the faces, by prim path, NaN: nothing is said; frequency
+    : [Hz] where the goal is 1/2, 0: no springs; damping : ratio; spacing : [m] of the samples;
+    limits : besides.  A surface that no bone poses has no springs.
     """
     drawn = _drawn(solid, samples, skeleton, painted, spacing)
     linear, offset = affine(skeleton)
@@ -139,7 +139,9 @@ def _drawn(
             goal[closer] = UNPAINTED
         else:
             corners = surface.triangle_corners[solid.sources[s][face]]
-            goal[closer] = (share * np.asarray(values)[corners]).sum(1)[closer]
+            said = np.asarray(values)[corners]
+            said = np.where(np.isnan(said), UNPAINTED, said)
+            goal[closer] = (share * said).sum(1)[closer]
     mine = [sparse.diags_array((of == s).astype(float)) @ w for s, w in enumerate(weights)]
     total = sparse.csr_matrix(sum(mine[1:], mine[0]))
     return Drawn(X=samples.X, weights=total, goal=goal, spacing=spacing)

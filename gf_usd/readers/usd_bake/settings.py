@@ -214,27 +214,70 @@ GOAL = "gaussianFlesh:goal"
 def read_goals(
     file: Path, facts: StageFacts, surfaces: Sequence[Surface], *, rest: float | None = None
 ) -> dict[str, Floats]:
-    """By prim path the painted goal (C,), 0..1, at each corner of each face, as `read_painted`."""
+    """By prim path the painted goal (C,), 0..1, at each corner of each face, as `read_painted`.
+
+    A GeomSubset of faces may have a constant one of its own, which goes before the mesh's.  Faces
+    of which nothing is said are NaN.
+    """
     out = {}
     with reading(file):
         stage = open_stage(file)
         time = Usd.TimeCode(first_time_code(facts, rest))
         for surface in surfaces:
-            api = UsdGeom.PrimvarsAPI(named_prim(stage, facts.path, surface.path))
-            primvar = api.FindPrimvarWithInheritance(GOAL)
+            prim = named_prim(stage, facts.path, surface.path)
+            primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(GOAL)
             if primvar and primvar.HasValue():
-                where = f"{facts.path}: <{surface.path}>: {primvar.GetAttr().GetName()}"
-                values = _numbers(primvar, time, where)
-                bad = ~((values >= 0.0) & (values <= 1.0))  # NaN compares false
-                if bad.any():
-                    raise InputError(
-                        f"{where} has {int(bad.sum())} of {len(values)} values out of range, the"
-                        f" first is {float(values[bad][0]):g}",
-                        "paint 0 (free) to 1 (keyframed)",
-                    )
+                values, where = _goals(primvar, time, facts, surface.path)
                 kind = str(primvar.GetInterpolation())
                 out[surface.path] = _at_corners(values, kind, surface, where)
+            for faces, goal in _goals_of_subsets(prim, time, facts, surface):
+                mine = np.repeat(np.isin(np.arange(len(surface.face_counts)), faces),
+                                 surface.face_counts)  # fmt: skip
+                before = out.get(surface.path, np.full(len(mine), np.nan))
+                out[surface.path] = np.where(mine, goal, before)
     return out
+
+
+def _goals(
+    primvar: UsdGeom.Primvar, time: Usd.TimeCode, facts: StageFacts, path: str
+) -> tuple[Floats, str]:
+    """Its values, and what messages call it; raises InputError for one that is no goal."""
+    where = f"{facts.path}: <{path}>: {primvar.GetAttr().GetName()}"
+    values = _numbers(primvar, time, where)
+    bad = ~((values >= 0.0) & (values <= 1.0))  # NaN compares false
+    if bad.any():
+        raise InputError(
+            f"{where} has {int(bad.sum())} of {len(values)} values out of range, the first is"
+            f" {float(values[bad][0]):g}",
+            "paint 0 (free) to 1 (keyframed)",
+        )
+    return values, where
+
+
+def _goals_of_subsets(
+    prim: Usd.Prim, time: Usd.TimeCode, facts: StageFacts, surface: Surface
+) -> Iterator[tuple[Floats, float]]:
+    """Faces and goal of each subset of faces of a prim that has a goal of its own."""
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+        primvar = UsdGeom.PrimvarsAPI(subset.GetPrim()).GetPrimvar(GOAL)
+        if not (primvar and primvar.HasValue()):
+            continue
+        path, count = str(subset.GetPath()), len(surface.face_counts)
+        values, where = _goals(primvar, time, facts, path)
+        if subset.GetElementTypeAttr().Get() != UsdGeom.Tokens.face or len(values) != 1:
+            raise InputError(
+                f"{where} has {len(values)} values on a subset of"
+                f" {subset.GetElementTypeAttr().Get()}s",
+                "author one constant number, on a subset of faces; paint the mesh for more",
+            )
+        faces = np.asarray(subset.GetIndicesAttr().Get(time) or [], np.int64)
+        if len(faces) and (faces.min() < 0 or faces.max() >= count):
+            raise InputError(
+                f"{facts.path}: <{path}>: its indices reach from {faces.min()} to {faces.max()},"
+                f" and the mesh has {count} faces",
+                "repair the subset in the program that made it",
+            )
+        yield faces, float(values[0])
 
 
 def _numbers(primvar: UsdGeom.Primvar, time: Usd.TimeCode, where: str) -> Floats:
