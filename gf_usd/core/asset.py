@@ -84,7 +84,7 @@ class Surface:
     """One mesh of the asset, posed at the first frame."""
 
     path: str  # prim path in the source
-    type_name: str  # "Mesh", "Sphere", ...; anything but Mesh is an implicit shape
+    type_name: str  # "Mesh", "TetMesh", "Points"; anything else is an implicit shape
     points: Floats  # (V, 3) [m], world
     face_counts: Ints  # (P,) as authored
     face_indices: Ints  # (C,) as authored
@@ -99,6 +99,8 @@ class Surface:
     materials: tuple[SurfaceMaterial, ...] = ()
     skinned: bool = False  # posed by UsdSkel: the cache must not let it be skinned again
     splats: Splats | None = None  # captured Gaussians that this surface was put around: they show
+    own_points: int | None = None  # the first of `points` are the prim's own, the rest a surface
+    # that was put around them, which is not written; None: all are
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -317,6 +317,8 @@ def start_velocities(
         known = [said[p] for p in paths if p in said]
         stated = next((b for b in known if b.velocity or b.angular_velocity), None)
         moving = [(points[p], said[p].moving) for p in paths if p in said]
+        # of Points the first are their own, which alone have velocities
+        moving = [(x if v is None else x[: len(v)], v) for x, v in moving]
         if velocity or spin:
             own = stated or BodyPhysics(path="")
             own = replace(

@@ -1,5 +1,8 @@
 """One baked mesh in the cache layer: overs on its own prim, in its own local space.
 
+So are tetrahedra and points written, which keep their own topology: every point of a TetMesh, and
+the points of Points, without the surface that was put around them.
+
 Arrays of a mesh with one element for each point, face or corner, under a topology that changes.
 
 A bake keeps the topology of its first frame.  Arrays that grow or shrink with the source's would no
@@ -27,6 +30,7 @@ from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, f32
 
 Types = Sdf.ValueTypeNames
+KEPT = ("Mesh", "TetMesh", "Points")  # types that have points of their own
 
 
 class MeshTrack:
@@ -56,20 +60,23 @@ class MeshTrack:
         self.space = Space(prim, clock, meters_per_unit)
         self.low = self.high = np.zeros(3)
         self._surface = surface
+        self._own = slice(surface.own_points)
+        self._widths = _widths(prim, clock.source_time(clock.start))
         over = cache.OverridePrim(self.path)
         self._points = over.CreateAttribute("points", Types.Point3fArray, False)
         self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
         self._velocities = over.CreateAttribute("velocities", Types.Vector3fArray, False)
         self._normals = None
         self._shading = None
-        if surface.type_name == "Mesh":
+        if surface.type_name in KEPT:
             self._take_normals(over, prim)
+        if surface.type_name == "Mesh":
             mesh = UsdGeom.Mesh(prim)
             topology = (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
             if any(attr.ValueMightBeTimeVarying() for attr in topology):
                 self._author_topology(over)
                 hold_elements(cache, prim, clock.source_time(clock.start))
-        else:
+        elif surface.type_name not in KEPT:
             self._become_mesh(over)
         if prim.GetAttribute("accelerations").HasAuthoredValue():
             over.CreateAttribute("accelerations", Types.Vector3fArray, False).Block()
@@ -84,10 +91,14 @@ class MeshTrack:
         expected = np.shape(self._surface.points)
         check(pose.points, expected, f"points of <{self.path}>", time_code)
         check(pose.velocities, expected, f"velocities of <{self.path}>", time_code)
-        points = f32(self.space.points(pose.points, time_code))
-        velocities = self.space.velocities(pose.points, pose.velocities, time_code)
+        x, v = pose.points[self._own], pose.velocities[self._own]
+        points = f32(self.space.points(x, time_code))
+        velocities = self.space.velocities(x, v, time_code)
         self.low, self.high = corners(points)
-        extent = np.stack([self.low, self.high])
+        if self._widths is not None:  # in single precision, as USD computes it of points and widths
+            half = self._widths * np.float32(0.5)
+            self.low, self.high = corners(points - half)[0], corners(points + half)[1]
+        extent = f32(np.stack([self.low, self.high]))
         self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
         self._extent.Set(Vt.Vec3fArray.FromNumpy(extent), time_code)
         self._velocities.Set(Vt.Vec3fArray.FromNumpy(f32(velocities)), time_code)
@@ -129,7 +140,7 @@ class MeshTrack:
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices))
 
     def _take_normals(self, over: Usd.Prim, prim: Usd.Prim) -> None:
-        mesh = UsdGeom.Mesh(prim)
+        mesh = UsdGeom.PointBased(prim)
         primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
         named = primvar.GetAttr() if primvar.HasAuthoredValue() else mesh.GetNormalsAttr()
         if not named.HasAuthoredValue():
@@ -149,6 +160,17 @@ class MeshTrack:
             # the surface's normals are looked up already
             name = f"{named.GetName()}:indices"
             over.CreateAttribute(name, Types.IntArray, False).Block()
+
+
+def _widths(prim: Usd.Prim, time: Usd.TimeCode) -> np.ndarray | None:
+    """(n, 1) or (1, 1) widths of the balls of Points; None for what has none."""
+    if prim.IsA(UsdGeom.Points):
+        primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths")
+        value = primvar.ComputeFlattened(time) if primvar.HasAuthoredValue() else None
+        value = UsdGeom.Points(prim).GetWidthsAttr().Get(time) if value is None else value
+        if value is not None and len(value):
+            return np.asarray(value, np.float32)[:, None]
+    return None
 
 
 def check(values: Floats, shape: tuple[int, ...], what: str, time_code: float) -> None:

@@ -21,7 +21,7 @@ from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours, read_splats, to_render_mesh
 from gf_usd.readers.pictures.values import MEASURES, written
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
-from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
@@ -169,7 +169,7 @@ class BakedMotion:
         if len(clouds) > 1:
             self._notes.add("only these Gaussians are shown", str(clouds[0].GetPath()))
         self._cloud = clouds[0] if clouds else Usd.Prim()
-        candidates = [p for p in prims if p.IsA(UsdGeom.Mesh) or str(p.GetTypeName()) in IMPLICIT]
+        candidates = [p for p in prims if has_surface(p)]
         ours = clouds[:1] if clouds and is_ours(clouds[0]) else []
         self._times = sample_times(ours or [*candidates, *clouds])
         if len(self._times) < 2:

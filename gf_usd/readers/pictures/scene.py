@@ -36,8 +36,7 @@ from gf_usd.readers.pictures.prims import (
 )
 from gf_usd.readers.pictures.recording import VARIANTS, displays_in
 from gf_usd.readers.pictures.values import Values
-from gf_usd.readers.usd.implicit import IMPLICIT
-from gf_usd.readers.usd.mesh import Reading, read_surface
+from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
@@ -261,7 +260,7 @@ class PictureStage:
                 # its prototypes below it stand nowhere by themselves
                 self._stage_notes.add("not drawn: PointInstancer", str(prim.GetPath()))
                 walk.PruneChildren()
-            elif prim.IsA(UsdGeom.Mesh) or name in IMPLICIT:
+            elif has_surface(prim):
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
                 found.append(("gaussians" if is_ours(prim) else "splats", prim))

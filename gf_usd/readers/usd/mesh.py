@@ -1,11 +1,11 @@
-"""A mesh or an implicit shape of a stage, posed at one time, as a Surface.
+"""A mesh, an implicit shape, tetrahedra or points of a stage, posed at one time, as a Surface.
 
 Authored normals of a mesh, in the world, each with the point that carries it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,14 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import triangulate
+from gf_usd.core.neighbors import kd_tree
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.implicit import IMPLICIT, tessellate
 from gf_usd.readers.usd.primvars import Corners
 from gf_usd.readers.usd.shading import ShadingReader, colors
 from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.solids.points import cover, widths
+from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of
 from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
 
 
@@ -45,10 +48,17 @@ class Polygons:
     indices: Ints  # (C,)
     holes: Ints  # (H,) faces that are not there
     left_handed: bool
+    carriers: Ints | None = None  # (V,) the authored point of each that is not authored itself
+
+
+def has_surface(prim: Usd.Prim) -> bool:
+    """Whether the prim is made of faces, by itself or once it is tessellated."""
+    meshes = prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh)
+    return meshes or str(prim.GetTypeName()) in IMPLICIT
 
 
 def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
-    """The Surface of a Mesh or implicit prim, in meters, world.
+    """The Surface of a Mesh, TetMesh, Points or implicit prim, in meters, world.
 
     Raises InputError for broken data (prim path and numbers in it) and LeftAlone for a prim
     without a surface.
@@ -65,11 +75,13 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         raise LeftAlone("has no face with three or more corners")
     if polygons.left_handed != place.mirrored:
         triangles, corners = triangles[:, ::-1], corners[:, ::-1]
+    carriers = polygons.carriers
+    authored = len(points) if carriers is None else int(carriers.max()) + 1
     where = Corners(
-        n_points=len(points),
+        n_points=authored,
         n_corners=len(polygons.indices),
         n_faces=len(polygons.counts),
-        triangles=triangles,
+        triangles=triangles if carriers is None else carriers[triangles],
         corners=corners,
         faces=faces,
     )
@@ -93,14 +105,20 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
         triangle_materials=shading.indices,
         materials=shading.materials,
         skinned=place.skinned,
+        own_points=None if carriers is None else authored,
     )
 
 
 def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
-    """Points (V, 3) [m] of a Mesh or implicit prim, world; errors as `read_surface`."""
-    return _placement(prim, reading).points(_polygons(prim, reading).points) * (
-        reading.meters_per_unit
-    )
+    """Points (V, 3) [m] of a prim with a surface, world; errors as `read_surface`.
+
+    Of Points its own, without the surface around them.
+    """
+    if prim.IsA(UsdGeom.Points):
+        local = _finite_points(UsdGeom.Points(prim), prim, reading)
+    else:
+        local = _polygons(prim, reading).points
+    return _placement(prim, reading).points(local) * reading.meters_per_unit
 
 
 def _placement(prim: Usd.Prim, reading: Reading) -> Placement:
@@ -122,6 +140,10 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
         return Polygons(
             points=points, counts=counts, indices=indices, holes=none, left_handed=False
         )
+    if prim.IsA(UsdGeom.TetMesh):
+        return _tets(UsdGeom.TetMesh(prim), prim, reading)
+    if prim.IsA(UsdGeom.Points):
+        return _cloud(UsdGeom.Points(prim), prim, reading)
     mesh, time = UsdGeom.Mesh(prim), reading.time
     counts = _ints(mesh.GetFaceVertexCountsAttr(), prim, reading)
     indices = _ints(mesh.GetFaceVertexIndicesAttr(), prim, reading)
@@ -145,6 +167,79 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
     )
 
 
+def _tets(mesh: UsdGeom.TetMesh, prim: Usd.Prim, reading: Reading) -> Polygons:
+    """The surface of the tetrahedra; points inside stay, and move with the body."""
+    points, where = _finite_points(mesh, prim, reading), str(prim.GetPath())
+    tets = _rows(mesh.GetTetVertexIndicesAttr(), 4, prim, reading)
+    if len(points) == 0 or len(tets) == 0:
+        raise LeftAlone(f"has {len(points)} points and {len(tets)} tetrahedra")
+    body = Tets(
+        points=points,
+        tets=tets,
+        surface=_rows(mesh.GetSurfaceFaceVertexIndicesAttr(), 3, prim, reading),
+        left_handed=mesh.GetOrientationAttr().Get(reading.time) == UsdGeom.Tokens.leftHanded,
+        rest_points=_points(_first(prim, REST_POINTS), prim, reading),
+        rest_tets=_rows(_first(prim, REST_TETS), 4, prim, reading),
+    )
+    try:
+        triangles = surface_of(body, lambda text: reading.notes.add(text, where))
+    except BrokenTets as fault:
+        raise _broken(prim, reading, str(fault)) from fault
+    if mesh.GetPointsAttr().ValueMightBeTimeVarying():
+        reading.notes.add(ANIMATED, where)
+    return _triangular(points, triangles)
+
+
+# Of the AOUSD proposal's volume API, and of Omniverse's.
+REST_POINTS = ("physics:restShapePoints", "omniphysics:restShapePoints")
+REST_TETS = ("physics:restTetVertexIndices", "omniphysics:restTetVtxIndices")
+
+
+def _first(prim: Usd.Prim, names: tuple[str, ...]) -> Usd.Attribute:
+    """The first of the attributes that is authored, else an invalid one."""
+    found = (prim.GetAttribute(name) for name in names)
+    return next((one for one in found if one and one.HasAuthoredValue()), Usd.Attribute())
+
+
+def _cloud(cloud: UsdGeom.Points, prim: Usd.Prim, reading: Reading) -> Polygons:
+    """The points, and after them those of a surface around their balls."""
+    points = _finite_points(cloud, prim, reading)
+    if len(points) == 0:
+        raise LeftAlone("has no points")
+    wide = widths(prim, points, reading.time, reading.notes)
+    around, triangles = cover(points, wide)
+    reading.notes.add(f"a surface was put around its {len(points)} points", str(prim.GetPath()))
+    if cloud.GetPointsAttr().ValueMightBeTimeVarying():
+        reading.notes.add(ANIMATED, str(prim.GetPath()))
+    nearest = kd_tree(points).query(around)[1]
+    whole = _triangular(np.concatenate([points, around]), triangles + len(points))
+    return replace(whole, carriers=np.concatenate([np.arange(len(points)), nearest]))
+
+
+def _triangular(points: Floats, triangles: Ints) -> Polygons:
+    return Polygons(
+        points=points,
+        counts=np.full(len(triangles), 3),
+        indices=np.asarray(triangles, dtype=np.int64).reshape(-1),
+        holes=np.zeros(0, dtype=np.int64),
+        left_handed=False,
+    )
+
+
+def _finite_points(shape: UsdGeom.PointBased, prim: Usd.Prim, reading: Reading) -> Floats:
+    points = _points(shape.GetPointsAttr(), prim, reading)
+    _require_finite(prim, reading, points)
+    return points
+
+
+def _rows(attribute: Usd.Attribute, width: int, prim: Usd.Prim, reading: Reading) -> Ints:
+    """(n, width) of an array of whole numbers; none for an attribute that is not there."""
+    values = _values(attribute, reading)
+    if len(values) and (values.dtype.kind not in "iu" or values.shape[1:] != (width,)):
+        raise _mistyped(attribute, prim, reading, f"int{width}[]")
+    return values.astype(np.int64).reshape(-1, width)
+
+
 def _ints(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Ints:
     values = _values(attribute, reading)
     if len(values) and (values.dtype.kind not in "iu" or values.ndim != 1):
@@ -161,7 +256,7 @@ def _points(attribute: Usd.Attribute, prim: Usd.Prim, reading: Reading) -> Float
 
 def _values(attribute: Usd.Attribute, reading: Reading) -> np.ndarray:
     """Values as they are; a file may author another type than the schema's, known or not."""
-    values = attribute.Get(reading.time)
+    values = attribute.Get(reading.time) if attribute else None
     return np.atleast_1d(np.asarray([] if values is None else values))
 
 
@@ -175,9 +270,7 @@ def _require_sound(
     prim: Usd.Prim, reading: Reading, points: Floats, counts: Ints, indices: Ints
 ) -> None:
     """Raise InputError where points or topology cannot be what was meant."""
-    lost = int((~np.isfinite(points)).any(axis=1).sum())
-    if lost:
-        raise _broken(prim, reading, f"{lost} of {len(points)} points are not finite (NaN or inf)")
+    _require_finite(prim, reading, points)
     if counts.min() < 0:
         raise _broken(prim, reading, f"a face has {counts.min()} corners")
     if counts.sum() != len(indices):
@@ -195,6 +288,12 @@ def _require_sound(
             f"{int(outside.sum())} faceVertexIndices are outside its {len(points)} points, "
             f"the first is {indices[outside][0]}",
         )
+
+
+def _require_finite(prim: Usd.Prim, reading: Reading, points: Floats) -> None:
+    lost = int((~np.isfinite(points)).any(axis=1).sum())
+    if lost:
+        raise _broken(prim, reading, f"{lost} of {len(points)} points are not finite (NaN or inf)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,8 +326,8 @@ def read_normals(
     values, interpolation = authored
     starts = np.minimum(np.cumsum(counts) - counts, len(indices) - 1)
     carriers = {
-        "vertex": np.arange(len(points)),
-        "varying": np.arange(len(points)),
+        "vertex": np.arange(where.n_points),
+        "varying": np.arange(where.n_points),
         "faceVarying": indices,
         "uniform": indices[starts],
     }.get(interpolation)

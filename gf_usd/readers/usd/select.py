@@ -19,7 +19,8 @@ from pxr import Pcp, Sdf, Usd, UsdGeom
 
 from gf_usd.core.errors import InputError
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
-from gf_usd.readers.usd.implicit import IMPLICIT
+from gf_usd.readers.usd.mesh import has_surface
+from gf_usd.readers.usd.solids.points import is_body
 
 # Prims of an instance are read in place, as if it were not one.
 PROXIES = Usd.TraverseInstanceProxies()
@@ -31,7 +32,7 @@ class Selection:
     """The prims under a set of roots, sorted by what happens to them."""
 
     roots: tuple[Usd.Prim, ...]
-    geometry: tuple[Usd.Prim, ...]  # meshes, implicit shapes and captured Gaussians, in order
+    geometry: tuple[Usd.Prim, ...]  # what has or gets a surface, and captured Gaussians, in order
     skipped: tuple[tuple[str, str], ...]  # (prim path, reason)
     types: Counter[str]  # how often each prim type occurs, for words about an empty stage
 
@@ -67,7 +68,7 @@ def select(stage: Usd.Stage, path: Path, prims: Sequence[str], time: Usd.TimeCod
                 skipped[str(prim.GetPath())] = why
                 walk.PruneChildren()
             elif prim.IsA(UsdGeom.Gprim):
-                reason = _why_not(prim)
+                reason = _why_not(prim, time)
                 if reason:
                     skipped[str(prim.GetPath())] = reason
                 else:
@@ -113,13 +114,17 @@ def _is_hidden(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
     return bool(imageable) and imageable.ComputeVisibility(time) == UsdGeom.Tokens.invisible
 
 
-def _why_not(prim: Usd.Prim) -> str:
+def _why_not(prim: Usd.Prim, time: Usd.TimeCode) -> str:
     """Words for a visible gprim that is not made soft; empty for one that is."""
     name = str(prim.GetTypeName())
-    if name == SPLAT_TYPE and is_ours(prim):
-        return "these Gaussians are the particles of a bake"
-    if not (prim.IsA(UsdGeom.Mesh) or name in IMPLICIT or name == SPLAT_TYPE):
-        return f"{name}: only meshes, solid shapes and splats are made soft"
+    if is_ours(prim):
+        what = "Gaussians" if name == SPLAT_TYPE else "points"
+        return f"these {what} are the particles of a bake"
+    if prim.IsA(UsdGeom.Points):
+        if not is_body(prim, time):
+            return "Points without widths and without physics: no body is meant"
+    elif not (has_surface(prim) or name == SPLAT_TYPE):
+        return f"{name}: only meshes, solid shapes, points and splats are made soft"
     purpose = UsdGeom.Imageable(prim).ComputePurpose()
     return "" if purpose in BAKED_PURPOSES else f"purpose {purpose}"
 

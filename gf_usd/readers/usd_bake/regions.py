@@ -16,8 +16,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import StageFacts, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Region
-from gf_usd.readers.usd.implicit import IMPLICIT
-from gf_usd.readers.usd.mesh import posed_points, read_surface
+from gf_usd.readers.usd.mesh import has_surface, posed_points, read_surface
 from gf_usd.readers.usd.select import PROXIES, named_prim
 from gf_usd.readers.usd.stage import LeftAlone, open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading, shape_varies, transform_varies
@@ -161,7 +160,7 @@ def _region(
     if subset:
         prims = [prim.GetParent()]
     else:
-        prims = [p for p in Usd.PrimRange(prim, PROXIES) if _has_surface(p)]
+        prims = [p for p in Usd.PrimRange(prim, PROXIES) if has_surface(p)]
     if not prims:
         raise InputError(
             f"{facts.path}: {said}: <{prim.GetPath()}> is a {prim.GetTypeName() or 'prim'}"
@@ -187,10 +186,6 @@ def _region(
         path=path[:, used],
         body=str(prims[0].GetPath()),
     )
-
-
-def _has_surface(prim: Usd.Prim) -> bool:
-    return prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in IMPLICIT
 
 
 def _triangles(
@@ -222,6 +217,17 @@ def _posed(prims: Sequence[Usd.Prim], facts: StageFacts, times: Sequence[float])
     return None if np.array_equal(path, np.broadcast_to(path[0], path.shape)) else path
 
 
+def _faces_of(prim: Usd.Prim, n_triangles: int, rest: Usd.TimeCode) -> Ints:
+    """(T,) the authored face of each triangle."""
+    if not prim.IsA(UsdGeom.Mesh):
+        return np.arange(n_triangles)
+    mesh = UsdGeom.Mesh(prim)
+    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(rest), np.int64)
+    per_face = np.maximum(counts - 2, 0)
+    per_face[np.asarray(mesh.GetHoleIndicesAttr().Get(rest) or [], np.int64)] = 0
+    return np.repeat(np.arange(len(counts)), per_face)
+
+
 def _chosen(
     subset: UsdGeom.Subset,
     mesh: Usd.Prim,
@@ -236,11 +242,7 @@ def _chosen(
     if kind == UsdGeom.Tokens.point:
         mine = np.isin(triangles, indices).all(1)
     elif kind == UsdGeom.Tokens.face:
-        counts = np.asarray(UsdGeom.Mesh(mesh).GetFaceVertexCountsAttr().Get(rest), np.int64)
-        holes = UsdGeom.Mesh(mesh).GetHoleIndicesAttr().Get(rest) or []
-        per_face = np.maximum(counts - 2, 0)
-        per_face[np.asarray(holes, np.int64)] = 0
-        mine = np.isin(np.repeat(np.arange(len(counts)), per_face), indices)
+        mine = np.isin(_faces_of(mesh, len(triangles), rest), indices)
     else:
         raise InputError(
             f"{facts.path}: {said} is a subset of elementType {kind!r}",

@@ -22,6 +22,7 @@ from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
 from gf_usd.readers.pictures.recording import VARIANTS, looks_of, select_look, world_points
 from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.solids.tets import boundary
 from gf_usd.readers.usd.stage import Placement, open_stage, reading, stage_facts
 
 Array = NDArray[np.float64]
@@ -74,7 +75,9 @@ class BakedArrays:
             key=lambda prim: str(prim.GetTypeName()) != SPLAT_TYPE,
         )
         self._cloud = clouds[0] if clouds else Usd.Prim()
-        self._meshes = {str(p.GetPath()): p for p in prims if p.IsA(UsdGeom.Mesh)}
+        self._meshes = {
+            str(p.GetPath()): p for p in prims if p.IsA(UsdGeom.Mesh) or p.IsA(UsdGeom.TetMesh)
+        }
         self._health = [
             attribute
             for prim in prims
@@ -109,7 +112,14 @@ class BakedArrays:
 
     def mesh_faces(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(P,) numbers of corners, and (C,) indices into the points, of a mesh."""
-        mesh = UsdGeom.Mesh(self._meshes[path])
+        prim = self._meshes[path]
+        if prim.IsA(UsdGeom.TetMesh):
+            tets = UsdGeom.TetMesh(prim)
+            authored = np.array(tets.GetSurfaceFaceVertexIndicesAttr().Get() or [], np.int64)
+            indices = np.array(tets.GetTetVertexIndicesAttr().Get(), np.int64)
+            triangles = authored if len(authored) else boundary(indices)
+            return np.full(len(triangles), 3, np.int64), triangles.reshape(-1)
+        mesh = UsdGeom.Mesh(prim)
         counts, indices = (
             mesh.GetFaceVertexCountsAttr().Get(),
             mesh.GetFaceVertexIndicesAttr().Get(),

@@ -241,6 +241,10 @@ def read_subsets(
     Raises InputError for indices that are no faces of the mesh.
     """
     if not mesh.IsA(UsdGeom.Mesh):
+        for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
+            if materials.bound(subset.GetPrim()) != materials.bound(mesh):
+                text = "is no subset of a mesh's faces: its physics material is not read"
+                notes.add(text, str(subset.GetPath()))
         return ()
     whole = materials.bound(mesh)
     n_faces = len(UsdGeom.Mesh(mesh).GetFaceVertexCountsAttr().Get(time) or [])

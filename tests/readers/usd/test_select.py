@@ -112,9 +112,9 @@ def test_what_is_left_alone_has_a_reason(read):
         "/R/Proxy": "purpose proxy",
         "/R/Guides/G": "purpose guide",
         "/R/Off": "invisible",
-        "/R/Hair": "BasisCurves: only meshes, solid shapes and splats are made soft",
-        "/R/Dust": "Points: only meshes, solid shapes and splats are made soft",
-        "/R/Floor": "Plane: only meshes, solid shapes and splats are made soft",
+        "/R/Hair": "BasisCurves: only meshes, solid shapes, points and splats are made soft",
+        "/R/Dust": "Points without widths and without physics: no body is meant",
+        "/R/Floor": "Plane: only meshes, solid shapes, points and splats are made soft",
         "/R/Grass": "PointInstancer: its instances are not made soft",
         "/R/Empty": "has 0 points and 0 faces",
         "/R/Dot": "its radius is 0",
@@ -225,7 +225,7 @@ def test_what_inherits_from_a_baked_prim_follows_it(read):
         (
             'def Points "A" {}\ndef Mesh "M" {}',
             "nothing under /A, /M can be made soft: "
-            "/A (Points: only meshes, solid shapes and splats are made soft) and 1 more",
+            "/A (Points without widths and without physics: no body is meant) and 1 more",
             "name other prims with --prim",
         ),
         (

@@ -1,0 +1,1 @@
+"""Prims that are bodies without being meshes: tetrahedra, and clouds of points."""

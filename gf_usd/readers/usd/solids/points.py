@@ -1,0 +1,164 @@
+"""A surface around the balls of a Points prim.
+
+The balls |x - p| <= w / 2 of points p and widths w, with the gaps between neighbors closed: a place
+belongs to the body unless a ball of radius c fits there that meets none of them (morphological
+closing, Serra 1982).  What cannot be reached from outside is filled.  On a grid of edge h,
+
+    f(x) = min_p (|x - p| - w_p / 2),    D = {f <= c} filled,    body = {x in D: dist(x, dD) >= c}
+
+c is twice the median distance between neighbors, and at most the median width, so that balls that
+lie apart stay apart.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import proper, signed_volume, weld
+from gf_usd.core.neighbors import kd_tree
+from gf_usd.readers.notes import Notes
+from gf_usd.readers.usd.stage import LeftAlone
+from gf_usd.readers.usd_physics.attributes import SOFT_BODIES, apis, body_of
+
+CELLS = 96  # along the longest side, at most
+FEWEST = 24  # along the longest side, at least
+NEAR = 8  # balls of about one size that are looked at around a place
+PARTICLES = ("Newton", "Physx", "OmniPhysics", "PhysicsDeformable")  # of APIs, for points
+
+
+def is_body(prim: Usd.Prim, time: Usd.TimeCode) -> bool:
+    """Whether Points are a body: they have widths, or an API of particles or deformables."""
+    if any(attribute.HasAuthoredValue() for attribute in _widths_of(prim)):
+        return True
+    if any(name.startswith(PARTICLES) for name in apis(prim)):
+        return True
+    body = body_of(prim, time)
+    return body is not None and bool(apis(body) & SOFT_BODIES.keys())
+
+
+def widths(prim: Usd.Prim, points: Floats, time: Usd.TimeCode, notes: Notes) -> Floats:
+    """(n,) widths above 0 in the prim's units; where none are authored the points' mean distance.
+
+    Raises LeftAlone where neither says a size.
+    """
+    where, count = str(prim.GetPath()), len(points)
+    for attribute in _widths_of(prim):
+        value = attribute.Get(time) if attribute.HasAuthoredValue() else None
+        if value is None or not len(np.atleast_1d(value)):
+            continue
+        found = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        if len(found) not in (1, count) or not (np.isfinite(found) & (found > 0.0)).all():
+            raise LeftAlone(
+                f"its {len(found)} widths are not one, or one for each of {count} points, above 0"
+            )
+        return np.broadcast_to(found, (count,))
+    if count < 2 or not (spacing := _spacing(points)) > 0.0:
+        raise LeftAlone(f"has {count} points in one place, and no widths")
+    notes.add(f"no widths are authored: the distance of neighbors, {spacing:.3g}, is taken", where)
+    return np.full(count, spacing)
+
+
+def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
+    """Vertices (V, 3) and triangles (T, 3), outward, of the surface around balls.
+
+    points : (n, 3); wide : (n,) widths, above 0.  Raises LeftAlone where no surface is found.
+    """
+    points, radii = np.asarray(points, np.float64), np.asarray(wide, np.float64) / 2.0
+    typical = float(np.median(radii))
+    spacing = _spacing(points) if len(points) > 1 else 0.0
+    low, high = (points - radii[:, None]).min(0), (points + radii[:, None]).max(0)
+    side = float((high - low).max())
+    h = max(side / CELLS, min(typical / 2.0, side / FEWEST))
+    reach = max(min(2.0 * spacing, 2.0 * typical), h)
+    margin = reach + 3.0 * h
+    shape = np.ceil((high - low + 2.0 * margin) / h).astype(int) + 1
+    axes = [low[d] - margin + h * np.arange(shape[d]) for d in range(3)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    f = _distance(nodes.reshape(-1, 3), points, radii, margin).reshape(shape)
+    f = _without_cavities(f, reach, h)
+    outer, faces = _contour(f - reach, nodes, h)
+    inside = f <= reach
+    depth = _to_surface(nodes[inside], outer, faces)
+    g = -f  # outside D: f - reach is the distance to it
+    g[inside] = depth - reach
+    vertices, triangles = _contour(-g, nodes, h)
+    if len(triangles) == 0:
+        raise LeftAlone(f"no surface could be put around its {len(points)} points")
+    return vertices, triangles
+
+
+def _widths_of(prim: Usd.Prim) -> list[Usd.Attribute]:
+    """Where widths may be authored; the primvar goes first, as UsdGeomPoints says."""
+    found = (UsdGeom.PrimvarsAPI(prim).GetPrimvar("widths").GetAttr(), prim.GetAttribute("widths"))
+    return [attribute for attribute in found if attribute]
+
+
+def _spacing(points: Floats) -> float:
+    """Median distance to the nearest other point."""
+    return float(np.median(kd_tree(points).query(points, k=2)[0][:, 1]))
+
+
+def _distance(x: Floats, points: Floats, radii: Floats, most: float) -> NDArray[np.float64]:
+    """(m,) f at places x (m, 3); `most` where it is more."""
+    f = np.full(len(x), most)
+    size = np.floor(np.log2(radii))
+    for one in np.unique(size):
+        mine = np.flatnonzero(size == one)
+        reach = most + float(radii[mine].max())
+        many = min(NEAR if np.ptp(radii[mine]) else 1, len(mine))
+        away, which = kd_tree(points[mine]).query(
+            x, k=np.arange(1, many + 1), distance_upper_bound=reach
+        )
+        found = np.append(radii[mine], 0.0)[which]  # where none is near `which` is one beyond
+        f = np.minimum(f, (away - found).min(axis=1))
+    return f
+
+
+def _without_cavities(f: Floats, level: float, h: float) -> NDArray[np.float64]:
+    """f with what is closed in by {f <= level} made part of it."""
+    from scipy import ndimage
+
+    label: Any = ndimage.label  # its stub knows no pair
+    outside = label(f > level)[0]
+    closed = (f > level) & (outside != outside[0, 0, 0])
+    return np.where(closed, level - h, f)
+
+
+def _contour(f: Floats, nodes: Floats, h: float) -> tuple[NDArray[np.float64], Ints]:
+    """Vertices and triangles of f = 0, outward where f grows outward, by marching cubes."""
+    import igl
+
+    n = f.shape
+    # igl wants x to run fastest
+    order = (2, 1, 0)
+    values = np.ascontiguousarray(f.transpose(order)).ravel()
+    at = np.ascontiguousarray(nodes.transpose(*order, 3)).reshape(-1, 3)
+    march: Any = igl.marching_cubes  # its stub knows no unpacked sizes
+    made = march(values, at, *map(int, n), 0.0)
+    points = np.asarray(made[0], np.float64).reshape(-1, 3)
+    triangles = np.asarray(made[1], np.int64).reshape(-1, 3)
+    if len(triangles) == 0:
+        return points, triangles
+    # where the surface goes through a node, triangles have no size
+    one, _ = weld(points, 1e-6 * h)
+    triangles = one[triangles]
+    triangles = triangles[proper(triangles)]
+    used, inner = np.unique(triangles, return_inverse=True)
+    points, triangles = points[used], inner.reshape(-1, 3)
+    if signed_volume(points, triangles) < 0.0:
+        triangles = triangles[:, ::-1].copy()
+    return points, triangles
+
+
+def _to_surface(x: Floats, points: Floats, triangles: Ints) -> NDArray[np.float64]:
+    """(m,) distance of places x (m, 3) from triangles."""
+    import igl
+
+    center = points.mean(0)
+    found: Any = igl.point_mesh_squared_distance(x - center, points - center, triangles)
+    return np.sqrt(np.asarray(found[0], np.float64).reshape(-1))

@@ -1,0 +1,182 @@
+"""Tetrahedra of a TetMesh: their surface, and whether they can be a body at rest.
+
+A tetrahedron (a, b, c, d) of a right-handed TetMesh has the volume
+
+    V = (b - a) . ((c - a) x (d - a)) / 6 > 0
+
+and the faces (b c d), (a d c), (a b d), (a c b), counter-clockwise seen from outside
+(UsdGeomTetMesh).  A face of one tetrahedron alone is part of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.mesh import weld
+
+FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+FLAT = 1e-9  # of its longest edge cubed: the volume below which a tetrahedron is flat
+STRETCHED = 1e-4  # of an edge: a rest shape that differs by more is not that of the points
+
+
+class BrokenTets(Exception):
+    """The tetrahedra are no body; the text says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tets:
+    """A TetMesh as authored, in its own space."""
+
+    points: Floats  # (V, 3), finite
+    tets: Ints  # (n, 4) into points
+    surface: Ints  # (T, 3) into points; none: not authored
+    left_handed: bool
+    rest_points: Floats  # (R, 3) of the rest shape; none: it is that of the points
+    rest_tets: Ints  # (n, 4) into rest_points; none: as tets
+
+
+def surface_of(body: Tets, say: Callable[[str], None]) -> Ints:
+    """Triangles (T, 3) of the surface, counter-clockwise seen from outside.
+
+    They are the authored ones, in their order, where there are any and they are wound one way.
+
+    say : is told what was assumed.
+
+    Raises BrokenTets for indices out of range, tetrahedra that are inverted or overlap, and an
+    authored surface that is not theirs.
+    """
+    points, tets = body.points, body.tets
+    _require_range("tetVertexIndices", tets, len(points))
+    _require_range("surfaceFaceVertexIndices", body.surface, len(points))
+    volumes = signed_volumes(points, tets)
+    handed = -1.0 if body.left_handed else 1.0
+    sign = _sign(volumes * handed, _flat(points, tets), "its points", say) * handed
+    _look_at_rest(body, sign, say)
+    wound = tets if sign > 0.0 else tets[:, [0, 2, 1, 3]]
+    if len(body.surface):
+        return _authored(body.surface, boundary(wound), say)
+    # Tetrahedra that have their points for themselves touch all the same.
+    one, _ = weld(points)
+    inner = boundary(one[wound])
+    return inner if len(inner) else boundary(wound)
+
+
+def signed_volumes(points: Floats, tets: Ints) -> Floats:
+    """(n,) volumes of tetrahedra (n, 4)."""
+    a, b, c, d = np.moveaxis(np.asarray(points, np.float64)[tets], 1, 0)
+    return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
+
+
+def boundary(tets: Ints) -> Ints:
+    """Faces (T, 3) that belong to one of the tetrahedra (n, 4) only, wound outward.
+
+    Raises BrokenTets where three and more share a face.
+    """
+    faces = np.asarray(tets)[:, FACES].reshape(-1, 3)
+    _, inverse, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    if count.max(initial=0) > 2:
+        raise BrokenTets(f"{int((count > 2).sum())} faces belong to three and more tetrahedra")
+    return faces[count[inverse.reshape(-1)] == 1]
+
+
+def _require_range(name: str, indices: Ints, count: int) -> None:
+    outside = (indices < 0) | (indices >= count)
+    if outside.any():
+        raise BrokenTets(
+            f"{int(outside.sum())} {name} are outside its {count} points,"
+            f" the first is {indices[outside][0]}"
+        )
+
+
+def _flat(points: Floats, tets: Ints) -> Floats:
+    """(n,) volume below which each tetrahedron is flat."""
+    corners = np.asarray(points, np.float64)[tets]
+    edges = np.linalg.norm(corners[:, EDGES[:, 0]] - corners[:, EDGES[:, 1]], axis=2)
+    return FLAT * edges.max(axis=1, initial=0.0) ** 3
+
+
+def _sign(volumes: Floats, least: Floats, where: str, say: Callable[[str], None]) -> float:
+    """1 where the tetrahedra are wound as their orientation says, -1 where all are the other way.
+
+    volumes : (n,) signed, positive as the orientation says; least : (n,) of which those below are
+    flat.
+    """
+    flat = np.abs(volumes) <= least
+    inverted = (volumes < 0.0) & ~flat
+    if flat.any():
+        first = int(np.flatnonzero(flat)[0])
+        say(
+            f"{int(flat.sum())} of {len(volumes)} tetrahedra are flat at {where}, as number {first}"
+        )
+    if flat.all():
+        raise BrokenTets(f"none of its {len(volumes)} tetrahedra has a volume at {where}")
+    if inverted[~flat].all():
+        say(f"its tetrahedra are wound against its orientation at {where}: turned round")
+        return -1.0
+    if inverted.any():
+        first = int(np.flatnonzero(inverted)[0])
+        raise BrokenTets(
+            f"{int(inverted.sum())} of {len(volumes)} tetrahedra are inverted at {where}:"
+            f" number {first} has a volume of {volumes[first]:.3g} stage units cubed"
+        )
+    return 1.0
+
+
+def _look_at_rest(body: Tets, sign: float, say: Callable[[str], None]) -> None:
+    """Raise BrokenTets for a rest shape that is none; say where it is not that of the points."""
+    if not len(body.rest_points):
+        return
+    rest = body.rest_points
+    tets = body.rest_tets if len(body.rest_tets) else body.tets
+    if len(tets) != len(body.tets):
+        raise BrokenTets(f"it has {len(body.tets)} tetrahedra and {len(tets)} of the rest shape")
+    if not len(body.rest_tets) and len(rest) != len(body.points):
+        raise BrokenTets(f"it has {len(body.points)} points and {len(rest)} restShapePoints")
+    if not np.isfinite(rest).all():
+        raise BrokenTets("its restShapePoints are not all finite (NaN or inf)")
+    _require_range("tetrahedra of the rest shape", tets, len(rest))
+    _sign(signed_volumes(rest, tets) * sign, _flat(rest, tets), "its rest shape", say)
+    now, then = (
+        np.linalg.norm(corners[:, EDGES[:, 0]].astype(np.float64) - corners[:, EDGES[:, 1]], axis=2)
+        for corners in (body.points[body.tets], rest[tets])
+    )
+    change = float(np.abs(now - then).max() / max(then.max(), np.finfo(float).tiny))
+    if change > STRETCHED:
+        say(
+            f"its rest shape differs from its points (an edge by {100.0 * change:.2g} % of the"
+            " longest one): the bake starts at its points, free of stress"
+        )
+
+
+def _authored(surface: Ints, outward: Ints, say: Callable[[str], None]) -> Ints:
+    """The authored triangles, wound outward."""
+    order = {tuple(sorted(row)): k for k, row in enumerate(outward.tolist())}
+    rows = [order.get(tuple(sorted(row)), -1) for row in surface.tolist()]
+    foreign, missing = rows.count(-1), len(set(order.values()) - set(rows))
+    if foreign or missing or len(rows) != len(order):
+        raise BrokenTets(
+            f"{foreign} of its {len(surface)} surfaceFaceVertexIndices are no faces of the surface"
+            f" of its tetrahedra, and {missing} of its {len(outward)} are missing"
+        )
+    # An even permutation of the corners keeps the winding.
+    same = np.array([_even(a, b) for a, b in zip(surface.tolist(), outward[rows].tolist())])
+    if same.all():
+        return surface
+    if same.any():
+        say(
+            f"{int((~same).sum())} of its {len(surface)} surfaceFaceVertexIndices are wound inward:"
+            " turned round"
+        )
+    return np.where(same[:, None], surface, surface[:, ::-1])
+
+
+def _even(a: list[int], b: list[int]) -> bool:
+    turn = b.index(a[0])
+    return a == b[turn:] + b[:turn]
