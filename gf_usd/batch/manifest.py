@@ -5,7 +5,6 @@ The options that a manifest may give: those of `gf_usd.bake`, each of its type.
 
 from __future__ import annotations
 
-import difflib
 import glob
 import json
 import math
@@ -22,7 +21,7 @@ from gf_usd.prepare.advice import AUTO
 from gf_usd.prepare.advice.advise import parse_auto
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.request import Request
-from gf_usd.prepare.options.table import OPTIONS
+from gf_usd.prepare.options.table import OPTIONS, nearest
 from gf_usd.prepare.outputs import USD
 from gf_usd.system.sandbox import parse_limits
 
@@ -223,11 +222,9 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     for key, value in given.items():
         name = key.replace("-", "_")
         if name not in KNOWN:
-            close = difflib.get_close_matches(name, KNOWN, n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
             raise UsageError(
                 f"{where}: there is no option {key!r}",
-                f"{guess}the options are {', '.join(sorted(KNOWN))}",
+                f"{nearest(name, KNOWN)}the options are {', '.join(sorted(KNOWN))}",
             )
         out[name] = _typed(KNOWN[name], value, where)
     fields = Request.__dataclass_fields__

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.prepare.options.table import OPTIONS
+from gf_usd.prepare.options.table import OPTIONS, nearest
 
 NAME = "gf-usd.toml"
 TABLES = ("bake",)
@@ -74,8 +73,7 @@ def find(folder: Path) -> FolderOptions | None:
 def _require(path: Path, told: Mapping[str, Any], known: Collection[str], what: str) -> None:
     for name in told:
         if name not in known:
-            close = difflib.get_close_matches(name.replace("-", "_"), known, n=1)
-            guess = f"did you mean {close[0]}? " if close else ""
             raise UsageError(
-                f"{path}: {name} is not {what}", f"{guess}gf-usd help config shows the form"
+                f"{path}: {name} is not {what}",
+                f"{nearest(name, known)}gf-usd help config shows the form",
             )

@@ -4,7 +4,7 @@
     solver.*    the solver's state, as `FrameBuilder.state` gives it
     track.*     the axes of the Gaussians, likewise
 
-It is written when a value clip is full, and speaks of the moment of that clip's last sample.  The
+It is written when a value clip is full, and holds the state at that clip's last sample.  The
 samples up to there are in the clips, so it does not grow with them.
 
 Going on with a bake that ended early: when its checkpoints fit, and when they are written.
@@ -32,6 +32,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, Unfinished, UsageError
 from gf_usd.core.frames import Choices, Health, Particles, Settings
 from gf_usd.core.materials import Material
+from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health import health_of
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Variant
@@ -134,12 +135,14 @@ def identity(
     table: Sequence[Material],
     choices: Choices,
     particles: Particles,
+    colliders: Sequence[Collider] = (),
     *,
     asset: Path,
     command: str,
 ) -> dict[str, str]:
     """Hashes of all that decides what a variant's clips hold, each under a name for people.
 
+    colliders : obstacles, of the asset or of files of their own (`--collider`).
     Raises InputError where a file of the asset cannot be read any more.
     """
     of_settings = asdict(settings)
@@ -156,9 +159,22 @@ def identity(
     return {
         "program": _hash(program()),
         "asset": _hash(_files(asset)),
+        "obstacles": _obstacles(colliders),
         "options": _hash(options),
         "particles": body.hexdigest(),
     }
+
+
+def _obstacles(colliders: Sequence[Collider]) -> str:
+    """Hash of the shape, motion and physics material of each, wherever it was read from."""
+    found = hashlib.sha256()
+    for one in colliders:
+        found.update(_hash([one.shape, one.approximation, one.role, asdict(one.spec)]).encode())
+        for array in (one.points, one.triangles, one.linear, one.offset, one.deformed):
+            values = np.ascontiguousarray(() if array is None else array)
+            found.update(repr((values.dtype.str, values.shape)).encode())
+            found.update(values.tobytes())
+    return found.hexdigest()
 
 
 def _files(asset: Path) -> Any:
@@ -232,7 +248,8 @@ def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint
     if other:
         raise UsageError(
             f"{path} is of another bake: its {' and '.join(other)} differed",
-            "repeat the command that was interrupted, or bake without --resume, which begins anew",
+            "repeat the command that was interrupted, with the files as they were, or bake without"
+            " --resume, which begins anew",
         )
     clips = [cache_path.parent / name for name in clip_files(checkpoint.cache)]
     missing = [clip for clip in clips if not clip.is_file()]

@@ -130,6 +130,7 @@ def _identity(plan: Plan, variant: Variant) -> dict[str, str]:
     """Of a checkpoint of a variant."""
     return identity(
         variant.settings, variant.table, plan.choices, plan.particles,
+        plan.contact_setup.colliders if plan.contact_setup else (),
         asset=plan.asset.facts.path, command=plan.command,
     )  # fmt: skip
 

@@ -56,6 +56,13 @@ def test_a_word_that_is_no_number_is_refused() -> None:
         clean({"repair": parse("repair", "yes", "--set")}, "here", Path())
 
 
+def test_the_flag_of_an_option_leads_to_its_name():
+    for given, meant in (("pin", "pins"), ("material-box", "material_boxes"), ("frame", "frames")):
+        with pytest.raises(UsageError) as caught:
+            clean({given: "/A"}, "here", Path())
+        assert (caught.value.hint or "").startswith(f"did you mean {meant}? the options are ")
+
+
 def test_limits_reach_the_bake_and_do_not_decide_what_it_writes() -> None:
     options = clean({"limits": "time=60,memory=4G"}, "here", Path())
     job = Job(name="a", asset=Path("a"), root=Path("a.usda"), options=options)

@@ -74,6 +74,7 @@ def test_the_options_of_a_folder_hold_below_it(
     ("text", "words"),
     [
         ("[bake]\npartikles = 4\n", "partikles is not an option of gf-usd bake"),
+        ("[bake]\npin = '/A'\n", "hint: did you mean pins? "),
         ("[bkae]\n", "bkae is not a table of this file"),
         ("bake = 3\n", "bake is 3"),
         ("[bake]\nframes = 'ten'\n", "frames"),

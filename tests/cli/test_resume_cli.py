@@ -149,6 +149,23 @@ def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -
     assert "its asset differed; with --overwrite the bake begins anew" in report
 
 
+WALL = "v {x} 0 -50\nv {x} 0 50\nv {x} 300 0\nv -90 0 0\nf 1 2 3\nf 2 1 4\nf 3 2 4\nf 1 3 4\n"
+
+
+def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path) -> None:
+    wall = here / "wall.obj"
+    wall.write_text(WALL.format(x=-60), encoding="utf-8")
+    words = ("bake", block, *SMALL, "--collider", "wall.obj", "-q")
+    assert gf_usd(*words, "--slice", "1").status == 5
+    wall.write_text("# the same shape\n" + WALL.format(x=-60), encoding="utf-8")
+    assert gf_usd(*words, "--slice", "1", "--resume").status == 5
+    wall.write_text(WALL.format(x=-59), encoding="utf-8")
+    other = gf_usd(*words, "--resume")
+    assert other.status == 2
+    assert f"{KEPT} is of another bake: its obstacles differed" in other.err
+    assert "with the files as they were" in other.err
+
+
 def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Path) -> None:
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "--slice", "2").status == 5

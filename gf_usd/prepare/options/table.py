@@ -7,7 +7,7 @@ Nothing here loads NumPy: ``gf-usd --help`` reads it.
 
 import difflib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from gf_usd.core.errors import UsageError
@@ -363,18 +363,23 @@ def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:
             if name not in PLANNED:  # `Request.check` judges the others
                 OPTIONS[name].check(out[name])
         else:
-            raise UsageError(f"{function}() has no option {name!r}", _nearest(name))
+            known = [*OPTIONS, PROGRESS]
+            hint = f"{nearest(name, known)}its options are {', '.join(sorted(known))}"
+            raise UsageError(f"{function}() has no option {name!r}", hint)
     return out
 
 
-def _nearest(name: str) -> str:
-    known = [*OPTIONS, PROGRESS]
+def nearest(name: str, known: Collection[str]) -> str:
+    """``did you mean NAME? `` for a name that is not among those known; "" where none is near.
+
+    An option of several values has a flag in the singular: ``pin`` means ``pins``, not ``spin``.
+    """
     bare = name.lstrip("-").replace("-", "_").lower()
-    # a list is given as several flags of the singular: --pin, pins=
-    meant = {row.flag[2:].replace("-", "_"): row.name for row in OPTIONS.values()}
-    close = [meant[bare]] if bare in meant else difflib.get_close_matches(bare, known, n=1)
-    guess = f"did you mean {close[0]}? " if close else ""
-    return f"{guess}its options are {', '.join(sorted(known))}"
+    flags = {row.flag[2:].replace("-", "_"): row.name for row in OPTIONS.values()}
+    if flags.get(bare) in known:
+        return f"did you mean {flags[bare]}? "
+    close = difflib.get_close_matches(bare, known, n=1)
+    return f"did you mean {close[0]}? " if close else ""
 
 
 def arguments(asked: Mapping[str, Any]) -> list[str]:
