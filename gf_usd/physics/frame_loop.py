@@ -14,7 +14,7 @@ own a body under gravity, floor and damping can only lose some, up to the integr
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,7 +50,8 @@ class Solver(ABC):
 
     What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable step
     at rest), `strained` (those that the body as it is now asks for), `state`, and the abstract
-    methods below.
+    methods below.  `on_launch` is called after launches of kernels, several times in a long frame;
+    it may raise, to end the simulation within a frame.
     """
 
     particles: Particles
@@ -59,6 +60,7 @@ class Solver(ABC):
     coarse: int
     strained: int = 1
     state: DeviceState
+    on_launch: Callable[[], None] | None = None
 
     @abstractmethod
     def advance(self, index: int, substeps: int) -> FrameStats:

@@ -100,7 +100,8 @@ class Forecast:
         self._said = max(float(cost["estimated_seconds"]), 1e-9)
         self._lately: deque[_Seen] = deque(maxlen=LATELY)
         self._idle: deque[float] = deque(maxlen=LATELY)  # [s] of samples without substeps
-        self._material = -1
+        self._material, self._index = -1, -1  # that the last sample is of, and its own number
+        self._fresh = True  # no sample of the material was seen: the first also builds the solver
         self._compiled, self._compiles_since = 0.0, 0.0
         self._remark = remark
         self._surprises: list[str] = []
@@ -118,19 +119,43 @@ class Forecast:
         else:
             self._compiled += self._clock() - self._compiles_since
 
+    def begin(self, material: int, index: int) -> None:
+        """The samples of a material after number `index` come next; -1: all of them."""
+        self._material, self._index, self._fresh = material, index, True
+        self._lately.clear()
+        self._idle.clear()
+
+    def require(self) -> None:
+        """Raise OutOfResources where the bake has taken OVERRUN times its limit.
+
+        For every launch of kernels: a frame may take as long as all before it.
+        """
+        spent = self._clock() - self._began
+        if spent <= OVERRUN * self._limit:
+            return
+        left = self._samples - 1 - self._index
+        raise OutOfResources(
+            f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
+            f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
+            f" {self._samples} frames are left",
+            f"give more --max-hours; {self._again}",
+            frame=min(self._index + 1, self._samples - 1),
+        )
+
     def after(self, material: int, index: int, substeps: int, following: int) -> None:
         """A sample is written: say so where the whole takes much longer than was said.
 
         material : number of it; index : of the sample; substeps : that it took; following : that
         the next one asks for.
 
-        Raises OutOfResources where the bake has taken OVERRUN times its limit.
+        Raises OutOfResources as `require` does, but not after the last sample.
         """
         now = self._clock()
         if material != self._material:
-            self._material = material
-            self._lately.clear()
-            self._idle.clear()
+            self.begin(material, index)
+        self._index = index
+        if self._fresh:
+            self._fresh = False
         elif substeps:
             self._lately.append(_Seen(now - self._last - self._compiled, substeps))
         else:
@@ -139,14 +164,8 @@ class Forecast:
         left = self._samples - 1 - index
         later = sum(float(row["seconds"]) for row in self._rows[material + 1 :])
         spent = now - self._began
-        if left + later > 0 and spent > OVERRUN * self._limit:
-            raise OutOfResources(
-                f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
-                f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
-                f" {self._samples} frames are left",
-                f"give more --max-hours; {self._again}",
-                frame=index,
-            )
+        if left + later > 0:
+            self.require()
         row = self._rows[material]
         self.left = self._of_material(row, index, left, following) + later
         self.left += float(row.get("end_seconds", 0.0))

@@ -338,7 +338,10 @@ def _run_variant(
         done=number * total, total=total * len(plan.materials), left=forecast.left,
     )  # fmt: skip
     splats = splat_deformer(plan, variant)
-    builder = frame_builder(plan, variant, prepared.solvers.take(variant), splats)
+    solver = prepared.solvers.take(variant)
+    solver.on_launch = forecast.require
+    forecast.begin(number, since.index if since else -1)
+    builder = frame_builder(plan, variant, solver, splats)
     guard = ResourceGuard(
         _folder(plan),
         plan.frame_bytes / n,

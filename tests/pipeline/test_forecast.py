@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any
 
 import pytest
@@ -11,7 +13,9 @@ import pytest
 import gf_usd
 from gf_usd.core.errors import OutOfResources, SolverError
 from gf_usd.core.materials import PHYSICAL, find_preset
+from gf_usd.physics.total_lagrangian import launch
 from gf_usd.pipeline import forecast as forecasts
+from gf_usd.pipeline import run as runs
 from gf_usd.pipeline.budget import LONG, shortcuts
 from gf_usd.pipeline.forecast import Forecast
 
@@ -116,7 +120,7 @@ def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
     made = Forecast(cost(100.0), 100, 0.1, again="go on", clock=clock)
     with pytest.raises(OutOfResources) as caught:
         follow(made, clock, [100] * 100, 0.09)  # 900 s of 720 s
-    assert caught.value.frame == 80
+    assert caught.value.frame == 81, "the first that could not be had"
     assert "the bake has taken 12.2 minutes, and --max-hours 0.1 lets it take 12" in str(
         caught.value.message
     )
@@ -124,6 +128,44 @@ def test_it_ends_at_twice_the_hours_that_it_may_take() -> None:
     assert "go on" in caught.value.hint
     (line,) = made.take()
     assert line.endswith("; it ends after 12 minutes, twice --max-hours")
+
+
+def test_it_ends_within_a_frame_that_takes_too_long() -> None:
+    clock = Clock()
+    made = Forecast(cost(100.0), 100, 0.1, clock=clock)
+    made.begin(0, 19)
+    follow(made, clock, [100] * 5, 0.01, first=20)
+    clock.now = 719.0
+    made.require()
+    clock.now = 721.0
+    with pytest.raises(OutOfResources, match="75 of 100 frames are left") as caught:
+        made.require()
+    assert caught.value.frame == 25
+
+
+def test_a_frame_that_is_cut_leaves_what_can_be_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each reading of the clock takes a second, and each substep is a launch with a reading."""
+    seconds = iter(range(100_000))
+    asked: dict[str, Any] = {
+        "material": "rubber", "output": f"{tmp_path}/", "particles": 100, "frames": 5,
+        "drop": "0.05r", "clip_frames": 1,
+    }  # fmt: skip
+    with monkeypatch.context() as patched:
+        patched.setattr(launch, "LAUNCH_SECONDS", 1e-9)
+        patched.setattr(runs, "Forecast", partial(Forecast, clock=lambda: float(next(seconds))))
+        with pytest.raises(SolverError, match=r"max_hours 0\.003 lets it take 22 s") as caught:
+            gf_usd.bake(str(SPHERE), **asked, max_hours=0.003)
+    assert next(seconds) in (22, 23), "at once: a frame has eight substeps and more"
+    ended = caught.value.__cause__
+    assert ended is not None
+    assert "launch.py" in {Path(at.filename).name for at in extract_tb(ended.__traceback__)}
+    assert 0 < caught.value.frame < 4
+    assert list(tmp_path.glob("*.checkpoint.npz"))
+    result = gf_usd.bake(str(SPHERE), **asked, resume=True)
+    assert len(result.bakes[0].per_frame) == 5
+    assert any("goes on after frame" in note for note in result.notes)
 
 
 def test_the_last_frame_is_never_too_late() -> None:

@@ -52,8 +52,15 @@ class Launches:
             self._kernel = Launcher(body.kernels.queued, state.pack)
             self.thread_count = ThreadCount(s.threads or cores(), len(body.particles))
 
-    def run(self, state: State, substeps: int, dt: float, active: int) -> None:
-        """So many substeps of dt [s] in which `active` contact samples are looked at."""
+    def run(
+        self,
+        state: State,
+        substeps: int,
+        dt: float,
+        active: int,
+        on_launch: Callable[[], None] | None = None,
+    ) -> None:
+        """So many substeps of dt [s] with `active` contact samples; on_launch : see `Solver`."""
         s, nodes = self._body.settings, self._body.stencil
         free = nodes.free_count
         every, alpha = filter_of(s.filter_rate, dt)
@@ -72,6 +79,8 @@ class Launches:
             else:
                 self._kernel(*counts, ends, *when, *numbers)
             done += many
+            if on_launch:
+                on_launch()
         state.done += substeps
 
     def _draw(self, counts: tuple[int, ...], tail: tuple[Any, ...], threads: int) -> None:

@@ -131,7 +131,7 @@ class TotalLagrangian(Solver):
                 self.active.move_springs(state, 0.5 * (last - dt))
             watched = self.active.select(state, low, paired, dt)
             active = max(active, watched)
-            self.launches.run(state, parts, dt, watched)
+            self.launches.run(state, parts, dt, watched, self.on_launch)
             left, taken, last = left - chunk, taken + parts, dt
             if pairs:
                 pairs.follow(state, dt, closed=left == 0)

@@ -125,6 +125,8 @@ class UpdatedLagrangian(Solver):
             for k in range(substeps):
                 drift = dt if k < substeps - 1 else 0.5 * dt
                 body.kernels.parallel(state.pack, n, active, *capacities, *tail, drift)
+                if self.on_launch:
+                    self.on_launch()
         return active
 
     def read(self, index: int) -> Frame:
