@@ -158,7 +158,7 @@ def test_bodies_that_are_near_at_rest_stay_where_they_are(gap):
     """What touches, overlaps or is nearer than APART in the asset is not pushed."""
     lower = cube((-0.5, 0.0, -0.5), path="/Lower")
     upper = cube((-0.5, 1.0 + gap, -0.5), path="/Upper")
-    solver = meeting(lower, upper, particles=200, frames=3)
+    solver = contact_solver(lower, upper, particles=200, frames=3)
     assert gap < APART * solver.particles.spacing
     first, *_, last = solver.frames()
     assert last.health.kinetic <= 1e-12 * solver.body.m.sum()

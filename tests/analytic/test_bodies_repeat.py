@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from contact_scenes import bricks, contact_solver, half_space
 from launching import WAYS, launched
+from slow_parameters import slow_but
 from solids import sphere, surface
 
 from gf_usd.core.frames import Health
@@ -47,7 +48,7 @@ def first():
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", slow_but(WAYS, "alone"))
 def test_reruns_threads_and_launches_agree_to_the_bit(first, way, threads, monkeypatch):
     assert np.array_equal(first, march(threads, way, monkeypatch))
 

@@ -33,7 +33,10 @@ def fly(real=np.float32, frames=100, filter_rate=0.0, particles=500, damping=0.0
     return solver, [f.health for f in solver.frames()]
 
 
-@pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 2e-6), (np.float64, 1e-12)])
+@pytest.mark.parametrize(
+    ("real", "tolerance"),
+    [(np.float32, 2e-6), pytest.param(np.float64, 1e-12, marks=pytest.mark.slow)],
+)
 def test_free_fall_is_exact_at_every_frame(real, tolerance):
     # Position Verlet is exact under a constant force: only rounding is left, in f32 about 6e-8 a
     # substep on a velocity that grows to 5 m/s over some 30 substeps.

@@ -34,6 +34,7 @@ def test_nothing_turns_inside_out(name) -> None:
     assert least > 0.0
 
 
+@pytest.mark.slow
 def test_the_law_of_the_paper_would_turn_some_inside_out() -> None:
     inverted, redone, least = drop("jelly", law="corotated")
     assert inverted > 0

@@ -29,7 +29,7 @@ MU = E / (2.0 * (1.0 + NU))
 HARD = HARDENING * MU  # [Pa]
 YIELD = 200.0  # [Pa]: a strain of 0.02
 RATE = np.array([[4.0, 2.0, 0.0], [0.0, -3.0, 1.0], [2.0, 0.0, -1.0]])  # [1/s]
-families = pytest.mark.parametrize("family", ["simd", "scalar", "ul"])
+families = pytest.mark.parametrize("family", slow_but(["simd", "scalar", "ul"], "simd"))
 
 
 @pytest.fixture(autouse=True)
@@ -247,7 +247,7 @@ def test_kernel_families_agree(options, more):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=2e-5)
 
 
-@pytest.mark.parametrize("family", ["simd", "scalar"])
+@pytest.mark.parametrize("family", slow_but(["simd", "scalar"], "simd"))
 def test_energy_is_kept_but_for_what_flow_takes(family):
     solver = thrown(family)
     seen = [frame.health for frame in solver.frames()]
