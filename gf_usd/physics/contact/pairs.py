@@ -93,7 +93,9 @@ class BodyContact:
         self.planes = nothing(len(samples.X))  # as they were when the kernels last ended
         self._detected = 0.0  # [s] time of the last detection
         self._k = self.contact.stiffness
-        crowd = CROWD * float((self.contact.meeting / self.contact.stiffness).max(initial=1.0))
+        crowd = CROWD * float(
+            (self.contact.pair_stiffness / self.contact.stiffness).max(initial=1.0)
+        )
         self._crowd = crowd
         self._hardening = (HARD * self._spacing) ** -2
         self.injected = 0.0  # [J] since `begin`
@@ -303,7 +305,7 @@ class BodyContact:
         """[s] for which no sample touches what it faces, at the speeds v (n, 3) [m/s] and more."""
         f = self.planes
         gap = self._gap - self._offset - NEARLY * self._spacing
-        closing = -((v - f.ridden(v) - f.velocity) * f.normal).sum(1)
+        closing = -((v - f.interpolated(v) - f.velocity) * f.normal).sum(1)
         faces = f.partner != narrow_phase.NOBODY
         if (gap[faces] <= 0.0).any():
             return 0.0
@@ -323,7 +325,7 @@ class BodyContact:
         """[s] until a sample has slid too far along what it faces; what is off may go farther."""
         f = self.planes
         near = f.partner != narrow_phase.NOBODY
-        speed = np.linalg.norm(v - f.ridden(v) - f.velocity, axis=1)[near]
+        speed = np.linalg.norm(v - f.interpolated(v) - f.velocity, axis=1)[near]
         way = TRAVEL * self._spacing + WAIT * np.maximum(self._gap[near], 0.0)
         return float((way / np.maximum(speed, 1e-30)).min(initial=np.inf))
 
@@ -409,7 +411,7 @@ class BodyContact:
         f, offset = self.planes, self._offset
         unseen = (depth > 0.0) & (search.planes.partner == narrow_phase.NOBODY) & (f.partner >= 0)
         rows = np.flatnonzero(unseen & (self._of[f.partner] == self._of))
-        point = (f.ridden(search.x) + f.point)[rows]
+        point = (f.interpolated(search.x) + f.point)[rows]
         away = search.x[rows] - point
         beside = away + depth[rows, None] * f.normal[rows]
         near = np.linalg.norm(beside, axis=1) < STAY * self._spacing
