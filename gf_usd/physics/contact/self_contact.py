@@ -78,10 +78,15 @@ class SelfContact:
 
     @property
     def offset(self) -> Floats:
-        """(n,) [m] from what it faces at which each sample begins to be pushed."""
+        """(n,) [m] from what it faces at which each sample begins to be pushed.
+
+        Found with the reach of a detection: which samples are asked for a place depends on that,
+        and what only a detection saw at rest would be pushed from the start.
+        """
         if self._offset is None:
             most, still = OFFSET * self._spacing, np.zeros_like(self._X)
-            seen = self.find(self._X, still, most, self._X, np.full(len(self._X), np.inf))
+            reach, never = FACE * self._spacing, np.full(len(self._X), np.inf)
+            seen = self.find(self._X, still, reach, self._X, never)
             self._offset = np.full(len(self._X), most)
             self._offset[seen.rows] = np.clip(seen.gap, 0.0, most)
         return self._offset
