@@ -28,6 +28,7 @@ class Browser:
 
     def __init__(self, page: Any, file: Path) -> None:
         self.page, self.said, self.asked = page, [], []
+        page.set_default_timeout(180_000)  # Chromium without a graphics card on a busy machine
         page.on("console", lambda message: self.said.append(message.text))
         page.on("pageerror", lambda error: self.said.append(str(error)))
         page.on("request", lambda request: self.asked.append(request.url))
@@ -60,7 +61,10 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     report = report_of(command=f"gf-usd bake {NASTY}.usda")
     report["bakes"] += report_of(look="jelly")["bakes"]
     report["notes"] = [NASTY, "</script><img src=x onerror=document.title='owned'>"]
-    sources = [FallingBox(name=NASTY), FallingBox(name=NASTY, look="jelly", notes=(NASTY,))]
+    sources = [
+        FallingBox(name=NASTY, flows=True),
+        FallingBox(name=NASTY, look="jelly", notes=(NASTY,)),
+    ]
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(build_report(sources, report, "", Limits()), encoding="utf-8")
     return path
@@ -151,6 +155,24 @@ def test_strain_has_colors_and_a_legend(browser: Browser) -> None:
     assert page.is_visible("#legend")
     assert "stretch" in page.inner_text("#legend")
     assert browser.picture() != plain
+
+
+def test_elastic_and_plastic_strain_are_colors_of_the_gaussians(browser: Browser) -> None:
+    page = browser.page
+    page.fill("#slider", "3")  # where the box is squashed
+    page.click("[data-show=gaussians]")
+    pictures = [browser.picture()]
+    for mode in ("elastic", "plastic"):
+        assert not page.evaluate(f"document.querySelector('#mode [value={mode}]').hidden")
+        page.select_option("#mode", mode)
+        assert f"{mode} strain of the Gaussians" in page.inner_text("#legend")
+        pictures.append(browser.picture())
+    assert len(set(pictures)) == 3
+    # Of a bake that wrote none there is nothing to choose, and what was chosen goes back.
+    page.click("text=jelly")
+    browser.until("player.number === 1")
+    assert page.evaluate("document.querySelector('#mode [value=plastic]').hidden")
+    assert page.input_value("#mode") == "color"
 
 
 def test_a_picture_and_a_plot_jump_to_their_frame(browser: Browser) -> None:

@@ -37,7 +37,9 @@ class FallingBox:
         about: Mapping[str, Any] | None = None,
         gaussians: int = 40,
         notes: tuple[str, ...] = (),
+        flows: bool = False,
     ) -> None:
+        self._flows = flows  # the bake wrote elastic and plastic strain
         self._inside = np.random.default_rng(3).uniform(-0.9, 0.9, (gaussians, 3)) * SIDE / 2
         self._inside[:, 1] += SIDE / 2
         self._recording = Recording(
@@ -92,7 +94,13 @@ class FallingBox:
                 axes=np.tile(np.diag([0.01, 0.01 * stretch, 0.01]), (len(self._inside), 1, 1))
                 if cloud
                 else None,
+                measured=self._measured(stretch) if self._flows else {},
             )
+
+    def _measured(self, stretch: float) -> dict[str, np.ndarray]:
+        """Elastic strain that is even, and plastic strain that grows from one to the next."""
+        rise = np.linspace(0.0, 1.0 - stretch, len(self._inside))
+        return {"elastic": np.full(len(rise), 0.5 * (1.0 - stretch)), "plastic": rise}
 
 
 def health(frame: int) -> dict[str, Any]:

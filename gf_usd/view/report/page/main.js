@@ -52,6 +52,8 @@ class Controls {
     $("kinds").hidden = !(has.mesh && has.gaussians);
     for (const option of $("mode").options) {
       option.hidden = option.value in MEASURED && !look.arrays[option.value];
+      // what this look has not cannot go on to be shown
+      if (option.hidden && option.selected) this.setMode(($("mode").value = "color"));
     }
     this.legend();
   }
