@@ -182,5 +182,5 @@ def read(path: str | os.PathLike[str], *, variant: str | None = None) -> Bake:
     """
     from gf_usd.readers.usd_bake.result import BakedArrays
 
-    with keywords(look="variant"):
+    with keywords("variant"):
         return Bake(BakedArrays(asset_path(path), variant))

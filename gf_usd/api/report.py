@@ -45,7 +45,7 @@ def report(
     InputError : the file cannot be read, or nothing in it moves.
     BakeError : the disk refuses.
     """
-    with keywords("max_vertices", "max_frames", look="variant"):
+    with keywords("max_vertices", "max_frames", "variant"):
         source = asset_path(path)
         target = Path(values.path("output", output)) if output else Path(f"{source.stem}.html")
         vertices = values.whole("max_vertices", max_vertices)
@@ -54,15 +54,15 @@ def report(
             if count < least:
                 raise UsageError(f"max_{name} is {count}", f"give {least} or more")
         asked = {
-            "path": source, "target": target, "look": variant, "vertices": vertices,
+            "path": source, "target": target, "variant": variant, "vertices": vertices,
             "frames": frames,
         }  # fmt: skip
         here_or_away("gf_usd.api.report:write", asked, schema=False)
         return target
 
 
-def write(path: Path, target: Path, look: str | None, vertices: int, frames: int) -> None:
-    """Write the page of a bake, all its looks or one; see `report`."""
+def write(path: Path, target: Path, variant: str | None, vertices: int, frames: int) -> None:
+    """Write the page of a bake, all its variants or one; see `report`."""
     # pxr and taichi take a second to import, which --help must not wait for
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.system.atomic_files import publish_text
@@ -70,9 +70,11 @@ def write(path: Path, target: Path, look: str | None, vertices: int, frames: int
     from gf_usd.view.report.report import Limits, build_report
 
     require_target(target, (path, report_path(path)))
-    first = BakedMotion(path, look)
-    # the look that is selected in the file comes first
-    names = [first.look, *(n for n in first.looks if n != first.look)] if look is None else [look]
+    first = BakedMotion(path, variant)
+    # the variant that is selected in the file comes first
+    names = [first.variant]
+    if variant is None:
+        names += [name for name in first.variants if name != first.variant]
     sources = [first, *(BakedMotion(path, name) for name in names[1:])]
     page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
     publish_text(target, page)

@@ -19,9 +19,15 @@ def report(
         Path | None,
         typer.Option("--output", "-o", help="HTML file.", show_default="NAME.html in this folder"),
     ] = None,
-    look: Annotated[
+    variant: Annotated[
         str | None,
-        typer.Option(help="Only this variant.", show_default="all, with a switch between them"),
+        typer.Option(
+            "--variant",
+            "--look",
+            metavar="NAME",
+            help="Show this variant only.",
+            show_default="all, with a switch between them",
+        ),
     ] = None,
     max_vertices: Annotated[
         int, typer.Option(min=100, help="Mesh vertices to keep at most, and as many Gaussians.")
@@ -33,15 +39,21 @@ def report(
     It stays under 20 MB; what is left out for that is said on the page.
     """
     target = output or Path(f"{baked.stem}.html")
-    write(baked, target, look, max_vertices, max_frames)
+    write(baked, target, variant, max_vertices, max_frames)
     typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
 
 
 def view(
     baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
-    look: Annotated[
+    variant: Annotated[
         str | None,
-        typer.Option(help="Variant to show.", show_default="the one selected in the file"),
+        typer.Option(
+            "--variant",
+            "--look",
+            metavar="NAME",
+            help="Show this variant.",
+            show_default="the one selected in the file",
+        ),
     ] = None,
 ) -> None:
     """Play the motion in a window, in real time and over and over.
@@ -57,7 +69,7 @@ def view(
     from gf_usd.readers.pictures.recording import BakedMotion
     from gf_usd.view.window import Window
 
-    source = BakedMotion(baked, look)
+    source = BakedMotion(baked, variant)
     for note in source.recording().notes:
         typer.echo(f"note: {note}", err=True)
     Window(source).run()

@@ -194,11 +194,11 @@ class GaussianSet:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One look of a bake, without its frames."""
+    """One variant of a bake, without its frames."""
 
     path: Path  # the file as the user named it
     name: str  # of the asset
-    look: str  # variant that is shown; "" where the file has no bake variants
+    variant: str  # that is shown; "" where the file has no bake variants
     up: tuple[float, float, float]  # unit
     ground: float | None  # height of the floor along up [m]; None: no floor is known
     unit: float  # [m] per stage unit

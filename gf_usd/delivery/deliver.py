@@ -189,7 +189,7 @@ def _looks(
     first = BakedMotion(bake, variant)
     sources = [first]
     if variant is None and not whole:
-        sources += [BakedMotion(bake, name) for name in first.looks if name != first.look]
+        sources += [BakedMotion(bake, name) for name in first.variants if name != first.variant]
     looks, recordings, notes = [], [], {}
     for source in sources:
         recording = source.recording()
@@ -201,7 +201,7 @@ def _looks(
         bodies = bodies_of(recording, list(source.frames()), baked)
         looks.append(
             Look(
-                name=source.look if source.looks else "",
+                name=source.variant if source.variants else "",
                 bodies=bodies,
                 rigs=(),
                 meshes=tuple(mesh.name for mesh in recording.meshes),

@@ -21,7 +21,7 @@ from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
 from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.recording import select_look, world_points
+from gf_usd.readers.pictures.recording import select_variant, world_points
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import open_stage, reading
 
@@ -69,7 +69,7 @@ def error_of(target: Path, look: Look) -> float:
     largest = 0.0
     with reading(target):
         stage = open_stage(target)
-        select_look(stage, target, look.name or None)
+        select_variant(stage, target, look.name or None)
         for frame, code in enumerate(look.time_codes):
             time = Usd.TimeCode(code)
             xforms = UsdGeom.XformCache(time)
@@ -100,7 +100,7 @@ def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:
         if prim.GetVariantSets().HasVariantSet(VARIANTS)
     ]
     if not switches:
-        select_look(stage, bake, looks[0].name or None)
+        select_variant(stage, bake, looks[0].name or None)
         layer = stage.Flatten(addSourceFileComment=False)
         _drop_samples(layer, looks[0])
         return layer

@@ -34,13 +34,13 @@ SIZE = (1280, 800)  # pixels of the window
 SAMPLED_FRAMES = 48  # frames of a longer motion that the camera is fitted to
 PAPER = (0.93, 0.94, 0.96)
 LINES = (0.76, 0.78, 0.81)
-IDLE = 0.004  # [s] between looks at the clock: shorter than a frame of any screen
+IDLE = 0.004  # [s] between readings of the clock: shorter than a frame of any screen
 SPACE, RIGHT, LEFT = 32, 262, 263  # GLFW's codes of keys
 KEYS = "space plays and pauses, arrows step, G mesh or Gaussians, R resets, Q quits"
 
 
 class Source(Protocol):
-    """One look that can be read."""
+    """One variant that can be read."""
 
     def recording(self) -> Recording: ...
 
@@ -48,7 +48,7 @@ class Source(Protocol):
 
 
 class Window:
-    """One look, played until the window is closed; a frame is read when it is shown.
+    """One variant, played until the window is closed; a frame is read when it is shown.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Window:
         # what open3d would print is said by the errors here
         self._o3d.utility.set_verbosity_level(self._o3d.utility.VerbosityLevel.Error)
         window = self._o3d.visualization.VisualizerWithKeyCallback()
-        title = f"{self._recording.name} {self._recording.look}".strip()
+        title = f"{self._recording.name} {self._recording.variant}".strip()
         opened = window.create_window(f"{title}: {KEYS}", *SIZE)
         option = window.get_render_option() if opened else None
         if option is None:

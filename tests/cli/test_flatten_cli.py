@@ -138,7 +138,7 @@ def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) ->
 
     assert gf_usd("bake", block, *SMALL, "-q", "-o", "a.usdz").status == 0
     motion = BakedMotion(here / "a.usdz")
-    assert (motion.looks, motion.look) == (("rubber",), "rubber")
+    assert (motion.variants, motion.variant) == (("rubber",), "rubber")
     assert motion.recording().ground == 0.0
     assert gf_usd("report", "a.usdz").status == 0
     assert "does not say how it was baked" not in (here / "a.html").read_text()

@@ -49,57 +49,57 @@ def test_a_bake_becomes_one_page_of_all_its_looks(gf_usd, work):
     assert {name: (work / name).read_bytes() for name in inputs} == inputs
     page = work / "block.soft.html"
     assert page.stat().st_size < 20_000_000
-    looks = data(page)["looks"]
-    # the look that the file shows comes first
-    assert [look["name"] for look in looks] == ["rubber", "jelly"]
+    variants = data(page)["variants"]
+    # the variant that the file shows comes first
+    assert [variant["name"] for variant in variants] == ["rubber", "jelly"]
     report = json.loads((work / "block.soft.report.json").read_text())
-    for look, bake in zip(looks, report["bakes"]):
-        plots = {plot["title"]: plot for plot in look["plots"]}
+    for variant, bake in zip(variants, report["bakes"]):
+        plots = {plot["title"]: plot for plot in variant["plots"]}
         assert set(plots) == {"Height", "Stretch", "Volume ratio J", "Energy", "Depth in the floor"}
         (center,) = [c for c in plots["Height"]["curves"] if c["name"] == "center of mass"]
         truth = [frame["center"][2] for frame in bake["per_frame"]]  # Z is up
         factor = {"m": 1.0, "cm": 0.01, "mm": 0.001}[plots["Height"]["unit"]]
         assert [y * factor for y in center["y"]] == pytest.approx(truth, rel=1e-5)
-        assert look["codes"] == [101 + i for i in range(6)]
-        assert look["up"] == "Z"
+        assert variant["codes"] == [101 + i for i in range(6)]
+        assert variant["up"] == "Z"
     text = page.read_text(encoding="utf-8")
     assert f"all {report['particles']} Gaussians" in text
     assert "Missing:" not in text
 
 
-def test_one_look_thinned(gf_usd, work):
+def test_one_variant_thinned_by_the_old_name_of_the_option(gf_usd, work):
     done = gf_usd(
         "report", "block.soft.usda", "-o", "one.html", "--look", "jelly", "--max-frames", 3,
         "--max-vertices", 100,
     )  # fmt: skip
     assert done.status == 0
-    (look,) = data(work / "one.html")["looks"]
-    assert (look["name"], look["codes"]) == ("jelly", [101, 103, 106])
-    assert look["table"]["positions"]["shape"] == [3, 100, 3]
+    (variant,) = data(work / "one.html")["variants"]
+    assert (variant["name"], variant["codes"]) == ("jelly", [101, 103, 106])
+    assert variant["table"]["positions"]["shape"] == [3, 100, 3]
     assert "3 of 6 frames" in (work / "one.html").read_text(encoding="utf-8")
 
 
 def test_without_the_json_the_root_layer_is_asked(gf_usd, work):
     (work / "block.soft.report.json").unlink()
-    assert gf_usd("report", "block.soft.usda", "--look", "rubber").status == 0
+    assert gf_usd("report", "block.soft.usda", "--variant", "rubber").status == 0
     text = (work / "block.soft.html").read_text(encoding="utf-8")
     assert "Missing: block.soft.report.json is not next to the file" in text
     assert "Smallest volume ratio" in text
     assert "neoHookean" in text
-    titles = [plot["title"] for plot in data(work / "block.soft.html")["looks"][0]["plots"]]
+    titles = [plot["title"] for plot in data(work / "block.soft.html")["variants"][0]["plots"]]
     assert titles == ["Height", "Stretch", "Volume ratio J"]
 
 
 def test_a_page_is_replaced(gf_usd, work):
     (work / "x.html").write_text("old", encoding="utf-8")
-    assert gf_usd("report", "block.soft.usda", "-o", "x.html", "--look", "jelly").status == 0
+    assert gf_usd("report", "block.soft.usda", "-o", "x.html", "--variant", "jelly").status == 0
     assert (work / "x.html").read_bytes().startswith(b"<!doctype html>")
 
 
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [
-        (("block.soft.usda", "--look", "liquid"), 2, "no look 'liquid'"),
+        (("block.soft.usda", "--variant", "liquid"), 2, "no variant 'liquid'"),
         (("block.soft.usda", "-o", "page.pdf"), 2, "does not end in .html"),
         (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is no folder"),
         (("block.soft.usda", "-o", "folder.html"), 2, "folder.html is a folder"),

@@ -57,13 +57,13 @@ class Browser:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page of two looks whose texts try to be HTML."""
+    """A page of two variants whose texts try to be HTML."""
     report = report_of(command=f"gf-usd bake {NASTY}.usda")
     report["bakes"] += report_of(look="jelly")["bakes"]
     report["notes"] = [NASTY, "</script><img src=x onerror=document.title='owned'>"]
     sources = [
         FallingBox(name=NASTY, flows=True),
-        FallingBox(name=NASTY, look="jelly", notes=(NASTY,)),
+        FallingBox(name=NASTY, variant="jelly", notes=(NASTY,)),
     ]
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(build_report(sources, report, "", Limits()), encoding="utf-8")
@@ -177,7 +177,7 @@ def test_elastic_and_plastic_strain_are_colors_of_the_gaussians(browser: Browser
 
 def test_a_picture_and_a_plot_jump_to_their_frame(browser: Browser) -> None:
     page = browser.page
-    page.click("[data-look='0'] [data-frame='3']")
+    page.click("[data-variant='0'] [data-frame='3']")
     assert browser.frame() == 3
     cursor = page.evaluate("document.querySelector('.plot .js-plotly-plot').layout.shapes[0].x0")
     assert cursor == pytest.approx(3 / 24, rel=1e-5)
@@ -198,5 +198,5 @@ def test_another_look_keeps_the_camera_and_the_frame(browser: Browser) -> None:
     browser.until("player.number === 1")
     assert browser.frame() == 4
     assert page.evaluate("[player.viewer.orbit.azimuth, player.viewer.orbit.elevation]") == before
-    assert page.locator("[data-look='1']").first.is_visible()
-    assert not page.locator("[data-look='0']").first.is_visible()
+    assert page.locator("[data-variant='1']").first.is_visible()
+    assert not page.locator("[data-variant='0']").first.is_visible()

@@ -33,7 +33,7 @@ class FallingBox:
     def __init__(
         self,
         name: str = "Box",
-        look: str = "rubber",
+        variant: str = "rubber",
         about: Mapping[str, Any] | None = None,
         gaussians: int = 40,
         notes: tuple[str, ...] = (),
@@ -45,7 +45,7 @@ class FallingBox:
         self._recording = Recording(
             path=Path("box.rubber.usda"),
             name=name,
-            look=look,
+            variant=variant,
             up=(0.0, 1.0, 0.0),
             ground=0.0,
             unit=1.0,

@@ -120,7 +120,9 @@ def run(
             _write_page(target, (a, b), (path, other), found)
     for options in pictures:
         pairing = pair_meshes(a.recording(), b.recording())
-        draw = SideBySide((path, other), (a.look or None, b.look or None), found, pairing, options)
+        draw = SideBySide(
+            (path, other), (a.variant or None, b.variant or None), found, pairing, options
+        )
         _write_pictures(draw, found, options, a.recording().time_codes_per_second, progress)
     return found
 
@@ -283,7 +285,7 @@ def _write_page(
     from gf_usd.view.report.record import load_report
     from gf_usd.view.report.report import Limits, build_comparison
 
-    names = [f"{path.stem} {motion.look}".strip() for path, motion in zip(paths, motions)]
+    names = [f"{path.stem} {motion.variant}".strip() for path, motion in zip(paths, motions)]
     if names[0] == names[1]:
         names = [f"A {names[0]}", f"B {names[1]}"]
     reports = [load_report(path) for path in paths]

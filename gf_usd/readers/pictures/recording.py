@@ -1,4 +1,4 @@
-"""The motion of a bake, or of any moving stage, as plain arrays: one look, frame by frame.
+"""The motion of a bake, or of any moving stage, as plain arrays: one variant, frame by frame.
 
 Which bake of a root layer is read: its variants, selected in the session only.
 """
@@ -37,20 +37,20 @@ PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 
 class BakedMotion:
-    """A stage opened to read one look of its motion.
+    """A stage opened to read one variant of its motion.
 
     Parameters
     ----------
     path : the root layer of a bake, or any USD file with moving meshes or Gaussians.
-    look : variant to show; None: the one that is selected in the file.
+    variant : to show; None: the one that is selected in the file.
 
     Raises
     ------
     InputError : no such file, not USD, damaged, or nothing in it moves.
-    UsageError : the file has no such look.
+    UsageError : the file has no such variant.
     """
 
-    def __init__(self, path: Path, look: str | None = None) -> None:
+    def __init__(self, path: Path, variant: str | None = None) -> None:
         if not path.is_file():
             what = "is a folder" if path.is_dir() else "does not exist"
             raise InputError(f"{path} {what}.", "give the root layer that gf-usd bake wrote")
@@ -61,8 +61,8 @@ class BakedMotion:
             self._facts = stage_facts(
                 self._stage, path, self._notes, meters_per_unit=None, up_axis=None
             )
-            self.looks = looks_of(self._stage)
-            self.look = select_look(self._stage, path, look)
+            self.variants = variants_of(self._stage)
+            self.variant = select_variant(self._stage, path, variant)
             self._find()
 
     @property
@@ -72,13 +72,13 @@ class BakedMotion:
         return data if isinstance(data, dict) else {}
 
     def recording(self) -> Recording:
-        """The look without its frames; the arrays that do not change."""
+        """The variant without its frames; the arrays that do not change."""
         default = self._stage.GetDefaultPrim()
         up, ground = self._facts.up, self._ground()
         return Recording(
             path=self._path,
             name=default.GetName() if default else self._path.stem,
-            look=self.look,
+            variant=self.variant,
             up=(float(up[0]), float(up[1]), float(up[2])),
             ground=ground,
             unit=self._facts.units.length,
@@ -240,8 +240,8 @@ class BakedMotion:
 
     def _ground(self) -> float | None:
         """Height [m] of the bake's floor; None where none is said."""
-        looks = self.about.get("looks")
-        bake = looks.get(self.look) if isinstance(looks, dict) else None
+        told = self.about.get("looks")
+        bake = told.get(self.variant) if isinstance(told, dict) else None
         settings = bake.get("settings") if isinstance(bake, dict) else None
         if not isinstance(settings, dict):
             return None
@@ -277,7 +277,7 @@ VARIANTS, NONE = "gaussianFlesh", "none"  # the variant set of a bake, and the s
 DISPLAYS = {"mesh", "gaussians", "points"}
 
 
-def looks_of(stage: Usd.Stage) -> tuple[str, ...]:
+def variants_of(stage: Usd.Stage) -> tuple[str, ...]:
     """Names of the bakes in a file, in the order of the variants."""
     names: list[str] = []
     for prim in _switches(stage):
@@ -285,26 +285,26 @@ def looks_of(stage: Usd.Stage) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys(names) if name != NONE) or _flattened(stage)
 
 
-def select_look(stage: Usd.Stage, path: Path, look: str | None) -> str:
-    """Select a look on every root prim that has it, and its display of meshes; returns its name.
+def select_variant(stage: Usd.Stage, path: Path, variant: str | None) -> str:
+    """Select a variant on every root prim that has it, and its display of meshes; its name.
 
-    look : None: what is selected in the file, or the first where that is the source.  The name is
-    "" where the file holds no bake.
+    variant : None: what is selected in the file, or the first where that is the source.  The name
+    is "" where the file holds no bake.
 
-    Raises UsageError where there is no such look.
+    Raises UsageError where there is no such variant.
     """
-    looks = looks_of(stage)
-    if look is not None and look not in looks:
+    known = variants_of(stage)
+    if variant is not None and variant not in known:
         there = (
-            f"it holds {', '.join(looks)}" if looks else "it holds no bake: leave the variant out"
+            f"it holds {', '.join(known)}" if known else "it holds no bake: leave the variant out"
         )
-        raise UsageError(f"{path} has no variant {look!r}.", there)
+        raise UsageError(f"{path} has no variant {variant!r}.", there)
     prims = _switches(stage)
-    if not prims or not looks:
-        return looks[0] if looks else ""
-    chosen = look or prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
-    if chosen not in looks:
-        chosen = looks[0]
+    if not prims or not known:
+        return known[0] if known else ""
+    chosen = variant or prims[0].GetVariantSet(VARIANTS).GetVariantSelection()
+    if chosen not in known:
+        chosen = known[0]
     stage.SetEditTarget(stage.GetSessionLayer())
     for prim in prims:
         prim.GetVariantSet(VARIANTS).SetVariantSelection(chosen)
@@ -326,7 +326,7 @@ def displays_in(prim: Usd.Prim, name: str) -> set[str]:
 
 
 def _flattened(stage: Usd.Stage) -> tuple[str, ...]:
-    """The look of a bake that is one file, which has no variants of looks any more."""
+    """The variant of a bake that is one file, which has no variant set any more."""
     told = stage.GetRootLayer().customLayerData.get(VARIANTS)
     names = told.get("looks") if isinstance(told, dict) else None
     return tuple(names) if isinstance(names, dict) and len(names) == 1 else ()

@@ -20,7 +20,7 @@ from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.prims import SPLAT_TYPE, is_ours
-from gf_usd.readers.pictures.recording import VARIANTS, looks_of, select_look, world_points
+from gf_usd.readers.pictures.recording import VARIANTS, select_variant, variants_of, world_points
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.tets import boundary
 from gf_usd.readers.usd.stage import Placement, open_stage, reading, stage_facts
@@ -63,8 +63,8 @@ class BakedArrays:
             facts = stage_facts(self._stage, path, Notes(), meters_per_unit=None, up_axis=None)
             self.units: StageUnits = facts.units
             self.up: Array = facts.up
-            self.variants: tuple[str, ...] = looks_of(self._stage)
-            self.variant: str = select_look(self._stage, path, variant)
+            self.variants: tuple[str, ...] = variants_of(self._stage)
+            self.variant: str = select_variant(self._stage, path, variant)
             self._find()
         self.time_codes_per_second: float = float(self._stage.GetTimeCodesPerSecond())
 

@@ -34,7 +34,7 @@ class Html(str):
 def tag(name_: str, /, *children: str, **attributes: str | bool) -> Html:
     """``<name_ attributes>children</name_>``; plain strings are escaped.
 
-    A trailing underscore is dropped and others become dashes: ``class_``, ``data_look``.
+    A trailing underscore is dropped and others become dashes: ``class_``, ``data_variant``.
     True is an attribute without a value, False none at all.
     """
     parts = [name_]
@@ -103,17 +103,24 @@ MODES = {
 }
 
 
-def header(name: str, looks: Sequence[str], records: Sequence[Record]) -> Html:
-    """Asset, looks to choose from, the command of each and what is missing."""
+def header(name: str, variants: Sequence[str], records: Sequence[Record]) -> Html:
+    """Asset, variants to choose from, the command of each and what is missing."""
     title = tag("h1", name)
-    if len(looks) > 1:
+    if len(variants) > 1:
         tabs = join(
-            tag("button", look, type="button", role="tab", data_open=str(i), aria_selected="false")
-            for i, look in enumerate(looks)
+            tag(
+                "button",
+                variant,
+                type="button",
+                role="tab",
+                data_open=str(i),
+                aria_selected="false",
+            )
+            for i, variant in enumerate(variants)
         )
         title = join([title, tag("div", tabs, class_="group", role="tablist")])
-    elif looks and looks[0]:
-        title = join([title, tag("span", looks[0], class_="soft")])
+    elif variants and variants[0]:
+        title = join([title, tag("span", variants[0], class_="soft")])
     parts = [tag("div", title, class_="title")]
     for i, record in enumerate(records):
         inside: list[str] = []
@@ -130,7 +137,7 @@ def header(name: str, looks: Sequence[str], records: Sequence[Record]) -> Html:
 
 
 def viewer(pictures: Sequence[Sequence[tuple[int, str, str]]], seconds: float, cell: str) -> Html:
-    """Canvas and controls; for each look (frame, text, data URI) of its pictures."""
+    """Canvas and controls; for each variant (frame, text, data URI) of its pictures."""
     speed = "0.5" if seconds < SHORT else "1"
     screen = tag(
         "div",
@@ -202,7 +209,7 @@ def _controls(speed: str) -> Html:
 
 
 def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -> Html:
-    """Health, settings, materials, and what else there is to say of look number i."""
+    """Health, settings, materials, and what else there is to say of variant number i."""
     material = [row for m in record.materials for row in _material(m)]
     columns = (
         [_health(record)],
@@ -316,5 +323,5 @@ def _choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
 
 
 def _of(number: int, *parts: str) -> Html:
-    """Shown only with look number `number`."""
-    return tag("div", *parts, data_look=str(number), hidden=number != 0)
+    """Shown only with variant number `number`."""
+    return tag("div", *parts, data_variant=str(number), hidden=number != 0)

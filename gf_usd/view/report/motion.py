@@ -1,4 +1,4 @@
-"""The frames of one look as a page keeps them: thinned arrays, and curves over all of the body.
+"""The frames of one variant as a page keeps them: thinned arrays, and curves over all of the body.
 
 How far a surface and its Gaussians are stretched, from their shapes alone.
 """
@@ -19,7 +19,7 @@ from gf_usd.view.report.surface import Skin, make_skin, sample
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """One look, thinned; F frames, K vertices, G Gaussians."""
+    """One variant, thinned; F frames, K vertices, G Gaussians."""
 
     recording: Recording
     time_codes: tuple[float, ...]  # (F,) of the frames that are kept

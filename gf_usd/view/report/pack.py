@@ -58,7 +58,7 @@ class Packer:
 
 
 def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
-    """Table of contents and blob of a look."""
+    """Table of contents and blob of a variant."""
     packer, skin = Packer(), motion.skin
     packer.add("corners", skin.corners.astype(np.uint32))
     packer.add("source", skin.source.astype(np.uint32))

@@ -25,7 +25,7 @@ class Warned:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """One look's numbers; whatever is missing is empty, and `missing` says so."""
+    """The numbers of one variant; whatever is missing is empty, and `missing` says so."""
 
     command: str = ""
     version: str = ""
@@ -62,13 +62,13 @@ def load_report(root: Path) -> tuple[dict[str, Any], str]:
 
 
 def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str) -> Record:
-    """One look's numbers, of the report where it is of this bake, else of the root layer."""
-    bake = next((b for b in report.get("bakes", ()) if b.get("look") == recording.look), None)
+    """The numbers of a variant: of the report if it is of this bake, else of the root layer."""
+    bake = next((b for b in report.get("bakes", ()) if b.get("look") == recording.variant), None)
     about = recording.about
     if bake is not None and about.get("inputHash") not in (None, report.get("input_sha256")):
         bake, why_empty = None, "the report next to the file is of another bake"
     if bake is None:
-        return _from_layer(recording, why_empty or "the report does not name this look")
+        return _from_layer(recording, why_empty or "the report does not name this variant")
     known = (
         "particles", "spacing_m", "volume_m3", "radius_m", "drop_m", "pins", "seconds",
     )  # fmt: skip
@@ -86,7 +86,7 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
         warnings=tuple(
             Warned(message=w.get("message", ""), hint=w.get("hint", ""), about=w.get("about", ""))
             for w in map(_table, report.get("warnings", ()))
-            if w.get("look") == recording.look
+            if w.get("look") == recording.variant
         ),
         failure=str(_in_layer(recording).get("failure", "")),
         findings=tuple(_table(f) for f in report.get("check", ())),
@@ -96,23 +96,23 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
 
 def _from_layer(recording: Recording, why: str) -> Record:
     about = recording.about
-    look = _in_layer(recording)
-    if not look:
+    told = _in_layer(recording)
+    if not told:
         return Record(
             missing=(
                 f"{recording.path.name} does not say how it was baked: there are no settings,"
                 " materials or health; the curves are of the geometry alone",
             )
         )
-    materials = _table(look.get("materials"))
+    materials = _table(told.get("materials"))
     return Record(
         command=str(about.get("command", "")),
         version=str(about.get("version", "")),
-        health=_table(look.get("health")),
-        settings=_table(look.get("settings")),
+        health=_table(told.get("health")),
+        settings=_table(told.get("settings")),
         materials=tuple(_table(materials[key]) for key in sorted(materials)),
-        warnings=tuple(Warned(message=str(words)) for words in look.get("warnings", ())),
-        failure=str(look.get("failure", "")),
+        warnings=tuple(Warned(message=str(words)) for words in told.get("warnings", ())),
+        failure=str(told.get("failure", "")),
         missing=(
             f"{why}: energies, the stretches of single frames and the depth of contact are not"
             " known, nor notes and findings; the curves are of the geometry alone, and the summary"
@@ -122,8 +122,8 @@ def _from_layer(recording: Recording, why: str) -> Record:
 
 
 def _in_layer(recording: Recording) -> dict[str, Any]:
-    """What the root layer says of the look."""
-    return _table(_table(recording.about.get("looks")).get(recording.look))
+    """What the root layer says of the variant."""
+    return _table(_table(recording.about.get("looks")).get(recording.variant))
 
 
 def finite(value: Any) -> float | None:

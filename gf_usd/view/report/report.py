@@ -37,7 +37,7 @@ CELLS = 12  # about as many cells of the floor's grid across the motion
 
 
 class Source(Protocol):
-    """One look that can be read."""
+    """One variant that can be read."""
 
     def recording(self) -> Recording: ...
 
@@ -46,7 +46,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a page holds at most, of each look."""
+    """What a page holds at most, of each variant."""
 
     frames: int = 240
     vertices: int = 20_000  # of the meshes; and as many Gaussians
@@ -56,15 +56,15 @@ class Limits:
 def build_report(
     sources: Sequence[Source], report: Mapping[str, Any], why_empty: str, limits: Limits
 ) -> str:
-    """The page as text, every look in it, no larger than the limits say.
+    """The page as text, every variant in it, no larger than the limits say.
 
     Parameters
     ----------
-    sources : one for each look.
+    sources : one for each variant.
     report : what `record.load_report` found next to the root layer, and why it is empty.
     """
     records = [make_record(source.recording(), report, why_empty) for source in sources]
-    return _page(sources, records, [source.recording().look for source in sources], limits)
+    return _page(sources, records, [source.recording().variant for source in sources], limits)
 
 
 def build_comparison(
@@ -105,11 +105,11 @@ def _page(
         words = [f"{code:g}" + (f" · {w}" if w else "") for code, (_, w) in zip(codes, chosen)]
         shots.append([(f, w, uri) for (f, _), w, uri in zip(chosen, words, uris)])
     cell = _cell(motions[0])
-    looks = [
-        _look(motion, name, record, table, cell, more_plots)
+    variants = [
+        _variant(motion, name, record, table, cell, more_plots)
         for motion, name, record, (table, _) in zip(motions, names, records, packed)
     ]
-    seconds = max(look["seconds"][-1] for look in looks)
+    seconds = max(variant["seconds"][-1] for variant in variants)
     body = [
         header(recordings[0].name, names, records),
         tag(
@@ -130,13 +130,13 @@ def _page(
     blobs = [data_script(f"motion-{i}", blob) for i, (_, blob) in enumerate(packed)]
     named = " and ".join(name for name in names if name)
     title = f"{recordings[0].name}: {named}" if named else recordings[0].name
-    return _document(title, body, json_text({"looks": looks}), blobs, plotly)
+    return _document(title, body, json_text({"variants": variants}), blobs, plotly)
 
 
 def _fit(
     sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, bytes_left: int
 ) -> tuple[list[Motion], list[tuple[dict[str, dict[str, Any]], str]]]:
-    """Thin the looks until their blobs have room together [bytes]."""
+    """Thin the variants until their blobs have room together [bytes]."""
     now = limits
     while True:
         motions = []
@@ -161,7 +161,7 @@ def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
     return replace(limits, vertices=FEWEST, frames=max(2, min(frames - 1, int(part * frames))))
 
 
-def _look(
+def _variant(
     motion: Motion,
     name: str,
     record: Record,

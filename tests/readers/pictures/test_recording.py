@@ -94,7 +94,11 @@ def write(folder: Path, selected: str = "hard", **changes: str) -> Path:
 def test_the_selected_look_is_read_in_meters(tmp_path):
     motion = BakedMotion(write(tmp_path))
     recording = motion.recording()
-    assert (motion.looks, recording.look, recording.name) == (("hard", "soft"), "hard", "World")
+    assert (motion.variants, recording.variant, recording.name) == (
+        ("hard", "soft"),
+        "hard",
+        "World",
+    )
     assert recording.up == (0.0, 0.0, 1.0)
     assert recording.ground == 0.25
     assert recording.time_codes == (10.0, 12.0)
@@ -133,7 +137,7 @@ def test_another_look_is_chosen_in_the_session_only(tmp_path):
     assert soft.recording().ground is None
     assert [f.meshes[0][0, 2] for f in BakedMotion(path).frames()] == pytest.approx([1.0, 0.99])
     assert path.read_bytes() == before
-    with pytest.raises(UsageError, match="no look 'liquid'") as caught:
+    with pytest.raises(UsageError, match="no variant 'liquid'") as caught:
         BakedMotion(path, "liquid")
     assert caught.value.hint == "it holds hard, soft"
 
@@ -146,7 +150,7 @@ def test_a_tilted_floor_is_left_out_with_a_note(tmp_path):
 
 
 def test_where_the_source_is_selected_the_first_bake_is_shown(tmp_path):
-    assert BakedMotion(write(tmp_path, selected="none")).look == "hard"
+    assert BakedMotion(write(tmp_path, selected="none")).variant == "hard"
 
 
 def test_a_moving_stage_that_is_no_bake_is_read(tmp_path):
@@ -166,11 +170,11 @@ def Sphere "Ball"
     )
     motion = BakedMotion(path)
     recording = motion.recording()
-    assert (recording.look, recording.ground, recording.gaussians) == ("", None, None)
+    assert (recording.variant, recording.ground, recording.gaussians) == ("", None, None)
     assert recording.name == "ball"
     drop = [frame.meshes[0][:, 1].mean() for frame in motion.frames()]
     assert drop == pytest.approx([2.0, 1.0])
-    with pytest.raises(UsageError, match="no look") as caught:
+    with pytest.raises(UsageError, match="no variant") as caught:
         BakedMotion(path, "hard")
     assert "holds no bake" in caught.value.hint
 

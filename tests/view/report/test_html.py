@@ -42,16 +42,21 @@ def test_everything_is_inside_and_nothing_is_fetched(page):
 
 
 def test_the_numbers_of_the_page_are_those_of_the_motion(page):
-    (look,) = json.loads(data_of(page))["looks"]
-    assert look["codes"] == [1, 2, 3, 4, 5, 6, 7]
-    assert look["seconds"][1] == pytest.approx(1 / 24, rel=1e-5)
-    assert (look["up"], look["ground"], look["cell"], look["grow"]) == ("Y", 0.0, 0.1, 1.0)
-    assert [plot["title"] for plot in look["plots"]] == [
+    (variant,) = json.loads(data_of(page))["variants"]
+    assert variant["codes"] == [1, 2, 3, 4, 5, 6, 7]
+    assert variant["seconds"][1] == pytest.approx(1 / 24, rel=1e-5)
+    assert (variant["up"], variant["ground"], variant["cell"], variant["grow"]) == (
+        "Y",
+        0.0,
+        0.1,
+        1.0,
+    )
+    assert [plot["title"] for plot in variant["plots"]] == [
         "Height", "Stretch", "Volume ratio J", "Energy", "Depth in the floor",
     ]  # fmt: skip
-    depth = look["plots"][4]
+    depth = variant["plots"][4]
     assert (depth["unit"], depth["curves"][0]["y"]) == ("mm", [0, 0, 1, 1, 1, 0, 1])
-    energy = {curve["name"]: curve["y"] for curve in look["plots"][3]["curves"]}
+    energy = {curve["name"]: curve["y"] for curve in variant["plots"][3]["curves"]}
     assert energy["total"] == pytest.approx([1.5, 2.1, 2.5, 3.5, 4.5, 5.7, 6.5])
 
 
@@ -93,26 +98,26 @@ def test_a_page_is_thinned_to_its_size_and_says_so():
 
 def test_frames_are_left_out_when_asked_for():
     page = build_report([FallingBox()], report_of(), "", Limits(frames=3))
-    (look,) = json.loads(data_of(page))["looks"]
-    assert look["codes"] == [1, 4, 7]
+    (variant,) = json.loads(data_of(page))["variants"]
+    assert variant["codes"] == [1, 4, 7]
     assert f"3 of {FRAMES} frames" in page
     # health is of every frame all the same
-    assert len(look["plots"][3]["curves"][0]["x"]) == FRAMES
+    assert len(variant["plots"][3]["curves"][0]["x"]) == FRAMES
 
 
 def test_without_a_report_curves_are_of_the_geometry():
     page = build_report([FallingBox()], {}, "box.report.json is gone", Limits())
-    (look,) = json.loads(data_of(page))["looks"]
-    assert [plot["title"] for plot in look["plots"]] == ["Height", "Stretch", "Volume ratio J"]
-    assert [c["name"] for c in look["plots"][0]["curves"]] == ["highest", "center", "lowest"]
+    (variant,) = json.loads(data_of(page))["variants"]
+    assert [plot["title"] for plot in variant["plots"]] == ["Height", "Stretch", "Volume ratio J"]
+    assert [c["name"] for c in variant["plots"][0]["curves"]] == ["highest", "center", "lowest"]
     assert "Missing:" in page
 
 
-def test_several_looks_have_a_switch():
+def test_several_variants_have_a_switch():
     report = report_of()
     report["bakes"] += report_of(look="jelly")["bakes"]
-    page = build_report([FallingBox(), FallingBox(look="jelly")], report, "", Limits())
-    assert len(json.loads(data_of(page))["looks"]) == 2
+    page = build_report([FallingBox(), FallingBox(variant="jelly")], report, "", Limits())
+    assert len(json.loads(data_of(page))["variants"]) == 2
     assert data_of(page, "motion-1")
     assert page.count('role="tab"') == 2
 

@@ -67,7 +67,7 @@ def test_a_report_of_this_bake_is_taken_whole():
     [
         ({}, "x.json is not next to the file", "x.json is not next to the file"),
         (report_of(input_sha256="other"), "", "is of another bake"),
-        (report_of(look="jelly"), "", "does not name this look"),
+        (report_of(look="jelly"), "", "does not name this variant"),
     ],
 )
 def test_without_it_the_root_layer_speaks_and_says_so(report, why, words):
@@ -80,7 +80,7 @@ def test_without_it_the_root_layer_speaks_and_says_so(report, why, words):
 
 
 def test_a_file_that_says_nothing_is_said_so():
-    record = make_record(FallingBox(look="").recording(), {}, "no report")
+    record = make_record(FallingBox(variant="").recording(), {}, "no report")
     assert record.health == {}
     assert "does not say how it was baked" in record.missing[0]
 

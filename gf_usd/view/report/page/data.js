@@ -28,14 +28,14 @@ function unpack(entry, bytes) {
   return { ...entry, values, row, at: (frame) => values.subarray(frame * row, (frame + 1) * row) };
 }
 
-// All arrays of a look, unpacked once.
-async function loadLook(look, number) {
-  if (!look.arrays) {
+// All arrays of a variant, unpacked once.
+async function loadVariant(variant, number) {
+  if (!variant.arrays) {
     const bytes = await inflate(document.getElementById(`motion-${number}`).textContent);
-    look.arrays = {};
-    for (const [name, entry] of Object.entries(look.table)) look.arrays[name] = unpack(entry, bytes);
+    variant.arrays = {};
+    for (const [name, entry] of Object.entries(variant.table)) variant.arrays[name] = unpack(entry, bytes);
   }
-  return look.arrays;
+  return variant.arrays;
 }
 
 // Color maps as stops from low to high, sRGB 0..255: the shaders and the legend share them.
@@ -54,50 +54,50 @@ const MEASURED = {
 };
 
 // The values 0..255 that color vertices or Gaussians in a mode; null where there are none.
-function scalars(look, mode, kind, frame) {
-  const a = look.arrays;
+function scalars(variant, mode, kind, frame) {
+  const a = variant.arrays;
   if (mode === "strain") return a[kind === "mesh" ? "stretch" : "ratio"]?.at(frame) ?? null;
   if (MEASURED[mode]) return kind === "mesh" ? null : a[mode]?.at(frame) ?? null;
   if (mode !== "speed") return null;
   const places = a[kind === "mesh" ? "points" : "positions"];
   if (!places) return null;
-  const [before, after] = [Math.max(0, frame - 1), Math.min(look.seconds.length - 1, frame + 1)];
-  const time = look.seconds[after] - look.seconds[before] || 1;
+  const [before, after] = [Math.max(0, frame - 1), Math.min(variant.seconds.length - 1, frame + 1)];
+  const time = variant.seconds[after] - variant.seconds[before] || 1;
   const [p, q, step] = [places.at(before), places.at(after), places.step];
   const out = new Uint8Array(places.row / 3);
   for (let i = 0; i < out.length; i++) {
     const d = Math.hypot((q[3 * i] - p[3 * i]) * step[0], (q[3 * i + 1] - p[3 * i + 1]) * step[1],
       (q[3 * i + 2] - p[3 * i + 2]) * step[2]);
-    out[i] = Math.min(255, (255 * d) / time / look.topSpeed);
+    out[i] = Math.min(255, (255 * d) / time / variant.topSpeed);
   }
   return out;
 }
 
 // The fastest that a mode of color shows: of 200 points, so that one stray does not set it.
-function topSpeed(look) {
-  const places = look.arrays.points?.row ? look.arrays.points : look.arrays.positions;
+function topSpeed(variant) {
+  const places = variant.arrays.points?.row ? variant.arrays.points : variant.arrays.positions;
   if (!places?.row) return 1;
   const count = places.row / 3;
   const stride = Math.max(1, Math.floor(count / 200));
   let top = 0;
-  for (let f = 1; f < look.seconds.length; f++) {
+  for (let f = 1; f < variant.seconds.length; f++) {
     const [p, q] = [places.at(f - 1), places.at(f)];
     for (let i = 0; i < count; i += stride) {
       const d = Math.hypot((q[3 * i] - p[3 * i]) * places.step[0],
         (q[3 * i + 1] - p[3 * i + 1]) * places.step[1],
         (q[3 * i + 2] - p[3 * i + 2]) * places.step[2]);
-      top = Math.max(top, d / (look.seconds[f] - look.seconds[f - 1]));
+      top = Math.max(top, d / (variant.seconds[f] - variant.seconds[f - 1]));
     }
   }
   return top || 1;
 }
 
 // How far from 1 the strain colors reach: a power of two that holds 98 in 100 of the values.
-function strainReach(look) {
+function strainReach(variant) {
   const counts = new Float64Array(129);
   let total = 0;
   for (const name of ["stretch", "ratio"]) {
-    for (const code of look.arrays[name]?.values ?? []) {
+    for (const code of variant.arrays[name]?.values ?? []) {
       counts[Math.abs(code - 128)]++;
       total++;
     }

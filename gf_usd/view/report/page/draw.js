@@ -21,7 +21,7 @@ function drawScene(view) {
 
 function drawBodies(view, mesh, balls, camera) {
   const { gl } = view;
-  const a = view.look.arrays;
+  const a = view.variant.arrays;
   const there = { mesh: a.points.row > 0, gaussians: a.positions?.row > 0 };
   const wanted = (kind) => there[kind] && (view.show === kind || view.show === "both");
   const both = wanted("mesh") && wanted("gaussians") && mesh === view.mesh;
@@ -54,7 +54,7 @@ function feed(view, program, name, buffer, size, type, { whole = true, each = 0 
 }
 
 function common(view, { at }, camera, valued) {
-  const { gl, orbit, mode, look } = view;
+  const { gl, orbit, mode, variant } = view;
   gl.uniformMatrix4fv(at.camera, false, camera);
   if (at.eye) gl.uniform3fv(at.eye, orbit.eye);
   if (at.floor_) gl.uniform1f(at.floor_, view.ground ?? 0);
@@ -63,7 +63,7 @@ function common(view, { at }, camera, valued) {
   gl.uniform3fv(at.stops, map.flat().map((v) => v / 255));
   gl.uniform1i(at.mode, mode !== "color" && valued ? 1 : 0);
   // strain codes reach two octaves either way about 128
-  gl.uniform1f(at.gain, mode === "strain" ? 2 / look.reach : 1);
+  gl.uniform1f(at.gain, mode === "strain" ? 2 / variant.reach : 1);
   gl.uniform1f(at.middle, mode === "strain" ? 128 / 255 : 0);
 }
 
@@ -84,22 +84,22 @@ function drawMesh(view, program, camera, alpha) {
   feed(view, program, "color", "meshColors", 3, gl.UNSIGNED_BYTE, { whole: false });
   feed(view, program, "value", "meshValues", 1, gl.UNSIGNED_BYTE, { whole: false });
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, view.buffers.triangles);
-  gl.drawElements(gl.TRIANGLES, view.look.arrays.corners.values.length, gl.UNSIGNED_INT, 0);
+  gl.drawElements(gl.TRIANGLES, view.variant.arrays.corners.values.length, gl.UNSIGNED_INT, 0);
 }
 
 function drawBalls(view, program, camera) {
-  const { gl, look } = view;
-  const { positions, scales } = look.arrays;
+  const { gl, variant } = view;
+  const { positions, scales } = variant.arrays;
   useProgram(view, program);
   common(view, program, camera, view.ballsValued);
   const { at } = program;
   gl.uniform3fv(at.low, positions.low);
   gl.uniform3fv(at.step_, positions.step);
   gl.uniform2f(at.scale, scales.low, scales.step);
-  gl.uniform1f(at.grow, view.size * look.grow);
+  gl.uniform1f(at.grow, view.size * variant.grow);
   gl.uniform1f(at.shrink, view.shrink);
   gl.uniform3fv(at.center, view.center);
-  gl.uniform1i(at.zup, look.up === "Z" ? 1 : 0);
+  gl.uniform1i(at.zup, variant.up === "Z" ? 1 : 0);
   feed(view, program, "corner", "ball", 3, gl.FLOAT);
   feed(view, program, "place", "positions", 3, gl.UNSIGNED_SHORT, { each: 1 });
   feed(view, program, "turn", "turns", 4, gl.BYTE, { each: 1 });
@@ -150,7 +150,7 @@ function drawFloor(view, camera) {
   const origin = view.stand([0, 0, 0]);
   gl.uniform1f(at.reach, reach);
   gl.uniform1f(at.shadowReach, shadowReach);
-  gl.uniform1f(at.cell, view.look.cell * view.shrink);
+  gl.uniform1f(at.cell, view.variant.cell * view.shrink);
   gl.uniform2fv(at.about, about);
   gl.uniform2f(at.origin, origin[0], origin[2]);
   gl.uniform3fv(at.ink, dark ? [1, 1, 1] : [0.15, 0.2, 0.28]);

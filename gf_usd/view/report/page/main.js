@@ -13,7 +13,7 @@ async function start() {
   }
   const controls = new Controls(page, viewer, $);
   const plots = new Plots($("plots"), (seconds) => controls.seekSeconds(seconds));
-  const player = new Player(page.looks, viewer, [controls, plots]);
+  const player = new Player(page.variants, viewer, [controls, plots]);
   controls.player = player;
   await player.open(0);
   controls.connect();
@@ -33,37 +33,37 @@ class Controls {
   }
 
   gap() {
-    const times = this.player.look.seconds;
+    const times = this.player.variant.seconds;
     return times.length > 1 ? times[1] - times[0] : 0;
   }
 
   // ---- what the player tells ----
 
-  look(look, number) {
+  variant(variant, number) {
     const { $ } = this;
-    $("slider").max = look.seconds.length - 1;
-    for (const part of document.querySelectorAll("[data-look]")) {
-      part.hidden = part.dataset.look !== String(number);
+    $("slider").max = variant.seconds.length - 1;
+    for (const part of document.querySelectorAll("[data-variant]")) {
+      part.hidden = part.dataset.variant !== String(number);
     }
     for (const tab of document.querySelectorAll("[data-open]")) {
       tab.setAttribute("aria-selected", tab.dataset.open === String(number));
     }
-    const has = { mesh: look.arrays.points.row > 0, gaussians: look.arrays.positions?.row > 0 };
+    const has = { mesh: variant.arrays.points.row > 0, gaussians: variant.arrays.positions?.row > 0 };
     $("kinds").hidden = !(has.mesh && has.gaussians);
     for (const option of $("mode").options) {
-      option.hidden = option.value in MEASURED && !look.arrays[option.value];
-      // what this look has not cannot go on to be shown
+      option.hidden = option.value in MEASURED && !variant.arrays[option.value];
+      // what this variant has not cannot go on to be shown
       if (option.hidden && option.selected) this.setMode(($("mode").value = "color"));
     }
     this.legend();
   }
 
-  frame(frame, look) {
+  frame(frame, variant) {
     const { $ } = this;
     $("slider").value = frame;
-    $("counter").textContent = `${frame + 1} / ${look.seconds.length}`;
-    $("clock").textContent = `time code ${look.codes[frame]} · ${look.seconds[frame].toFixed(2)} s`;
-    for (const picture of document.querySelectorAll("[data-look]:not([hidden]) [data-frame]")) {
+    $("counter").textContent = `${frame + 1} / ${variant.seconds.length}`;
+    $("clock").textContent = `time code ${variant.codes[frame]} · ${variant.seconds[frame].toFixed(2)} s`;
+    for (const picture of document.querySelectorAll("[data-variant]:not([hidden]) [data-frame]")) {
       picture.toggleAttribute("data-now", picture.dataset.frame === String(frame));
     }
   }
@@ -157,26 +157,26 @@ class Controls {
     const stops = MAPS[mode === "strain" ? "diverging" : "sequential"];
     const inks = stops.map((c) => `rgb(${c.join(",")})`).join(",");
     $("legend-bar").style.background = `linear-gradient(90deg,${inks})`;
-    const { low, middle, high, title } = this.scale(mode, player.look);
+    const { low, middle, high, title } = this.scale(mode, player.variant);
     $("legend-title").textContent = title;
     $("legend-low").textContent = low;
     $("legend-middle").textContent = middle;
     $("legend-high").textContent = high;
   }
 
-  scale(mode, look) {
+  scale(mode, variant) {
     const show = (v) => Number(v.toPrecision(2)).toString();
     if (mode === "strain") {
-      const top = 2 ** look.reach;
+      const top = 2 ** variant.reach;
       const what = { mesh: "stretch of the surface", gaussians: "volume ratio |J|" };
       const title = what[this.viewer.show] ?? "stretch of the surface, volume ratio of Gaussians";
       return { low: `≤ ${show(1 / top)}`, middle: "1", high: `≥ ${show(top)}`, title };
     }
     if (mode === "speed") {
-      return { low: "0", middle: "", high: `${show(look.topSpeed)} m/s`, title: "speed" };
+      return { low: "0", middle: "", high: `${show(variant.topSpeed)} m/s`, title: "speed" };
     }
     const [title, unit] = MEASURED[mode];
-    return { low: "0", middle: "", high: `≥ ${show(look.arrays[mode].top)}${unit}`, title };
+    return { low: "0", middle: "", high: `≥ ${show(variant.arrays[mode].top)}${unit}`, title };
   }
 }
 

@@ -9,18 +9,18 @@ class Plots {
   constructor(holder, seek) {
     Object.assign(this, { holder, seek, drawn: [] });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      if (this.of) this.look(this.of);
+      if (this.of) this.variant(this.of);
     });
   }
 
-  look(look) {
-    this.of = look;
+  variant(variant) {
+    this.of = variant;
     this.drawn.forEach((plot) => Plotly.purge(plot));
     this.holder.replaceChildren();
-    this.drawn = look.plots.map((plot) => this.make(plot, look));
+    this.drawn = variant.plots.map((plot) => this.make(plot, variant));
   }
 
-  make(plot, look) {
+  make(plot, variant) {
     const card = document.createElement("figure");
     card.className = "plot";
     const caption = document.createElement("figcaption");
@@ -43,8 +43,8 @@ class Plots {
       line: { width: 1.8, color: inks[i % inks.length] },
       hovertemplate: `%{y:.4~g} ${plot.unit}`,
     }));
-    const end = look.seconds.at(-1);
-    const shapes = [cursorAt(look.seconds[0], dark)];
+    const end = variant.seconds.at(-1);
+    const shapes = [cursorAt(variant.seconds[0], dark)];
     if (plot.line !== undefined) {
       shapes.push({ type: "line", xref: "paper", x0: 0, x1: 1, y0: plot.line, y1: plot.line,
         line: { width: 1, color: text, dash: "dot" } });
@@ -64,8 +64,8 @@ class Plots {
     return canvas;
   }
 
-  frame(frame, look) {
-    const x = look.seconds[frame];
+  frame(frame, variant) {
+    const x = variant.seconds[frame];
     for (const plot of this.drawn) Plotly.relayout(plot, { "shapes[0].x0": x, "shapes[0].x1": x });
   }
 }

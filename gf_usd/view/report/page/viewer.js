@@ -55,19 +55,19 @@ class Viewer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // Show a look; the camera stays where it is unless this is the first.
-  open(look) {
-    const first = !this.look;
-    this.look = look;
-    const [low, high] = [look.low, look.high];
+  // Show a variant; the camera stays where it is unless this is the first.
+  open(variant) {
+    const first = !this.variant;
+    this.variant = variant;
+    const [low, high] = [variant.low, variant.high];
     this.center = low.map((v, i) => 0.5 * (v + high[i]));
     this.shrink = 1 / (Math.hypot(...low.map((v, i) => high[i] - v)) || 1);
     this.box = [this.stand(low), this.stand(high)];
     const [a, b] = this.box;
     this.box = [a.map((v, i) => Math.min(v, b[i])), a.map((v, i) => Math.max(v, b[i]))];
-    this.ground = look.ground === null ? null
-      : look.ground * this.shrink - this.stand(this.center, false)[1];
-    const { corners, source, shade, meshColors } = look.arrays;
+    this.ground = variant.ground === null ? null
+      : variant.ground * this.shrink - this.stand(this.center, false)[1];
+    const { corners, source, shade, meshColors } = variant.arrays;
     const shared = shade.values.reduce((most, v) => Math.max(most, v), -1) + 1;
     this.places = new Float32Array(3 * source.values.length);
     this.normals = new Float32Array(3 * source.values.length);
@@ -75,8 +75,8 @@ class Viewer {
     this.values = new Uint8Array(source.values.length);
     this.upload("triangles", corners.values, this.gl.ELEMENT_ARRAY_BUFFER);
     this.upload("meshColors", meshColors.values);
-    if (look.arrays.gaussianColors) this.upload("colors", look.arrays.gaussianColors.values);
-    this.upload("ball", ball(look.arrays.positions?.row > 9000 ? 1 : 2));
+    if (variant.arrays.gaussianColors) this.upload("colors", variant.arrays.gaussianColors.values);
+    this.upload("ball", ball(variant.arrays.positions?.row > 9000 ? 1 : 2));
     if (first) this.refit();
   }
 
@@ -87,7 +87,7 @@ class Viewer {
   // A place in meters in the page's frame: Y up, centered unless told, 1 across.
   stand(p, centered = true) {
     const q = p.map((v, i) => (v - (centered ? this.center[i] : 0)) * this.shrink);
-    return this.look.up === "Z" ? [q[0], q[2], -q[1]] : q;
+    return this.variant.up === "Z" ? [q[0], q[2], -q[1]] : q;
   }
 
   upload(name, data, target = this.gl.ARRAY_BUFFER) {
@@ -101,7 +101,7 @@ class Viewer {
   // Put a frame on the card.
   setFrame(frame) {
     this.frame = frame;
-    const a = this.look.arrays;
+    const a = this.variant.arrays;
     if (a.points.row) this.poseMesh(a, frame);
     if (a.positions?.row) {
       this.upload("positions", a.positions.at(frame));
@@ -116,7 +116,7 @@ class Viewer {
     const [codes, source, shade] = [a.points.at(frame), a.source.values, a.shade.values];
     const [x0, y0, z0] = this.stand(a.points.low);
     const [dx, dy, dz] = a.points.step.map((v) => v * this.shrink);
-    const zup = this.look.up === "Z";
+    const zup = this.variant.up === "Z";
     for (let i = 0; i < source.length; i++) {
       const k = 3 * source[i];
       places[3 * i] = x0 + dx * codes[k];
@@ -148,18 +148,18 @@ class Viewer {
 
   // The values that color what is shown.
   paint() {
-    const { look, mode, frame } = this;
-    const mesh = scalars(look, mode, "mesh", frame);
+    const { variant, mode, frame } = this;
+    const mesh = scalars(variant, mode, "mesh", frame);
     if (mesh) {
-      const source = look.arrays.source.values;
+      const source = variant.arrays.source.values;
       for (let i = 0; i < source.length; i++) this.values[i] = mesh[source[i]];
     }
     this.meshValued = mesh !== null;
     this.upload("meshValues", this.values);
-    const balls = scalars(look, mode, "gaussians", frame);
+    const balls = scalars(variant, mode, "gaussians", frame);
     this.ballsValued = balls !== null;
-    if (look.arrays.positions) {
-      this.upload("values", balls ?? new Uint8Array(look.arrays.positions.row / 3));
+    if (variant.arrays.positions) {
+      this.upload("values", balls ?? new Uint8Array(variant.arrays.positions.row / 3));
     }
     this.draw();
   }
@@ -167,7 +167,7 @@ class Viewer {
   draw() {
     this.waiting ??= requestAnimationFrame(() => {
       this.waiting = null;
-      if (this.look && this.frame !== undefined) drawScene(this);
+      if (this.variant && this.frame !== undefined) drawScene(this);
     });
   }
 
