@@ -69,6 +69,21 @@ class Particles:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TetLattice:
+    """Tetrahedra around a body, which move with it."""
+
+    body: int  # as in Particles
+    X: Floats  # (n, 3) [m] rest positions, world
+    tets: Ints  # (m, 4) into X, each of positive volume
+    copy: Ints | None = None  # (n,) into Particles.copies; None where that is
+
+    @property
+    def key(self) -> str:
+        """Its name among the embedded points."""
+        return f"tets:{self.body}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class SurfaceSamples:
     """Points that feel contact, spread over the surfaces about one spacing apart."""
 
@@ -232,6 +247,7 @@ class BakedFrame:
     gaussians: GaussianPose
     health: Health
     splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
+    tets: Mapping[str, MeshPose] = field(default_factory=dict)  # by TetLattice.key
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,6 +278,7 @@ class Choices:
     clip_frames: int = 0  # frames of a value clip; 0: the cache is one file
     flat: bool = False  # one file instead of layers
     settled: bool = False  # one pose, that at rest, without time samples
+    tets: bool = False  # tetrahedra of each body
 
     @property
     def mesh(self) -> bool:
@@ -270,8 +287,8 @@ class Choices:
 
     @property
     def particles(self) -> bool:
-        """Whether any form of the particles is written."""
-        return "gaussians" in self.shapes or "points" in self.shapes
+        """Whether any form of the particles is written, or tetrahedra, which stand with them."""
+        return "gaussians" in self.shapes or "points" in self.shapes or self.tets
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -69,6 +69,22 @@ def _first_of_each(labels: Ints) -> NDArray[np.int64]:
     return first[back].astype(np.int64)
 
 
+# Of a tetrahedron (a, b, c, d) with (b - a) . ((c - a) x (d - a)) > 0, outward (UsdGeomTetMesh).
+TET_FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
+
+
+def tet_surface(tets: Ints) -> tuple[NDArray[np.int64], int]:
+    """The faces (T, 3) that one of tetrahedra (n, 4) of positive volume has alone, outward.
+
+    And how many faces three and more of them share, which no solid has.
+    """
+    faces = np.asarray(tets)[:, TET_FACES].reshape(-1, 3)
+    _, inverse, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return faces[count[inverse.reshape(-1)] == 1], int((count > 2).sum())
+
+
 def proper(triangles: Ints) -> NDArray[np.bool_]:
     """(T,) True where a triangle has three different vertices."""
     a, b, c = np.asarray(triangles).reshape(-1, 3).T

@@ -9,7 +9,7 @@ behind should the process be killed.  It is saved in the background while the so
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from pxr import Sdf, Usd
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles
+from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles, TetLattice
 from gf_usd.core.materials import LAWS
 from gf_usd.layers.clips import ClipStore
 from gf_usd.layers.stage import (
@@ -71,6 +71,7 @@ class CacheWriter:
     info : look, materials and settings of the bake.
     source : the USD file to lie over; default the asset's own.
     choices : which shapes are written, and whether in clips; default all in one file.
+    tets : tetrahedra that are written; none: no TetMesh.
     since : the `state` of a writer of the same bake, to go on from; its clips stay as they are.
     save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
@@ -88,6 +89,7 @@ class CacheWriter:
         *,
         source: Path | None = None,
         choices: Choices | None = None,
+        tets: Sequence[TetLattice] = (),
         save_every: int | None = None,
         since: Mapping[str, Any] | None = None,
     ) -> None:
@@ -138,7 +140,7 @@ class CacheWriter:
         self._particles = None
         if choices.particles:
             self._particles = ParticleTrack(
-                self._stage, root, home, asset, particles, info, time, choices
+                self._stage, root, home, asset, particles, info, time, choices, tets
             )
         moving = [*self._meshes.values(), *self._splats.values()]
         tracks = [*moving, *([self._particles] if self._particles else [])]
@@ -217,7 +219,7 @@ class CacheWriter:
         for path, pose in frame.splats.items():
             self._splats[path].write(pose, time_code)
         if self._particles:
-            self._particles.write(frame.gaussians, time_code)
+            self._particles.write(frame.gaussians, time_code, frame.tets)
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)

@@ -43,6 +43,7 @@ class FrameBuilder:
     surfaces : that are written.
     settings : as `sampled`.
     splats : the captured Gaussians.
+    tets : keys of the tetrahedra among the embedded points.
     """
 
     def __init__(
@@ -53,7 +54,9 @@ class FrameBuilder:
         surfaces: Sequence[Surface],
         settings: Settings,
         splats: SplatDeformer,
+        tets: Sequence[str] = (),
     ) -> None:
+        self._tets = tets
         self.solver, self._track, self._skin = solver, track, skin
         self._surfaces, self._settings, self._splats = surfaces, settings, splats
         meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
@@ -119,6 +122,10 @@ class FrameBuilder:
             ),
             health=health,
             splats=splats if self._surfaces else {},
+            tets={
+                key: MeshPose(points=poses[key].x, velocities=poses[key].v * s.time_scale)
+                for key in self._tets
+            },
         )
 
 
@@ -330,6 +337,7 @@ def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
         index=index,
         time_code=time_code,
         meshes={path: stop(pose) for path, pose in first.meshes.items()},
+        tets={key: stop(pose) for key, pose in first.tets.items()},
         gaussians=stop(first.gaussians),
         health=replace(first.health, kinetic=0.0, momentum=nothing, angular_momentum=nothing),
     )

@@ -359,6 +359,7 @@ def _run_variant(
         info,
         source=plan.source,
         choices=plan.choices,
+        tets=plan.tets,
         since=since.cache if since else None,
     ) as cache:
         try:
@@ -446,7 +447,7 @@ def solver_of(plan: Plan, variant: Variant) -> Solver:
         more |= {
             "contact_setup": plan.contact_setup,
             "goals": plan.goals,
-            "embedded_body": plan.bodies.embedded,
+            "embedded_body": {**plan.bodies.embedded, **{t.key: t.body for t in plan.tets}},
             "embedded_copy": plan.embedded_copies,
         }
     return make_solver(
@@ -485,4 +486,5 @@ def frame_builder(
     if plan.points and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     surfaces = plan.asset.surfaces if plan.choices.mesh else ()
-    return FrameBuilder(solver, track, skin, surfaces, sampled(variant.settings), splats)
+    keys = [tets.key for tets in plan.tets]
+    return FrameBuilder(solver, track, skin, surfaces, sampled(variant.settings), splats, keys)

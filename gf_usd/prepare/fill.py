@@ -80,6 +80,7 @@ def fill(
     from gf_usd.geometry.repair import notes
     from gf_usd.geometry.sampling.contact_samples import sample_surface
     from gf_usd.geometry.sampling.particles import sample_solid
+    from gf_usd.geometry.sampling.tets import tet_lattices
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
     from gf_usd.geometry.thin.thickness import thickness
@@ -224,6 +225,8 @@ def fill(
     )  # fmt: skip
     if not paper and request.solver != "ul":
         limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
+    tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
+    copies = {t.key: t.copy for t in tets if t.copy is not None}
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -242,7 +245,8 @@ def fill(
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,
-        embedded_copies=limbs.embedded_copies,
+        embedded_copies={**limbs.embedded_copies, **copies},
+        tets=tets,
         velocity=tuple(
             start_velocities(
                 asset, bodies, spec.bodies, settings.time_scale, limbs.particles,
@@ -333,6 +337,7 @@ def _chosen(
         half=request.half,
         flat=request.flatten or files.flat,
         settled=request.settle_only,
+        tets=request.tets,
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

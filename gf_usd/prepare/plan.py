@@ -20,6 +20,7 @@ from gf_usd.core.frames import (
     Particles,
     Settings,
     SurfaceSamples,
+    TetLattice,
     summary,
     written,
 )
@@ -71,6 +72,7 @@ class Plan:
     embedded_copies: Mapping[str, Ints] = field(
         default_factory=dict
     )  # copies of cells: see `LimbPlan`
+    tets: tuple[TetLattice, ...] = ()  # of the bodies, where they are to be written
     contact_setup: ContactSetup | None = None
     velocity: tuple[Any, ...] = ()  # at the start, of each body: see `start_velocities`
     each: tuple[Settings, ...] = ()  # of each variant, where they are not all the same
@@ -106,14 +108,15 @@ class Plan:
 
     @property
     def points(self) -> dict[str, Floats]:
-        """Embedded points (n, 3) [m] at rest, by prim path: vertices, or captured Gaussians."""
+        """Embedded points (n, 3) [m] at rest: vertices and captured Gaussians, by prim path, and
+        corners of tetrahedra, by `TetLattice.key`."""
         exported = any(self.sequences)
         every = embedded_points(self.asset)
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
             if self.choices.mesh or (exported and s.splats is not None)
-        }
+        } | {tets.key: tets.X for tets in self.tets}
 
     @property
     def frame_bytes(self) -> float:
@@ -197,6 +200,7 @@ NORMAL_BYTES = 12
 SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
+TET_BYTES = 12  # of tetrahedra, for each particle: eight are in a cell, and half a corner is theirs
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
 INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writes more
 
@@ -217,4 +221,6 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
         size += each * particles
     if "points" in choices.shapes:
         size += POINT_BYTES * particles
+    if choices.tets:
+        size += TET_BYTES * particles
     return size * settings.samples_per_frame

@@ -8,14 +8,22 @@ their transform, which is in double precision.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, Particles, spread
+from gf_usd.core.frames import (
+    BakeInfo,
+    Choices,
+    GaussianPose,
+    MeshPose,
+    Particles,
+    TetLattice,
+    spread,
+)
 from gf_usd.core.materials import law_parameters
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
@@ -23,6 +31,7 @@ from gf_usd.layers.stage import Clock, Home, f32, quaternions
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
+from gf_usd.layers.tracks.tets import TetTrack
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
 Types = Sdf.ValueTypeNames
@@ -39,7 +48,7 @@ class ParticleTrack:
     ----------
     cache : stage whose root layer is the cache.
     root : the home's root prim in the source.
-    home, asset, particles, info, clock, choices : of the bake.
+    home, asset, particles, info, clock, choices, tets : of the bake.
     """
 
     def __init__(
@@ -52,6 +61,7 @@ class ParticleTrack:
         info: BakeInfo,
         clock: Clock,
         choices: Choices,
+        tets: Sequence[TetLattice] = (),
     ) -> None:
         self._count = len(particles)
         self._unit = asset.facts.units.length
@@ -77,6 +87,14 @@ class ParticleTrack:
             info.look,
             asset.facts.units,
         )
+        self._tets = {
+            one.key: TetTrack(
+                cache, home.scope.AppendChild(f"Tets{one.body}" if one.body else "Tets"), one,
+                particles, info, asset.facts.units, self._origin, materials,
+                still=not choices.clip_frames,
+            )
+            for one in tets
+        }  # fmt: skip
         meshes = [Sdf.Path(s.path) for s in asset.surfaces]
         for prim in prims:
             _describe(prim, asset, particles, info, self._origin)
@@ -91,10 +109,13 @@ class ParticleTrack:
                 when = first if choices.clip_frames else None
                 bind_points(prim, materials, particles.material, when)
         self.space = Space(root, clock, self._unit) if home.inside else None
+        prims += [track.prim for track in self._tets.values()]
         self._transforms = self._place(prims, clock.start)
 
-    def write(self, pose: GaussianPose, time_code: float) -> None:
-        """Author the pose at a time code.
+    def write(
+        self, pose: GaussianPose, time_code: float, tets: Mapping[str, MeshPose] | None = None
+    ) -> None:
+        """Author the pose at a time code, and that of the tetrahedra by `TetLattice.key`.
 
         Raises BakeError where an array has another length than the particles or is not finite.
         """
@@ -107,7 +128,10 @@ class ParticleTrack:
             self._splats.write(pose, positions, velocities, time_code)
         if self._twin:
             self._twin.write(positions, velocities, time_code)
-        boxes = [(track.low, track.high) for track in (self._splats, self._twin) if track]
+        for key, track in self._tets.items():
+            track.write((tets or {})[key], time_code)
+        every = [self._splats, self._twin, *self._tets.values()]
+        boxes = [(track.low, track.high) for track in every if track]
         self.low = np.min([low for low, _ in boxes], axis=0)
         self.high = np.max([high for _, high in boxes], axis=0)
         if self.space is not None and self.space.animated:

@@ -282,6 +282,10 @@ class RequestOptions:
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
         shown="all three", parse=texts.parse_only, write=values.words,
     )] = None
+    tets: Annotated[bool, Option(
+        WRITE, "Write a TetMesh of each body, at rest and in motion, that other simulators read"
+        " (AOUSD volume deformable API).",
+    )] = False
     flatten: Annotated[bool, Option(
         WRITE, "Write one file that contains the asset, instead of layers.",
     )] = False

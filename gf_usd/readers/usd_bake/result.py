@@ -39,6 +39,13 @@ REST = {
 STRESS, GRADIENTS, VELOCITIES = "vonMisesStress", "deformationGradients", "velocities"
 
 
+def _is_drawn(prim: Usd.Prim) -> bool:
+    """Whether a prim is a mesh of the asset, or a TetMesh, and no guide such as those of a bake."""
+    made_of_faces = prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh)
+    guide = UsdGeom.Tokens.guide
+    return made_of_faces and UsdGeom.Imageable(prim).ComputePurpose() != guide
+
+
 class BakedArrays:
     """A bake opened to read one variant.
 
@@ -75,9 +82,7 @@ class BakedArrays:
             key=lambda prim: str(prim.GetTypeName()) != SPLAT_TYPE,
         )
         self._cloud = clouds[0] if clouds else Usd.Prim()
-        self._meshes = {
-            str(p.GetPath()): p for p in prims if p.IsA(UsdGeom.Mesh) or p.IsA(UsdGeom.TetMesh)
-        }
+        self._meshes = {str(p.GetPath()): p for p in prims if _is_drawn(p)}
         self._health = [
             attribute
             for prim in prims

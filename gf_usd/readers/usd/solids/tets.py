@@ -16,9 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.mesh import weld
+from gf_usd.core.mesh import tet_surface, weld
 
-FACES = np.array([(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)])
 EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 FLAT = 1e-9  # of its longest edge cubed: the volume below which a tetrahedron is flat
 STRETCHED = 1e-4  # of an edge: a rest shape that differs by more is not that of the points
@@ -77,13 +76,10 @@ def boundary(tets: Ints) -> Ints:
 
     Raises BrokenTets where three and more share a face.
     """
-    faces = np.asarray(tets)[:, FACES].reshape(-1, 3)
-    _, inverse, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    if count.max(initial=0) > 2:
-        raise BrokenTets(f"{int((count > 2).sum())} faces belong to three and more tetrahedra")
-    return faces[count[inverse.reshape(-1)] == 1]
+    faces, crowded = tet_surface(tets)
+    if crowded:
+        raise BrokenTets(f"{crowded} faces belong to three and more tetrahedra")
+    return faces
 
 
 def _require_range(name: str, indices: Ints, count: int) -> None:

@@ -1,0 +1,152 @@
+"""Tetrahedra of the cells that a body fills, for solvers that want a volume mesh.
+
+Cells are those that the particles were made for, of edge h.  Each is cut into the six tetrahedra
+around its diagonal from (0, 0, 0) to (1, 1, 1) (Kuhn 1960): the same in all cells, so that the
+faces of neighbors agree, each of volume h^3 / 6.  The skin of the body lies within the cells and is
+embedded in them; the cells reach beyond it by less than one.
+
+Cells that would hang together by an edge or a corner alone get a cell between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples, TetLattice
+from gf_usd.core.neighbors import components
+
+CELL = 2.0  # edge of a cell over the lattice's
+BELOW = 0.05  # [cells] below the surface where a sample's cell is looked for
+CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+def _kuhn() -> NDArray[np.int64]:
+    """(6, 4) corners of the tetrahedra, each of positive volume."""
+    tets = []
+    for axes in permutations(range(3)):
+        path = [0]
+        for axis in axes:
+            path.append(path[-1] + (4, 2, 1)[axis])
+        even = np.linalg.det(np.diff(CORNERS[path], axis=0)) > 0.0
+        tets.append(path if even else [path[0], path[2], path[1], path[3]])
+    return np.array(tets)
+
+
+KUHN = _kuhn()
+
+
+def tet_lattices(particles: Particles, samples: SurfaceSamples) -> tuple[TetLattice, ...]:
+    """The tetrahedra of each body that has particles."""
+    h = CELL * particles.lattice
+    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    corners = particles.corner if particles.corners is None else particles.corners
+    corners = np.broadcast_to(np.asarray(corners, float), (int(body.max()) + 1, 3))
+    made = []
+    for k in np.unique(body):
+        corner = corners[k]
+        copies = particles.copies
+        if copies is not None:
+            mine = np.flatnonzero(copies.body == k)
+            cells, node = copies.cell[mine], _copied_nodes(copies, mine)
+            of = mine
+        else:
+            places = [particles.X[body == k], _below(samples, int(k), h)]
+            at = np.floor((np.concatenate(places) - corner) / h).astype(np.int64)
+            cells = without_hinges(np.unique(at, axis=0))
+            node = _nodes(cells)
+            of = None
+        made.append(_lattice(int(k), corner, h, cells, node, of))
+    return tuple(made)
+
+
+def _lattice(
+    body: int, corner: Floats, h: float, cells: Ints, node: Ints, of: Ints | None
+) -> TetLattice:
+    """node : (K, 8) number of each corner of each cell; of : (K,) copy of each cell, or None."""
+    count = int(node.max()) + 1
+    X, copy = np.empty((count, 3)), np.zeros(count, np.int64)
+    X[node] = corner + h * (cells[:, None, :] + CORNERS)
+    if of is not None:
+        copy[node] = of[:, None]
+    tets = node[:, KUHN].reshape(-1, 4)
+    return TetLattice(body=body, X=X, tets=tets, copy=None if of is None else copy)
+
+
+def _below(samples: SurfaceSamples, body: int, h: float) -> Floats:
+    """Places (n, 3) [m] just below the surface of a body."""
+    if samples.normal is None:
+        return np.zeros((0, 3))
+    mine = slice(None) if samples.body is None else samples.body == body
+    return samples.X[mine] - BELOW * h * samples.normal[mine]
+
+
+def _nodes(cells: Ints) -> NDArray[np.int64]:
+    """(K, 8) a number for each place of a corner of cells (K, 3)."""
+    at = (cells[:, None, :] + CORNERS).reshape(-1, 3)
+    return np.unique(at, axis=0, return_inverse=True)[1].reshape(-1, 8)
+
+
+def _copied_nodes(copies: CellCopies, mine: Ints) -> NDArray[np.int64]:
+    """(K, 8) as `_nodes`; corners of two cells are one where faces lead from cell to cell."""
+    from scipy.sparse import coo_matrix
+
+    row = np.full(len(copies.cell), -1)
+    row[mine] = np.arange(len(mine))
+    links = row[copies.links[(row[copies.links] >= 0).all(axis=1)]]
+    cells = copies.cell[mine]
+    step = cells[links[:, 1]] - cells[links[:, 0]]
+    ends = []
+    for axis in range(3):
+        for way in (-1, 1):
+            d = way * np.eye(3, dtype=np.int64)[axis]
+            some = links[(step == d).all(axis=1)]
+            first = np.flatnonzero(CORNERS[:, axis] == (way + 1) // 2)
+            second = np.flatnonzero(CORNERS[:, axis] == (1 - way) // 2)
+            ends.append(np.stack([8 * some[:, :1] + first, 8 * some[:, 1:] + second], -1))
+    a, b = np.concatenate([pair.reshape(-1, 2) for pair in ends]).T
+    graph = coo_matrix((np.ones(len(a)), (a, b)), shape=(8 * len(cells),) * 2)
+    return np.unique(components(graph)[1], return_inverse=True)[1].reshape(-1, 8)
+
+
+def without_hinges(cells: Ints) -> NDArray[np.int64]:
+    """Cells (K, 3) and those between any two that meet in an edge or a corner alone."""
+    there = {tuple(cell) for cell in cells.tolist()}
+    steps = (*_diagonals(2), *_diagonals(3))
+    known = 0
+    while len(there) > known:  # a new cell may meet others in an edge
+        known = len(there)
+        for cell in sorted(there):
+            for step in steps:
+                other = tuple(c + s for c, s in zip(cell, step))
+                if other in there and not _joined(cell, step, there):
+                    there.update(_ways(cell, step)[0])
+    return np.array(sorted(there), dtype=np.int64)
+
+
+def _diagonals(axes: int) -> Sequence[tuple[int, ...]]:
+    """Half of the steps along so many axes at once, one of each pair that are opposite."""
+    every = (tuple(s - 1 for s in index) for index in np.ndindex(3, 3, 3))
+    return [step for step in every if np.count_nonzero(step) == axes and step > (0, 0, 0)]
+
+
+def _joined(cell: tuple[int, ...], step: tuple[int, ...], there: set[tuple[int, ...]]) -> bool:
+    """Whether faces lead from a cell to the one a step away, within the block of both."""
+    return any(all(on in there for on in way) for way in _ways(cell, step))
+
+
+def _ways(cell: tuple[int, ...], step: tuple[int, ...]) -> list[list[tuple[int, ...]]]:
+    """The cells of each shortest way between, axis by axis, without its ends."""
+    axes = [axis for axis in range(3) if step[axis]]
+    ways = []
+    for order in permutations(axes):
+        at, way = list(cell), []
+        for axis in order[:-1]:
+            at[axis] += step[axis]
+            way.append(tuple(at))
+        ways.append(way)
+    return ways
