@@ -22,6 +22,12 @@ def verify(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, show_default="the cores, 1 on a GPU", help="Run so many cases at once."
+        ),
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Show the cases and run none.")] = False,
 ) -> None:
     """Run the solver against closed forms and published numbers.
@@ -29,6 +35,7 @@ def verify(
     Exit status 1 if any figure is further from its target than its bound.  Where bounds come from
     is in the JSON, and in docs/verification.md.
     """
+    from gf_usd.system.taichi_runtime import cores
     from gf_usd.verify.case import rows
     from gf_usd.verify.registry import select
     from gf_usd.verify.registry import verify as run
@@ -37,7 +44,9 @@ def verify(
     if show:
         _list(cases, as_json)
         return
-    results = list(_announced(run(cases, full=full, device=device), len(cases)))
+    processes = jobs or (cores() if device == "cpu" else 1)
+    done = run(cases, full=full, device=device, processes=processes)
+    results = list(_announced(done, len(cases)))
     table = [row for result in results for row in rows(result)]
     if as_json:
         typer.echo(json.dumps({"cases": table}, indent=1))

@@ -83,16 +83,33 @@ def select(names: Sequence[str] = ()) -> tuple[Case, ...]:
     return tuple(case for case in CASES if not names or case.name in names)
 
 
-def verify(cases: Sequence[Case], *, full: bool = False, device: str = "cpu") -> Iterator[Result]:
+def verify(
+    cases: Sequence[Case], *, full: bool = False, device: str = "cpu", processes: int = 1
+) -> Iterator[Result]:
     """Run cases, those in double precision last: Taichi starts once for each precision.
+
+    processes : how many run at once; more than one are processes of their own.
 
     Raises UsageError where the device is not there, before anything runs.
     """
     from gf_usd.system.taichi_runtime import init_taichi
+    from gf_usd.verify.parallel import verify_in
 
     init_taichi(device)
-    for case in sorted(cases, key=lambda case: case.f64):
+    ordered = sorted(cases, key=lambda case: case.f64)
+    processes = min(processes, len(ordered))
+    if processes > 1:
+        yield from verify_in(ordered, run_named, full=full, device=device, processes=processes)
+        return
+    for case in ordered:
         yield run_case(case, full=full, device=device)
+
+
+def run_named(name: str, full: bool, device: str) -> tuple[tuple[Measure, ...], float]:
+    """Measures and seconds of a case, for a process that is handed its name."""
+    (case,) = select((name,))
+    result = run_case(case, full=full, device=device)
+    return result.measures, result.seconds
 
 
 def run_case(case: Case, *, full: bool = False, device: str = "cpu") -> Result:

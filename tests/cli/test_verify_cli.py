@@ -40,7 +40,7 @@ def test_a_real_case_on_production_kernels(gf_usd) -> None:
 
 @pytest.mark.usefixtures("two")
 def test_the_table_shows_every_figure_and_the_verdict(gf_usd) -> None:
-    done = gf_usd("verify")
+    done = gf_usd("verify", "--jobs", "1")
     assert done.status == 1
     assert "\x1b" not in done.out
     good, bad = (
@@ -53,7 +53,7 @@ def test_the_table_shows_every_figure_and_the_verdict(gf_usd) -> None:
 
 @pytest.mark.usefixtures("two")
 def test_full_takes_the_full_form(gf_usd) -> None:
-    done = gf_usd("verify", "--full", "--json")
+    done = gf_usd("verify", "--full", "--json", "--jobs", "1")
     assert done.status == 0
     assert [row["value"] for row in json.loads(done.out)["cases"]] == [1.0, 1.05]
 
@@ -79,3 +79,18 @@ def test_wrong_words_are_usage_errors(gf_usd) -> None:
     assert done.status == 2
     assert "did you mean free-fall?" in done.err
     assert gf_usd("verify", "--case", "free-fall", "--device", "tpu").status == 2
+
+
+@pytest.mark.slow
+def test_cases_in_processes_are_what_they_are_in_one(gf_usd) -> None:
+    words = ("verify", "--case", "thin", "--case", "inertia", "--case", "uniaxial", "--json")
+    one, two = (gf_usd(*words, "--jobs", number) for number in ("1", "2"))
+    assert one.status == two.status == 0
+    figures = [
+        [{k: v for k, v in row.items() if k != "seconds"} for row in json.loads(done.out)["cases"]]
+        for done in (one, two)
+    ]
+    assert figures[0] == figures[1]
+    assert [line.split()[1] for line in two.err.splitlines()[:3]] == [
+        "thin:", "inertia:", "uniaxial:"
+    ]  # fmt: skip
