@@ -34,7 +34,7 @@ from gf_usd.verify.cases.elastic import (
     vibration,
 )
 from gf_usd.verify.cases.flesh import driven, rigid
-from gf_usd.verify.cases.plastic import expansion, membrane, slump, taylor, uniaxial
+from gf_usd.verify.cases.plastic import expansion, membrane, rim, slump, taylor, uniaxial
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -62,6 +62,7 @@ CASES: tuple[Case, ...] = (
     *slump.CASES,
     *membrane.CASES,
     *taylor.CASES,
+    *rim.CASES,
     *sides.CASES,
     *driven.CASES,
     *rigid.CASES,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gf_usd.verify.case import Measure
-from gf_usd.verify.cases.plastic import membrane, taylor
+from gf_usd.verify.cases.plastic import expansion, membrane, taylor
 
 COARSE = (0.08, 0.01, 0.1)  # bounds with two cells a radius
 
@@ -48,3 +48,15 @@ def test_the_panel_has_the_moments_of_its_trapezoid() -> None:
     # Points on the slanted edges count whole strata of h / 32 as inside or not.
     assert x == pytest.approx(wide * (left + 2.0 * right) / (3.0 * (left + right)), rel=1e-3)
     assert panel.X[:, 1].max() < membrane.RISE + right
+
+
+def test_inertia_of_the_cylinder_is_what_its_points_are_accelerated_by() -> None:
+    a, speed, dt = 15e-3, 3.0, 1e-6
+    R = np.linspace(expansion.INNER, expansion.OUTER, 4001)
+    before, r, after = (
+        np.sqrt(R**2 + (a + k * dt * speed) ** 2 - expansion.INNER**2) for k in (-1, 0, 1)
+    )
+    force = expansion.DENSITY * (after - 2.0 * r + before) / dt**2
+    # Differences leave (v dt / a)^2 and rounding, 1e-16 (a / (v dt))^2 of v^2 / a.
+    integral = np.trapezoid(force, r)
+    assert expansion.inertia(a, speed) == pytest.approx(integral, rel=1e-5)
