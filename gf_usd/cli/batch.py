@@ -12,122 +12,129 @@ from gf_usd.cli.options import LimitsOf
 
 def batch(
     sources: Annotated[
-        list[str], typer.Argument(help="A manifest (.toml, .json), or assets and patterns of them.")
+        list[str], typer.Argument(help="A manifest (.toml or .json), or assets or glob patterns.")
     ],
     material: Annotated[
         str | None,
-        typer.Option("--material", "-m", help="A job for each of these, with commas between.",
+        typer.Option("--material", "-m", help="Materials, separated by commas; each makes a job.",
                      show_default="the manifest's, else rubber"),
     ] = None,
     seed: Annotated[
-        str | None, typer.Option(help="A job for each of these, with commas between.")
+        str | None, typer.Option(help="Seeds, separated by commas; each makes a job.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder of the results.",
+        typer.Option("--out", "-o", help="Write the results into this folder.",
                      show_default="the manifest's, else baked"),
     ] = None,
     name: Annotated[
         str | None,
-        typer.Option(help="Template of the results' names, e.g. {folder}/{asset}.{material}."),
+        typer.Option(help="Template of the result names, e.g. {folder}/{asset}.{material}."),
     ] = None,
-    particles: Annotated[int | None, typer.Option(help="As for bake.")] = None,
-    frames: Annotated[int | None, typer.Option(help="As for bake.")] = None,
+    particles: Annotated[
+        int | None, typer.Option(help="Particles of each bake, as in gf-usd bake.")
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="Frames of each bake, as in gf-usd bake.")
+    ] = None,
     limits: LimitsOf = None,
     setting: Annotated[
         list[str] | None,
-        typer.Option("--set", help="NAME=VALUE, any option of bake; repeatable."),
+        typer.Option("--set", help="Set any option of bake: NAME=VALUE; repeatable."),
     ] = None,
     at_once: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", min=1, help="Processes at once.",
+        typer.Option("--jobs", "-j", min=1, help="Run this many processes at once.",
                      show_default="by cores and memory"),
     ] = None,
     memory: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Memory of one job [GB], to fit processes into the machine.",
+        typer.Option(min=0.01, help="Memory that one job needs [GB]; it limits the processes.",
                      show_default="estimated"),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(min=0.1, help="Of one attempt at a job [s].")
+        float | None, typer.Option(min=0.1, help="End an attempt at a job after this time [s].")
     ] = None,
     retries: Annotated[
         int | None,
-        typer.Option(min=0, help="More attempts where a process died or took too long.",
+        typer.Option(min=0, help="Repeat a job this often if its process crashed or timed out.",
                      show_default="1"),
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option(help="Only jobs of this name or pattern; repeatable.")
+        list[str] | None, typer.Option(help="Run only jobs with this name or pattern; repeatable.")
     ] = None,
     failed: Annotated[
-        bool, typer.Option("--failed", help="Only jobs that were not good the last time.")
+        bool,
+        typer.Option("--failed", help="Run only jobs that did not succeed last time."),
     ] = False,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Bake also what is done already.")
+        bool, typer.Option("--overwrite", help="Bake finished jobs again.")
     ] = False,
     warm: Annotated[
         bool,
         typer.Option("--warm/--no-warm",
-                     help="Let processes bake one job after the other, which saves their start."),
+                     help="Keep processes running between jobs, which saves start-up time."),
     ] = True,
     scheduler: Annotated[
-        str | None, typer.Option(help="Run on a dask.distributed cluster: tcp://HOST:8786.")
+        str | None, typer.Option(help="Run on the Dask cluster at this address: tcp://HOST:8786.")
     ] = None,
     resource: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=AMOUNT of a Dask worker that a job takes; repeatable."),
+        typer.Option(help="Dask resource that each job takes, NAME=AMOUNT; repeatable."),
     ] = None,
     openjd: Annotated[
         Path | None,
-        typer.Option(help="Run nothing: write a job bundle of Open Job Description here."),
+        typer.Option(help="Write an Open Job Description bundle here; bake nothing."),
     ] = None,
     chunk: Annotated[
         int | None,
-        typer.Option(min=1, help="Jobs in a task of the bundle.", show_default="4; 1 with --slice"),
+        typer.Option(min=1, help="Jobs per task of the bundle.", show_default="4; 1 with --slice"),
     ] = None,
     slice: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Value clips of each job in this run (status 5 where frames are left), or in a"
-            " task of the bundle.",
+            help="End each job after this many value clips (status 5 if frames are left), or"
+            " make bundle tasks of this size.",
             show_default="the whole job",
         ),
     ] = None,
     part: Annotated[
-        str | None, typer.Option(help="Which slice of its jobs a task of a bundle is: 2/5.")
+        str | None, typer.Option(help="Slice of its jobs that a bundle task bakes: 2/5.")
     ] = None,
     program: Annotated[
         str | None,
-        typer.Option(help="Python that has gf-usd on the bundle's workers.",
+        typer.Option(help="Python with gf-usd on the workers of the bundle.",
                      show_default="this one"),
     ] = None,
     tasks: Annotated[
-        str | None, typer.Option(help="Only the jobs of these numbers, from 0: 0,3-5.")
+        str | None, typer.Option(help="Run only jobs with these numbers, from 0: 0,3-5.")
     ] = None,
     path_mapping: Annotated[
         Path | None, typer.Option(help="Path mapping rules of an Open Job Description session.")
     ] = None,
     openjd_lines: Annotated[
-        bool, typer.Option("--openjd-lines", help="Tell openjd_progress and so on, on stdout.")
+        bool, typer.Option("--openjd-lines", help="Print openjd_progress and similar lines.")
     ] = False,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Make no page, and no pictures for it.")
+        bool, typer.Option("--no-report", help="Do not write the HTML page and its pictures.")
     ] = False,
     report_only: Annotated[
-        bool, typer.Option("--report-only", help="Bake nothing, make the page again.")
+        bool, typer.Option("--report-only", help="Write the HTML page again; bake nothing.")
     ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the jobs.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List the jobs; bake nothing.")
+    ] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on a line for each event.")
+        bool, typer.Option("--json", help="Print one JSON object per line for each event.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the summary.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only the summary.")] = False,
 ) -> None:  # fmt: skip
-    """Bake many assets with many materials and settings, several at once.
+    """Bake many assets with many materials and settings, in parallel.
 
-    What is done already and still the same is kept. Exit status 1 if any job is not good, 5 if
-    nothing but slices are left, 143 and 130 if it was terminated or interrupted; the same command
-    goes on from there.
+    Finished jobs whose inputs have not changed are skipped. Exit status 1 if a job did not
+    succeed, 5 if slices are left, 143 if terminated, 130 if interrupted; the same command then
+    continues.
     """
     from gf_usd.batch.slices import parse_part
     from gf_usd.cli.batch_run import (

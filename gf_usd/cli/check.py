@@ -13,14 +13,14 @@ from gf_usd.cli.options import LimitsOf
 
 
 def check(
-    file: Annotated[Path, typer.Argument(help="Any USD file, a bake or not.")],
+    file: Annotated[Path, typer.Argument(help="Any USD file.")],
     limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
-    """Run UsdValidation and our own rules over a file; each finding says what to do.
+    """Validate a USD file with UsdValidation and rules for bakes; each finding has a fix.
 
-    Exit status 1 if there is an error, 0 otherwise: warnings do not count, nor do the errors that
-    a bake has from its source, which are listed apart.
+    Exit status 1 if there is an error, else 0. Warnings do not count, nor do errors of the source
+    of a bake, which are listed separately.
     """
     from gf_usd.system.sandbox import attempt, parse_limits
 
@@ -43,10 +43,10 @@ def check(
             typer.echo(f"{finding.severity}: {finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
         for finding in result.inherited:
-            typer.echo(f"in the source, too: {finding.rule} <{finding.prim_path}>")
+            typer.echo(f"also in the source: {finding.rule} <{finding.prim_path}>")
             typer.echo(f"  {finding.message}\n  fix: {finding.fix}")
         for skip in result.skipped:
-            typer.echo(f"not judged: {skip.rule} <{skip.prim_path}>: {skip.reason}")
+            typer.echo(f"not checked: {skip.rule} <{skip.prim_path}>: {skip.reason}")
         for line in result.warned:
             typer.echo(f"note: {line}")
         theirs = f", {len(result.inherited)} errors of the source" if result.inherited else ""

@@ -27,33 +27,33 @@ def materials(
 ) -> None:
     """Show the material presets.
 
-    Looks are scale-free: moduli are in units of rho g0 r and times in T = sqrt(r / g0), with r the
-    radius of a ball of the body's volume and g0 = 9.81 m/s^2, so that every size squashes alike.
+    Dimensionless presets deform alike at any size: moduli are in units of rho g0 r and times in
+    T = sqrt(r / g0), with r the radius of a ball of the body's volume and g0 = 9.81 m/s^2.
     """
     from gf_usd.core.materials import DIMENSIONLESS, LAWS, PHYSICAL
 
     if as_json:
-        looks = [asdict(look) for look in DIMENSIONLESS.values()]
+        presets = [asdict(preset) for preset in DIMENSIONLESS.values()]
         physical = [asdict(p) for p in PHYSICAL.values()]
-        out = {"looks": looks, "physical": physical, "laws": list(LAWS)}
+        out = {"looks": presets, "physical": physical, "laws": list(LAWS)}
         typer.echo(json.dumps(out, indent=1))
         return
     from rich.console import Console
 
     console = Console(markup=False, highlight=False)
-    looks = (
+    dimensionless = (
         (m.name, m.mu, m.lam, m.density, m.damping, m.friction, m.restitution)
         for m in DIMENSIONLESS.values()
     )
     console.print(
         _table(
-            "look", "mu\n[rho g0 r]", "lambda\n[rho g0 r]", "density\n[kg/m^3]", "damping\n[T]",
-            "friction", "restitution", rows=looks,
+            "preset", "mu\n[rho g0 r]", "lambda\n[rho g0 r]", "density\n[kg/m^3]", "damping\n[T]",
+            "friction", "restitution", rows=dimensionless,
         )
     )  # fmt: skip
     console.print()
-    for look in DIMENSIONLESS.values():
-        console.print(f"{look.name}: {look.note}{_own(look.law, look.parameters)}")
+    for m in DIMENSIONLESS.values():
+        console.print(f"{m.name}: {m.note}{_own(m.law, m.parameters)}")
     console.print()
     physical = (
         (m.name, m.youngs_modulus, m.poissons_ratio, m.density, m.damping_time, m.friction,

@@ -20,7 +20,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
     **options: Any,
 ) -> None:
-    """Look before you bake: meshes, holes, units, thin parts, particles, time, memory, disk.
+    """Report what a bake would find: meshes, holes, units, thin parts, time, memory, disk.
 
     Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
     """

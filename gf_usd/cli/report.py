@@ -17,7 +17,9 @@ def report(
     baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="HTML file.", show_default="NAME.html in this folder"),
+        typer.Option(
+            "--output", "-o", help="Write this HTML file.", show_default="NAME.html in this folder"
+        ),
     ] = None,
     variant: Annotated[
         str | None,
@@ -30,13 +32,13 @@ def report(
         ),
     ] = None,
     max_vertices: Annotated[
-        int, typer.Option(min=100, help="Mesh vertices to keep at most, and as many Gaussians.")
+        int, typer.Option(min=100, help="Keep at most this many mesh vertices, and Gaussians.")
     ] = 20_000,
-    max_frames: Annotated[int, typer.Option(min=2, help="Frames to keep at most.")] = 240,
+    max_frames: Annotated[int, typer.Option(min=2, help="Keep at most this many frames.")] = 240,
 ) -> None:
-    """Write one page that plays the motion in a browser, offline, with what was measured.
+    """Write one HTML page with the motion, pictures and measurements, to view offline.
 
-    It stays under 20 MB; what is left out for that is said on the page.
+    The page is smaller than 20 MB, and says what was omitted for that.
     """
     target = output or Path(f"{baked.stem}.html")
     write(baked, target, variant, max_vertices, max_frames)
@@ -56,7 +58,7 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Play the motion in a window, in real time and over and over.
+    """Play the motion in a window, in real time, in a loop.
 
     Space plays and pauses, the arrow keys step, G changes between mesh and Gaussians, R resets, Q
     quits. It needs the extra open3d: pip install open3d.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Socket = Annotated[
     Path | None,
-    typer.Option("--socket", help="Where it listens.", show_default="GF_USD_SOCKET, else the"
+    typer.Option("--socket", help="Listen at this socket.", show_default="GF_USD_SOCKET, else the"
                  " user's runtime folder"),
 ]  # fmt: skip
 STOPPED = (signal.SIGINT, signal.SIGTERM)
@@ -32,26 +32,26 @@ def serve(
     *,
     socket: Socket = None,
     at_once: Annotated[
-        int, typer.Option("--jobs", "-j", min=1, help="Bakes at once; others wait.")
+        int, typer.Option("--jobs", "-j", min=1, help="Run this many bakes at once; others wait.")
     ] = 1,
     timeout: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Of a bake that gives none [s].", show_default="none"),
+        typer.Option(min=0.1, help="Time limit of bakes that set none [s].", show_default="none"),
     ] = None,
     idle: Annotated[
         float | None,
-        typer.Option(min=0.1, help="End after so long without a bake [s].", show_default="never"),
+        typer.Option(min=0.1, help="End after this time without a bake [s].", show_default="never"),
     ] = None,
     status: Annotated[
-        bool, typer.Option("--status", help="Show what the running server does, as JSON.")
+        bool, typer.Option("--status", help="Print the status of the running server as JSON.")
     ] = False,
-    stop: Annotated[bool, typer.Option("--stop", help="End the running server.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors.")] = False,
+    stop: Annotated[bool, typer.Option("--stop", help="Stop the running server.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
 ) -> None:
-    """Keep warm processes for the bakes of other programs, over a local socket.
+    """Run bakes of other programs in warm processes, over a local socket.
 
-    The second bake starts at once: imports, kernels and caches are loaded.  Programs send jobs as
-    JSON (docs/farm.md); from a shell: gf-usd bake --serve.
+    From the second bake on, imports, kernels and caches are already loaded. Programs send jobs as
+    JSON (docs/farm.md); in a shell, use gf-usd bake --serve.
     """
     from gf_usd.system.warm.local_socket import listening_socket, require_available, socket_path
 

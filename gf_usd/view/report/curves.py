@@ -79,7 +79,7 @@ def _height(motion: Motion, record: Record) -> Plot:
         else _geometry(motion, "center", known.get("center")),
         _geometry(motion, "lowest", known.get("lowest")),
     ]
-    plot = _plot("Height", "of the body, along the up axis", curves, LENGTHS)
+    plot = _plot("Height", "along the up axis", curves, LENGTHS)
     if motion.recording.ground is not None:
         plot["line"] = motion.recording.ground / plot.pop("factor")
         plot["line_name"] = "floor"
@@ -90,12 +90,12 @@ def _stretch(motion: Motion, record: Record) -> Plot:
     known = motion.curves
     return _plot(
         "Stretch",
-        "1 is at rest; of particles and surface",
+        "of particles and of the surface; 1 is undeformed",
         [
-            _health(motion, record, "most", _column(record, "max_stretch")),
-            _geometry(motion, "most of the surface", known.get("surface_max")),
-            _geometry(motion, "least of the surface", known.get("surface_min")),
-            _health(motion, record, "least", _column(record, "min_stretch")),
+            _health(motion, record, "largest", _column(record, "max_stretch")),
+            _geometry(motion, "largest of the surface", known.get("surface_max")),
+            _geometry(motion, "smallest of the surface", known.get("surface_min")),
+            _health(motion, record, "smallest", _column(record, "min_stretch")),
         ],
     )
 
@@ -112,7 +112,7 @@ def _volume(motion: Motion, record: Record) -> Plot:
             _geometry(motion, "largest", motion.curves.get("ratio_max")),
             _geometry(motion, "smallest", motion.curves.get("ratio_min")),
         ]
-    return _plot("Volume ratio J", "1 is at rest; below 0 is inside out", curves)
+    return _plot("Volume ratio J", "1 is undeformed; below 0 is inverted", curves)
 
 
 def _energy(motion: Motion, record: Record) -> Plot:
@@ -122,7 +122,7 @@ def _energy(motion: Motion, record: Record) -> Plot:
     curves = [_health(motion, record, name, values) for name, values in zip(names, columns)]
     return _plot(
         "Energy",
-        "only pins may raise the total",
+        "only pins and moving obstacles may raise the total",
         [_health(motion, record, "total", total), *curves],
         ENERGIES,
     )
