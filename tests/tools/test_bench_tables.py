@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tools.bench.processes import middle
+from tools.bench.revisions import row
 from tools.bench.speed import peer_tables, rounds, size_ratio
 from tools.bench.tables import marks, put
 
@@ -84,3 +85,13 @@ def test_a_section_is_replaced_and_nothing_else():
     assert put(page, "limits", "new\n") == f"head\n{begin}\nnew\n{end}\ntail\n"
     with pytest.raises(ValueError, match="no section"):
         put(page, "peers", "new")
+
+
+def test_revisions_are_compared_turn_by_turn():
+    # A machine that slows down by turns: each ratio is 1.25, though the medians alone are not.
+    slow = [1.0, 1.0, 5.0, 1.0, 9.0, 1.0, 1.0]
+    cells = row("a bake", "s", [(4.0 * k, 5.0 * k) for k in slow]).strip("| ").split(" | ")
+    assert cells == ["a bake", "4.0 s", "5.0 s", "1.250", "1.250 to 1.250", "1.250"]
+    # One turn in which the old one alone was disturbed does not count.
+    cells = row("a bake", "s", [(4.0, 5.0)] * 6 + [(40.0, 5.0)]).strip("| ").split(" | ")
+    assert cells[3:] == ["1.250", "1.250 to 1.250", "1.250"]

@@ -1,0 +1,122 @@
+"""The cost of elastic bodies at two revisions of the source, which take turns.
+
+    python -m tools.bench.revisions OLD [NEW] [--particles N] [--turns N]
+
+A ball whose halves turn against each other, without contact, in a process of each revision that
+waits while the other measures: CPU time of a substep on one thread, kernels compiled before.  What
+else the machine does changes from turn to turn and less between the two of one: the median of their
+ratio is what counts, and on a busy machine the ratio of the fastest tenths, which other programs
+disturbed least.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median, quantiles
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+LAWS = ("corotated", "neoHookean")
+CHILD = """
+import sys, time
+from dataclasses import replace
+import numpy as np
+from gf_usd.core.frames import Settings
+from gf_usd.core.materials import DIMENSIONLESS
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from tools.bench.solver import ball, twist
+
+law, n = sys.argv[1], int(sys.argv[2])
+settings = Settings(
+    frames=10**6, fps=60.0, time_codes_per_second=60.0, start=1.0, gravity=(0.0, 0.0, 0.0),
+    up=(0.0, 1.0, 0.0), floor=None, filter_rate=10.0 * np.sqrt(9.81), threads=1, substeps=100,
+)
+rubber = replace(DIMENSIONLESS["rubber"].material(1.0), law=law)
+solver = TotalLagrangian(ball(n), [rubber], settings, velocity=twist)
+frames = solver.frames()
+next(frames)
+for _ in sys.stdin:
+    began = time.process_time()
+    substeps = next(frames).health.substeps
+    print(1e9 * (time.process_time() - began) / substeps / len(solver.particles), flush=True)
+"""
+
+
+@contextlib.contextmanager
+def checked_out(revision: str, folder: Path) -> Iterator[Path]:
+    """A working tree of a revision, for a while."""
+    path = folder / revision.replace("/", "-")
+    git = ["git", "-C", str(ROOT), "worktree"]
+    subprocess.run([*git, "add", "--detach", str(path), revision], check=True, capture_output=True)
+    try:
+        yield path
+    finally:
+        subprocess.run([*git, "remove", "--force", str(path)], check=True)
+
+
+def environment(tree: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(tree)}
+
+
+def substeps(trees: Sequence[Path], law: str, n: int, turns: int) -> list[tuple[float, float]]:
+    """ns of CPU a particle-substep, old and new, by turn."""
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-c", CHILD, law, str(n)], cwd=tree, env=environment(tree), text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )
+        for tree in trees
+    ]  # fmt: skip
+    seen = []
+    for _ in range(turns + 1):
+        turn = []
+        for child in children:
+            assert child.stdin
+            assert child.stdout
+            child.stdin.write("\n")
+            child.stdin.flush()
+            line = child.stdout.readline()
+            while line.startswith("[Taichi]"):
+                line = child.stdout.readline()
+            turn.append(float(line))
+        seen.append((turn[0], turn[1]))
+    for child in children:
+        child.communicate()
+    return seen[1:]  # the first is not warm
+
+
+def row(what: str, unit: str, seen: list[tuple[float, float]]) -> str:
+    """A line of the table: medians, their ratio with its quartiles, that of the fastest tenths."""
+    old, new = (median(turn[k] for turn in seen) for k in (0, 1))
+    low, middle, high = quantiles([new / old for old, new in seen], n=4)
+    fast = [quantiles([turn[k] for turn in seen], n=10)[0] for k in (0, 1)]
+    cells = [f"{old:.1f} {unit}", f"{new:.1f} {unit}", f"{middle:.3f}", f"{low:.3f} to {high:.3f}"]
+    return f"| {what} | {' | '.join(cells)} | {fast[1] / fast[0]:.3f} |"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="What elastic bodies cost at two revisions.")
+    parser.add_argument("old")
+    parser.add_argument("new", nargs="?", default="HEAD")
+    parser.add_argument("--particles", type=int, default=4000)
+    parser.add_argument("--turns", type=int, default=101)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary, contextlib.ExitStack() as stack:
+        folder = Path(temporary)
+        trees = [stack.enter_context(checked_out(r, folder)) for r in (asked.old, asked.new)]
+        print(f"| | {asked.old} | {asked.new} | new / old | half of the turns | fastest tenths |")
+        print("|---|---:|---:|---:|---:|---:|")
+        for law in LAWS:
+            seen = substeps(trees, law, asked.particles, asked.turns)
+            print(row(f"{law}, a particle-substep", "ns", seen), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
