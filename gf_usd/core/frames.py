@@ -94,6 +94,35 @@ class SurfaceSamples:
     cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
 
 
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """A push besides gravity, the same for every mass.
+
+    wind     `vector`
+    radial   `strength` away from the center; below 0 toward it
+    noise    swirls of a `length` that change at a `rate`, with `strength` as root mean square
+    gravity  `values` at time codes `times`, straight between them, in place of Settings.gravity
+
+    It is times exp(-|x - center|^2 / radius^2) where it has a radius.
+    """
+
+    kind: str
+    vector: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2]
+    strength: float = 0.0  # [m/s^2]
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] world
+    radius: float | None = None  # [m]; None: everywhere alike
+    length: float = 1.0  # [m]
+    rate: float = 0.0  # [1/s]
+    times: tuple[float, ...] = ()
+    values: tuple[tuple[float, float, float], ...] = ()  # [m/s^2]
+
+    @property
+    def most(self) -> float:
+        """[m/s^2] that it hardly ever exceeds."""
+        each = [float(np.linalg.norm(v)) for v in (self.vector, *self.values)]
+        return max(*each, (3.0 if self.kind == "noise" else 1.0) * abs(self.strength))
+
+
 CONSISTENT, LUMPED = "consistent", "lumped"
 
 
@@ -136,6 +165,7 @@ class Settings:
     first: int = 0  # frame that is written first; below 0 the rest pose is held
     shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
     mass_scaling: float = 1.0  # the moduli of materials that flow were divided by it
+    fields: tuple[Field, ...] = ()  # tl: what pushes besides gravity
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""
@@ -145,6 +175,11 @@ class Settings:
     def frame_time(self) -> float:
         """[s] of simulated time between frames."""
         return self.time_scale / self.fps
+
+    @property
+    def pushes(self) -> float:
+        """[m/s^2] that the fields together hardly ever exceed."""
+        return sum(field.most for field in self.fields)
 
     @property
     def normal(self) -> NDArray[np.float64]:

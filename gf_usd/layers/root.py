@@ -30,7 +30,7 @@ from pathlib import Path
 from pxr import Pcp, Sdf, Usd
 
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import SOURCE_VARIANT, Choices
+from gf_usd.core.frames import SOURCE_VARIANT, Choices, Settings
 from gf_usd.layers.retarget import repeat_edits, restore_rest
 from gf_usd.layers.stage import (
     VARIANT_SET,
@@ -182,11 +182,24 @@ def _author_metadata(
     }
 
 
+def _said(settings: Settings) -> dict[str, object]:
+    """The settings, with the fields by their numbers: metadata has no list of dictionaries."""
+    said = {**vars(settings)}
+    fields = said.pop("fields")
+    if fields:
+        each = [{**vars(f), "values": [g for one in f.values for g in one]} for f in fields]
+        said["fields"] = {
+            str(k): {name: value for name, value in one.items() if value not in ((), [])}
+            for k, one in enumerate(each)
+        }
+    return said
+
+
 def _about(bake: BakedVariant) -> dict[str, object]:
     materials = {f"{i}": to_metadata(m.values) for i, m in enumerate(bake.info.materials)}
     return {
         "materials": materials,
-        "settings": to_metadata(vars(bake.info.settings)),
+        "settings": to_metadata(_said(bake.info.settings)),
         "health": to_metadata(bake.health),
         **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
         **({"failure": bake.failure} if bake.failure else {}),

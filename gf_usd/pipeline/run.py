@@ -86,7 +86,7 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if plan.held else first_contact(plan.settings, plan.drop),
+            first_contact=None if _pushed(plan) else first_contact(plan.settings, plan.drop),
             flying=_flying(plan),
             fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
@@ -204,12 +204,17 @@ def _again(plan: Plan) -> str:
     return go_on if plan.choices.clip_frames else "bake again"
 
 
+def _pushed(plan: Plan) -> bool:
+    """Whether more than gravity and contact moves the bodies."""
+    return plan.held or bool(plan.settings.fields)
+
+
 def _flying(plan: Plan) -> int:
     """Frames at the start that need no substeps, since all bodies are in free flight."""
     from gf_usd.physics.total_lagrangian.shape_correction import acts
 
     s = plan.settings
-    held = plan.pins or plan.goals or any(map(callable, plan.velocity))
+    held = plan.pins or plan.goals or s.fields or any(map(callable, plan.velocity))
     if held or not s.shortcuts or s.solver != "tl" or s.drag or acts(s):
         return 0
     if plan.contact_setup is not None and plan.contact_setup.colliders:
@@ -325,7 +330,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=plan.held,
+        held=_pushed(plan),
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )

@@ -97,6 +97,7 @@ def fill(
         by_path = {seen.path: seen for seen in known}
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
+    keys = spec.physics.gravity_keys if request.gravity is None else ()
     request, stated = _with_stage(request, spec, asset)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
@@ -139,7 +140,7 @@ def fill(
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
-    settings = resolve(request, asset.facts, radius, lowest, animation)
+    settings = resolve(request, asset.facts, radius, lowest, animation, keys)
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
@@ -275,7 +276,14 @@ def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Reques
         more["gravity"] = ",".join(repr(g) for g in physics.gravity)
         notes.append(
             f"gravity is that of <{physics.scene}>: {material_regions.shown(physics.gravity)} m/s^2"
+            + (f", and {len(physics.gravity_keys)} time samples" if physics.gravity_keys else "")
         )
+        if physics.gravity_keys and (request.rigid or request.solver == "ul"):
+            raise UsageError(
+                f"{path}: gravity of <{physics.scene}> changes, which --rigid and --solver ul do"
+                " not know",
+                "give one with --gravity",
+            )
     if request.flesh and request.floor is None:
         more["floor"] = "none"
         notes.append("there is no floor under the animation; --floor 0 adds one")

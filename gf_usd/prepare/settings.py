@@ -9,7 +9,7 @@ How finely a body is filled: by a spacing or by a count, from the options or fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,10 +18,11 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import CONSISTENT, LUMPED, Settings
+from gf_usd.core.frames import CONSISTENT, LUMPED, Field, Settings
 from gf_usd.core.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials
+from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
 
@@ -128,8 +129,24 @@ def floor_plane(asked: Floor | None, up: Floats, unit: float) -> tuple[float | N
     return asked.height * unit * float(normal @ up), normal
 
 
-def gravity_vector(asked: float | Triple | None, up: Floats) -> Triple:
-    """[m/s^2] of a size along minus the unit vector up (3,), or of a vector."""
+def fields_of(
+    request: Request, facts: StageFacts, keys: Sequence[tuple[float, Triple]]
+) -> tuple[Field, ...]:
+    """What pushes besides gravity; keys : of gravity [m/s^2] that the stage has."""
+    asked = request.parsed["gravity"]
+    if isinstance(asked, GravityKeys):
+        values = [gravity_vector(value, facts.up) for value in asked.values]
+        keys = list(zip(asked.times, values, strict=True))
+    times, vectors = tuple(k for k, _ in keys), tuple(g for _, g in keys)
+    moving = (Field(kind="gravity", times=times, values=vectors),) if len(keys) > 1 else ()
+    given = (in_meters(parse_field(text), facts.units.length) for text in request.fields)
+    return (*moving, *given)
+
+
+def gravity_vector(asked: float | Triple | GravityKeys | None, up: Floats) -> Triple:
+    """[m/s^2] of a size along minus the unit vector up (3,), or of a vector; of keys the first."""
+    if isinstance(asked, GravityKeys):
+        asked = asked.values[0]
     if isinstance(asked, tuple):
         return triple(np.array(asked) + 0.0)
     return triple(-(G0 if asked is None else asked) * up + 0.0)
@@ -164,11 +181,13 @@ def resolve(
     radius: float,
     lowest: float,
     animation: Animation | None = None,
+    gravity_keys: Sequence[tuple[float, Triple]] = (),
 ) -> Settings:
     """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
-    animation : that the bones of --flesh follow.
+    animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
+    stage.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -237,6 +256,7 @@ def resolve(
         solver=request.solver or "tl",
         shortcuts=not request.no_shortcuts,
         mass_scaling=request.mass_scaling or 1.0,
+        fields=fields_of(request, facts, gravity_keys),
     )
 
 

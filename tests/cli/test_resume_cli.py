@@ -236,7 +236,13 @@ def test_captured_gaussians_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "more", [(), ("--goal-frequency", "4"), ("--rigid", "box:1.5,-1,-1,3,1,1")]
+    "more",
+    [
+        (),
+        ("--goal-frequency", "4"),
+        ("--rigid", "box:1.5,-1,-1,3,1,1"),
+        ("--squish", "0.6", "--stretch", "0.3", "--field", "noise:9:length=0.5:rate=2"),
+    ],
 )
 def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
     write(here, arm())

@@ -37,7 +37,8 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "fps": (24.0, 1.0, 1e6, 1e-6, *NUMBERS),
     "start": (1.0, 2.5, -1e9, 1e18, *NUMBERS),
     "drop": ("3r", "0", "1.5", "-1", "r", "", "nan", "1e300", "infr", "3 r", "3rr"),
-    "gravity": ("9.81", "0", "0,0,0", "0,-9.81,0", "1,2", "-9.81", "nan", "1e300", "", "a"),
+    "gravity": ("9.81", "0", "0,0,0", "0,-9.81,0", "1,2", "-9.81", "nan", "1e300", "", "a",
+                "gone.csv", "."),
     "seed": (0, 7, 2**31, 2**63, 2**200, -1),
     "device": ("cpu", "gpu", "CPU", ""),  # not every machine that has cuda is to start it
     "filter_rate": (10.0, *NUMBERS),
@@ -64,6 +65,9 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "velocity": ("1,0,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),
     "spin": ("0,1,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),
     "colliders": (("gone.usda",), ("a.usda",), (".",), ("a\0b.usda",), ("",)),
+    "fields": (("wind:3,0,0",), ("radial:-5:at=0,1,0:radius=1", "noise:4:length=0.2:rate=1"),
+               ("wind",), ("wind:nan,0,0",), ("radial:5",), ("noise:1:length=0",), ("",), ("x:1",),
+               ("wind:1,0,0:radius=1",), ("wind:1e9,0,0",)),
     "rigid": (("box:-1,-1,-1,0,0,0",), ("/A/M",), ("/A",), ("/gone",), ("box:1,2",), ("",)),
 }  # fmt: skip
 OF_THE_RUN = {"strict", "max_hours", "slice", "limits"}  # what no plan hangs on

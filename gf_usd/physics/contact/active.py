@@ -45,7 +45,7 @@ class ActiveSamples:
         assert contact is not None
         now = state.view()
         speed = float(np.abs(now.v @ normal).max()) + self._drift
-        g = abs(float(np.dot(body.settings.gravity, normal)))
+        g = abs(float(np.dot(body.settings.gravity, normal))) + body.settings.pushes
         reach = 2.0 * span * (speed + g * span) + body.particles.spacing
         height = self._height + float(state.offset @ normal) + contact.rows.W @ (now.u @ normal)
         return np.flatnonzero(height < reach)

@@ -332,7 +332,8 @@ class BodyContact:
     def _schedule(
         self, x: Floats, v: Floats, frame: float, span: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
-        fall = float(np.linalg.norm(self._body.settings.gravity)) * span
+        s = self._body.settings
+        fall = (float(np.linalg.norm(s.gravity)) + s.pushes) * span
         return schedule(
             [Box.around(x[m], v[m]) for m in self._members],
             self._obstacles,

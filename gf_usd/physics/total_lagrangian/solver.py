@@ -23,6 +23,7 @@ from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.embedding import pose
+from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.energies import measure, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.limits import touched
@@ -96,6 +97,8 @@ class TotalLagrangian(Solver):
         self.shortcuts = Shortcuts(body, self.state)
         self.state.parts += [*([self.pairs] if self.pairs else []), self.shortcuts]
         self.launches = Launches(body, self.state)
+        self.fields = Fields(settings)
+        self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
@@ -110,6 +113,7 @@ class TotalLagrangian(Solver):
         """Move by a frame; `index` is the frame that this leads to."""
         state, pairs = self.state, self.pairs
         state.prescribe(index)
+        self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state)
         state.drop_view()  # no room for it during the substeps of a large body
@@ -149,7 +153,7 @@ class TotalLagrangian(Solver):
         clipped, injected = self.correction.frame(state, index)
         work, given, overlap = pairs.totals(state) if pairs else (0.0, 0.0, 0.0)
         stats = FrameStats(
-            work=state.work() + work,
+            work=state.work() + work + self._work_of_fields(),
             injected=injected + given,
             planes=given,
             overlap=overlap,
@@ -165,6 +169,21 @@ class TotalLagrangian(Solver):
             friction_capped=int(state.get("sample_capped").sum()),
             penetration=float(state.get("sample_depth").max()),
         )
+
+    def _push(self, index: int) -> None:
+        """Let the fields push on the way to a frame."""
+        if self.fields:
+            x = self.state.view().x
+            b = self.fields.at(x, index)
+            self.state.put("acceleration", self.state.acceleration + b)
+            self._pushed = np.stack([self.body.mass.momentum(b), x])
+
+    def _work_of_fields(self) -> float:
+        """[J] since the start of the frame; the potential energy knows nothing of them."""
+        if not self.fields:
+            return 0.0
+        force, start = self._pushed
+        return float((force * (self.state.view().x - start)).sum())
 
     def push(self, acceleration: Floats) -> None:
         """Replace the body force of the frames to come: (free, 3) [m/s^2] besides gravity."""

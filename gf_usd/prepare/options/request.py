@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options.fields import GravityKeys, parse_field
 from gf_usd.prepare.options.table import PLANNED, RequestOptions
 from gf_usd.prepare.regions import Region, parse_regions
 
@@ -100,6 +101,12 @@ class Request(RequestOptions):
                 f"--preset {self.preset} does not know --self-contact",
                 "leave one of the two out: there every particle meets the floor, and nothing else",
             )
+        fields = [parse_field(text) for text in self.fields]
+        if self.rigid and (fields or isinstance(self.parsed["gravity"], GravityKeys)):
+            raise UsageError(
+                "--rigid does not go with --field, or with keys of gravity",
+                "leave one of the two out: rigid regions feel constant gravity only",
+            )
         _ = self.parsed  # raises for a text that says nothing
 
     def _check_settling(self) -> None:
@@ -163,6 +170,8 @@ class Request(RequestOptions):
             ("--pin", self.pins),
             ("--rigid", self.rigid),
             ("--flesh", self.flesh),
+            ("--field", self.fields),
+            ("--gravity FILE", isinstance(self.parsed["gravity"], GravityKeys)),
             ("--filter-rate", finite),
             ("--self-contact", self.self_contact),
             ("--wls", self.wls),

@@ -124,9 +124,16 @@ class RequestOptions:
         parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
-        SCENE, "Apply this gravity [m/s^2], downward, or along a vector x,y,z.",
+        SCENE, "Apply this gravity [m/s^2], downward, or along a vector x,y,z; or that of a .csv or"
+        " .txt file with a time code and such numbers in each line.",
         shown="9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
+    fields: Annotated[str | Sequence[str], Option(
+        SCENE, "Push besides gravity [m/s^2]; repeatable: wind:X,Y,Z, radial:A:at=X,Y,Z (A below 0"
+        " pulls) or noise:A:length=L:rate=R. With at=X,Y,Z and radius=R it falls off around a place"
+        " [stage units].",
+        shown="none", write=values.fields,
+    )] = ()
     floor: Annotated[Floor | None, Option(
         SCENE, "Put the floor at this height [stage units], give it the normal x,y,z, or both:"
         " 0.5:0.2,1,0; none leaves it out.",

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.units import STRONGEST, number
+from gf_usd.prepare.options.fields import GravityKeys, is_key_file, read_gravity_keys
 
 LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
 NONE = "none"
@@ -101,10 +103,12 @@ def _triple(values: list[float]) -> Triple:
     return x, y, z
 
 
-def parse_gravity(text: str) -> float | Triple:
-    """[m/s^2] of "9.81" (along minus up) or "x,y,z"."""
+def parse_gravity(text: str) -> float | Triple | GravityKeys:
+    """[m/s^2] of "9.81" (along minus up) or "x,y,z"; the keys of a file that is named."""
+    if is_key_file(text):
+        return read_gravity_keys(Path(text))
     parts = text.split(",")
-    what = "9.81 (m/s^2, downward) or three numbers x,y,z"
+    what = "9.81 (m/s^2, downward), three numbers x,y,z, or a .csv or .txt file"
     if len(parts) not in (1, 3):
         raise UsageError(f"--gravity is {text!r}", f"give {what}")
     values = [number("--gravity", part, what) for part in parts]

@@ -254,6 +254,12 @@ def boxes(name: str, value: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
+def fields(name: str, value: Any) -> tuple[str, ...]:
+    """Texts; one stands for itself."""
+    wanted = "a field such as 'wind:3,0,0', or a list of them"
+    return (value,) if isinstance(value, str) else _texts(name, value, wanted)
+
+
 def labels(name: str, value: Any) -> tuple[str, ...]:
     """Presets of labels: {property: {value: preset}}; or texts."""
     wanted = "presets of labels: {'label': {3: 'metal'}}"

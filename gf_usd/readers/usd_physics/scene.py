@@ -53,6 +53,10 @@ def read_physics(
         notes = Notes()
         prims = without_instancers(stage, notes)
         gravity, scene = read_gravity(prims, facts, time, notes)
+        codes = gravity_samples(stage, scene)
+        keys = [
+            (code, read_gravity(prims, facts, Usd.TimeCode(code), Notes())[0]) for code in codes
+        ]
         materials, readings = PhysicsMaterials(facts, time, notes), Readings(facts)
         baked = [named_prim(stage, facts.path, path) for path in bodies]
         others, own = obstacles(prims, baked, time, notes)
@@ -60,6 +64,7 @@ def read_physics(
         return StagePhysics(
             gravity=gravity,
             scene=scene,
+            gravity_keys=tuple((code, g) for code, g in keys if g is not None),
             colliders=colliders,
             bodies=tuple(
                 read_body(
@@ -171,6 +176,15 @@ class _Groups:
 
 
 DIRECTION, MAGNITUDE = "physics:gravityDirection", "physics:gravityMagnitude"
+
+
+def gravity_samples(stage: Usd.Stage, scene: str) -> list[float]:
+    """Time codes at which the gravity of a scene is authored; none where it has one value."""
+    codes: set[float] = set()
+    for name in (DIRECTION, MAGNITUDE) if scene else ():
+        attribute = stage.GetPrimAtPath(scene).GetAttribute(name)
+        codes.update(attribute.GetTimeSamples() if attribute else ())
+    return sorted(codes) if len(codes) > 1 else []
 
 
 def read_gravity(

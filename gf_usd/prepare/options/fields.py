@@ -1,0 +1,140 @@
+"""Fields among the options: what pushes a body besides gravity, and keys of gravity in a file."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.units import STRONGEST, number
+
+if TYPE_CHECKING:
+    from gf_usd.core.frames import Field
+
+FORM = (
+    "wind:X,Y,Z, radial:A:at=X,Y,Z or noise:A:length=L:rate=R, in m/s^2, with :at=X,Y,Z:radius=R"
+    " for a falloff"
+)
+KINDS: dict[str, tuple[str, ...]] = {
+    "wind": (),
+    "radial": ("at",),
+    "noise": ("length",),
+}  # and what each has to be told
+KEYS = ("at", "radius", "length", "rate")
+KEY_FILES = (".csv", ".txt")
+
+Triple = tuple[float, float, float]
+
+
+def parse_field(text: str) -> Field:
+    """The field of a text, with lengths in stage units.  Raises UsageError for what is none."""
+    from gf_usd.core.frames import Field  # NumPy, which a command line without a field is spared
+
+    kind, _, rest = text.partition(":")
+    first, *pairs = rest.split(":")
+    said = {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
+    if kind not in KINDS or len(said) < len(pairs) or not set(said) <= set(KEYS):
+        raise UsageError(f"--field is {text!r}", f"give {FORM}")
+    missing = [key for key in KINDS[kind] if key not in said]
+    if missing or ("radius" in said and "at" not in said):
+        raise UsageError(
+            f"--field {text} does not say {missing[0] if missing else 'at'}", f"give {FORM}"
+        )
+    there = Field(
+        kind=kind,
+        center=_triple(text, said["at"]) if "at" in said else (0.0, 0.0, 0.0),
+        radius=_positive(text, said["radius"]) if "radius" in said else None,
+        length=_positive(text, said["length"]) if "length" in said else 1.0,
+        rate=_positive(text, said["rate"]) if "rate" in said else 0.0,
+    )
+    if kind == "wind":
+        return replace(there, vector=_strong(text, _triple(text, first)))
+    (strength,) = _strong(text, (_number(text, first),))
+    return replace(there, strength=strength)
+
+
+def in_meters(field: Field, unit: float) -> Field:
+    """A field of lengths in stage units of so many meters."""
+    x, y, z = field.center
+    return replace(
+        field,
+        center=(x * unit, y * unit, z * unit),
+        radius=None if field.radius is None else field.radius * unit,
+        length=field.length * unit,
+    )
+
+
+def _number(text: str, part: str) -> float:
+    return number(f"--field {text}", part, FORM)
+
+
+def _positive(text: str, part: str) -> float:
+    value = _number(text, part)
+    if not value > 0.0:
+        raise UsageError(
+            f"--field {text} has {part} where a number above 0 belongs", f"give {FORM}"
+        )
+    return value
+
+
+def _triple(text: str, part: str) -> Triple:
+    values = [_number(text, one) for one in part.split(",")]
+    if len(values) != 3:
+        raise UsageError(f"--field is {text!r}", f"give {FORM}")
+    x, y, z = values
+    return x, y, z
+
+
+T = TypeVar("T", bound=tuple[float, ...])
+
+
+def _strong(text: str, values: T) -> T:
+    if max(map(abs, values)) > STRONGEST:
+        raise UsageError(f"--field is {text}", f"give up to {STRONGEST:g} m/s^2")
+    return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityKeys:
+    """Gravity at some time codes; straight between them, and the same before and after."""
+
+    times: tuple[float, ...]  # time codes, ascending
+    values: tuple[float | Triple, ...]  # [m/s^2] along minus up, or a vector
+
+
+def is_key_file(text: str) -> bool:
+    """Whether a text names a file of keys."""
+    return text.lower().endswith(KEY_FILES)
+
+
+def read_gravity_keys(path: Path) -> GravityKeys:
+    """The keys of a file with lines `time code, g` or `time code, x, y, z` [m/s^2].
+
+    Empty lines and what follows a # are left out.  Raises UsageError for a file that is none.
+    """
+    hint = "give lines such as 1,9.81 or 1,0,-9.81,0: a time code and m/s^2"
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"--gravity {path} cannot be read: {error}", hint) from error
+    times: list[float] = []
+    values: list[float | Triple] = []
+    for line, row in enumerate(csv.reader(one.partition("#")[0] for one in lines), 1):
+        if not any(part.strip() for part in row):
+            continue
+        if len(row) not in (2, 4):
+            raise UsageError(f"--gravity {path}: line {line} has {len(row)} numbers", hint)
+        where = f"--gravity {path}: line {line}"
+        code, *given = (number(where, part.strip(), hint) for part in row)
+        if times and code <= times[-1]:
+            raise UsageError(f"{where}: time code {code:g} follows {times[-1]:g}", "sort the lines")
+        if max(map(abs, given)) > STRONGEST:
+            most = max(map(abs, given))
+            raise UsageError(f"{where} says {most:g}", f"give up to {STRONGEST:g} m/s^2")
+        times.append(code)
+        values.append(given[0] if len(given) == 1 else (given[0], given[1], given[2]))
+    if not times:
+        raise UsageError(f"--gravity {path} has no line", hint)
+    return GravityKeys(times=tuple(times), values=tuple(values))
