@@ -26,7 +26,7 @@ from gf_usd.prepare.settings import (
 UP = np.array([0.0, 1.0, 0.0])
 ABOVE = "give a number above 0"
 LENGTH = "give a length such as 2.5 (stage units) or 3r (radii of the body)"
-GRAVITY = "give 9.81 (m/s^2, downward) or three numbers x,y,z"
+GRAVITY = "give 9.81 (m/s^2, downward), three numbers x,y,z, or a .csv or .txt file"
 SCALE = "give a number such as 0.2 (five times slower), or auto"
 
 # options, message, hint

@@ -205,6 +205,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "time_codes_per_second": ("Time codes per second", "1/s"),
     "start": ("Time code of frame 0", ""),
     "gravity": ("Gravity", "m/s²"),
+    "fields": ("Fields besides gravity", ""),
     "up": ("Up axis", ""),
     "floor": ("Floor height", "m"),
     "lift": ("Lifted at the start by", "m"),
