@@ -43,7 +43,7 @@ from gf_usd.prepare.bodies import (
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.pins import Flesh, flesh_of, make_pins, read_animation
+from gf_usd.prepare.pins import Flesh, attachment_pins, flesh_of, make_pins, read_animation
 from gf_usd.prepare.plan import Plan, embedded_points, frame_bytes
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
@@ -140,7 +140,10 @@ def fill(
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
-    settings = resolve(request, asset.facts, radius, lowest, animation, keys)
+    attachments = () if request.flesh or request.solver == "ul" else spec.physics.attachments
+    settings = resolve(
+        request, asset.facts, radius, lowest, animation, keys, attached=bool(attachments)
+    )
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
@@ -151,6 +154,9 @@ def fill(
         pins += make_pins(names, asset, solid, every, file, rest=request.start)
         names = request.listed("rigid")
         pins += make_pins(names, asset, solid, every, file, rest=request.start, option="--rigid")
+        held, attached = attachment_pins(attachments, asset, solid, every, file, request.start)
+        pins += held
+        stated += attached
     if animation and file is not None:
         cycle = animation.cycle(written(settings)) if request.loop else 0
         flesh = flesh_of(
@@ -162,6 +168,8 @@ def fill(
         )  # fmt: skip
         pins += flesh.pins
     physics = spec.physics
+    if left_out := set(physics.attachments) - set(attachments):
+        stated += (f"{len(left_out)} attachments are not read with --flesh and --solver ul",)
     if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]

@@ -73,6 +73,26 @@ def make_pins(
     return tuple(make(region, solid) for region in found)
 
 
+def attachment_pins(
+    paths: Sequence[str],
+    asset: Asset,
+    solid: Solid,
+    settings: Settings,
+    file: Path,
+    rest: float | None,
+) -> tuple[tuple[Pin, ...], tuple[str, ...]]:
+    """The pins of attachments of the stage, and notes; raises InputError as `read_attachments`."""
+    if not paths:
+        return (), ()
+    from gf_usd.geometry.regions import make_pin
+    from gf_usd.readers.usd_physics.attachments import read_attachments
+
+    times = [settings.time_code(i) for i in range(settings.frames)]
+    regions, notes = read_attachments(file, paths, asset.facts, rest=rest, times=times)
+    held = f"attachments hold parts of the body: {', '.join(paths)}"
+    return tuple(make_pin(region, solid, "attachment") for region in regions), (held, *notes)
+
+
 def _require_hold(region: Region, asset: Asset, option: str) -> None:
     """Raise InputError where a region does not even touch the asset."""
     points = np.concatenate([s.points for s in asset.surfaces])

@@ -182,12 +182,14 @@ def resolve(
     lowest: float,
     animation: Animation | None = None,
     gravity_keys: Sequence[tuple[float, Triple]] = (),
+    *,
+    attached: bool = False,
 ) -> Settings:
     """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
-    stage.
+    stage; attached : something of it holds the body.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -200,7 +202,7 @@ def resolve(
     height = (asked["drop"] or still).meters(radius, facts.units.length)
     # Down to the floor and up again; what is pinned, or has no floor, stays where it is.
     lift = height + ((floor or 0.0) - lowest) / float(normal @ facts.up)
-    if animation or (request.drop is None and (request.pins or floor is None)):
+    if animation or (request.drop is None and (request.pins or attached or floor is None)):
         lift = 0.0
     elif floor is None:
         lift = height

@@ -21,6 +21,7 @@ from gf_usd.core.units import STRONGEST
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd_physics.attachments import attachments_of
 from gf_usd.readers.usd_physics.attributes import apis, authored, body_of, refuse, vector
 from gf_usd.readers.usd_physics.bodies import PhysicsMaterials, read_body
 from gf_usd.readers.usd_physics.colliders import obstacles, read_colliders, without_instancers
@@ -64,6 +65,7 @@ def read_physics(
         return StagePhysics(
             gravity=gravity,
             scene=scene,
+            attachments=attachments_of(prims, bodies, time, notes),
             gravity_keys=tuple((code, g) for code, g in keys if g is not None),
             colliders=colliders,
             bodies=tuple(
