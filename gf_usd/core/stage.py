@@ -207,6 +207,7 @@ class StagePhysics:
     gravity: Triple | None = None  # [m/s^2] world; None: there is no scene
     scene: str = ""  # path of the PhysicsScene that gave it
     attachments: tuple[str, ...] = ()  # paths of those that hold points of the bodies
+    fields: tuple[str, ...] = ()  # of the scene, as texts of --field
     gravity_keys: tuple[tuple[float, Triple], ...] = ()  # time codes, where it changes
     colliders: tuple[Collider, ...] = ()
     of_files: tuple[Collider, ...] = ()  # obstacles of other files, which are no part of the stage

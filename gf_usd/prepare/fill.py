@@ -142,8 +142,9 @@ def fill(
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
     attachments = () if request.flesh or request.solver == "ul" else spec.physics.attachments
     settings = resolve(
-        request, asset.facts, radius, lowest, animation, keys, attached=bool(attachments)
-    )
+        request, asset.facts, radius, lowest, animation, keys,
+        stated_fields=spec.physics.fields, attached=bool(attachments),
+    )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
     flesh = Flesh()
@@ -292,6 +293,13 @@ def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Reques
                 " not know",
                 "give one with --gravity",
             )
+    if physics.fields and not request.fields:
+        if request.rigid or request.solver == "ul":
+            raise UsageError(
+                f"{path}: <{physics.scene}> has fields, which --rigid and --solver ul do not know",
+                "leave --rigid or --solver ul out",
+            )
+        notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
         more["floor"] = "none"
         notes.append("there is no floor under the animation; --floor 0 adds one")

@@ -130,17 +130,21 @@ def floor_plane(asked: Floor | None, up: Floats, unit: float) -> tuple[float | N
 
 
 def fields_of(
-    request: Request, facts: StageFacts, keys: Sequence[tuple[float, Triple]]
+    request: Request, facts: StageFacts, keys: Sequence[tuple[float, Triple]], stated: Sequence[str]
 ) -> tuple[Field, ...]:
-    """What pushes besides gravity; keys : of gravity [m/s^2] that the stage has."""
+    """What pushes besides gravity; keys : of gravity [m/s^2] that the stage has; stated : its
+    fields, which count where the request has none.
+    """
     asked = request.parsed["gravity"]
     if isinstance(asked, GravityKeys):
         values = [gravity_vector(value, facts.up) for value in asked.values]
         keys = list(zip(asked.times, values, strict=True))
     times, vectors = tuple(k for k, _ in keys), tuple(g for _, g in keys)
     moving = (Field(kind="gravity", times=times, values=vectors),) if len(keys) > 1 else ()
-    given = (in_meters(parse_field(text), facts.units.length) for text in request.fields)
-    return (*moving, *given)
+    given = [parse_field(text) for text in request.fields]
+    if not given:
+        given = [parse_field(text, f"{facts.path}: a field of the PhysicsScene") for text in stated]
+    return (*moving, *(in_meters(field, facts.units.length) for field in given))
 
 
 def gravity_vector(asked: float | Triple | GravityKeys | None, up: Floats) -> Triple:
@@ -183,13 +187,14 @@ def resolve(
     animation: Animation | None = None,
     gravity_keys: Sequence[tuple[float, Triple]] = (),
     *,
+    stated_fields: Sequence[str] = (),
     attached: bool = False,
 ) -> Settings:
     """Settings of a bake, but for what hangs on its material (`paper.of_material`).
 
     radius : r = (3 V / 4 pi)^(1/3) [m]; lowest : [m] of the asset along the floor's normal.
     animation : that the bones of --flesh follow; gravity_keys : time codes and [m/s^2] of the
-    stage; attached : something of it holds the body.
+    stage; stated_fields : its fields; attached : something of it holds the body.
     """
     paper = request.preset == "paper"
     authored = authored_rate(facts)
@@ -258,7 +263,7 @@ def resolve(
         solver=request.solver or "tl",
         shortcuts=not request.no_shortcuts,
         mass_scaling=request.mass_scaling or 1.0,
-        fields=fields_of(request, facts, gravity_keys),
+        fields=fields_of(request, facts, gravity_keys, stated_fields),
     )
 
 

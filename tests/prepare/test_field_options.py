@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from small_bakes import BLOCK
 
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import GfUsdError, UsageError
 from gf_usd.core.frames import Field
 from gf_usd.prepare.options.fields import in_meters, parse_field, read_gravity_keys
 from gf_usd.prepare.options.request import Request
@@ -109,3 +109,42 @@ def PhysicsScene "Scene"
     assert "and 2 time samples" in " ".join(plan.notes)
     plan, _ = prepare(path, draw=None, gravity="9.81", **options)
     assert not plan.settings.fields
+
+
+SCENE = """
+def PhysicsScene "Scene"
+{
+    SAID
+}
+"""
+
+
+def test_fields_of_a_scene_count_where_no_option_is_given(tmp_path: Path) -> None:
+    path = tmp_path / "block.usda"
+    said = 'string[] gaussianFlesh:fields = ["wind:3,0,0", "noise:2:length=0.5"]'
+    path.write_text(BLOCK + SCENE.replace("SAID", said))
+    options = {"particles": 100, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(path, draw=None, **options)
+    assert [field.kind for field in plan.settings.fields] == ["wind", "noise"]
+    assert "fields are those of </Scene>: wind:3,0,0 noise:2:length=0.5" in plan.notes
+    plan, _ = prepare(path, draw=None, fields=("radial:1:at=0,0,0",), **options)
+    assert [field.kind for field in plan.settings.fields] == ["radial"]
+    with pytest.raises(UsageError, match="has fields, which --rigid and --solver ul do not know"):
+        prepare(path, draw=None, solver="ul", **options)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ('string gaussianFlesh:fields = "wind:3,0,0"', "gaussianFlesh:fields is 'wind:3,0,0'"),
+        ('string[] gaussianFlesh:fields = ["gale:3"]', "a field of the PhysicsScene gale:3 is no"),
+    ],
+)
+def test_fields_of_a_scene_that_are_none_are_refused(tmp_path: Path, said: str, words: str) -> None:
+    path = tmp_path / "block.usda"
+    path.write_text(BLOCK + SCENE.replace("SAID", said))
+    with pytest.raises(GfUsdError) as caught:
+        prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
+    assert words in caught.value.message
+    assert str(path) in caught.value.message
+    assert caught.value.hint

@@ -28,30 +28,32 @@ KEY_FILES = (".csv", ".txt")
 Triple = tuple[float, float, float]
 
 
-def parse_field(text: str) -> Field:
-    """The field of a text, with lengths in stage units.  Raises UsageError for what is none."""
+def parse_field(text: str, option: str = "--field") -> Field:
+    """The field of a text, with lengths in stage units.
+
+    option : what messages call it.  Raises UsageError for what is none.
+    """
     from gf_usd.core.frames import Field  # NumPy, which a command line without a field is spared
 
+    where = f"{option} {text or repr(text)}"
     kind, _, rest = text.partition(":")
     first, *pairs = rest.split(":")
     said = {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
     if kind not in KINDS or len(said) < len(pairs) or not set(said) <= set(KEYS):
-        raise UsageError(f"--field is {text!r}", f"give {FORM}")
+        raise UsageError(f"{where} is no field", f"give {FORM}")
     missing = [key for key in KINDS[kind] if key not in said]
     if missing or ("radius" in said and "at" not in said):
-        raise UsageError(
-            f"--field {text} does not say {missing[0] if missing else 'at'}", f"give {FORM}"
-        )
+        raise UsageError(f"{where} does not say {missing[0] if missing else 'at'}", f"give {FORM}")
     there = Field(
         kind=kind,
-        center=_triple(text, said["at"]) if "at" in said else (0.0, 0.0, 0.0),
-        radius=_positive(text, said["radius"]) if "radius" in said else None,
-        length=_positive(text, said["length"]) if "length" in said else 1.0,
-        rate=_positive(text, said["rate"]) if "rate" in said else 0.0,
+        center=_triple(where, said["at"]) if "at" in said else (0.0, 0.0, 0.0),
+        radius=_positive(where, said["radius"]) if "radius" in said else None,
+        length=_positive(where, said["length"]) if "length" in said else 1.0,
+        rate=_positive(where, said["rate"]) if "rate" in said else 0.0,
     )
     if kind == "wind":
-        return replace(there, vector=_strong(text, _triple(text, first)))
-    (strength,) = _strong(text, (_number(text, first),))
+        return replace(there, vector=_strong(where, _triple(where, first)))
+    (strength,) = _strong(where, (number(where, first, FORM),))
     return replace(there, strength=strength)
 
 
@@ -66,23 +68,17 @@ def in_meters(field: Field, unit: float) -> Field:
     )
 
 
-def _number(text: str, part: str) -> float:
-    return number(f"--field {text}", part, FORM)
-
-
-def _positive(text: str, part: str) -> float:
-    value = _number(text, part)
+def _positive(where: str, part: str) -> float:
+    value = number(where, part, FORM)
     if not value > 0.0:
-        raise UsageError(
-            f"--field {text} has {part} where a number above 0 belongs", f"give {FORM}"
-        )
+        raise UsageError(f"{where} has {part} where a number above 0 belongs", f"give {FORM}")
     return value
 
 
-def _triple(text: str, part: str) -> Triple:
-    values = [_number(text, one) for one in part.split(",")]
+def _triple(where: str, part: str) -> Triple:
+    values = [number(where, one, FORM) for one in part.split(",")]
     if len(values) != 3:
-        raise UsageError(f"--field is {text!r}", f"give {FORM}")
+        raise UsageError(f"{where} has {len(values)} numbers and not three", f"give {FORM}")
     x, y, z = values
     return x, y, z
 
@@ -90,9 +86,9 @@ def _triple(text: str, part: str) -> Triple:
 T = TypeVar("T", bound=tuple[float, ...])
 
 
-def _strong(text: str, values: T) -> T:
+def _strong(where: str, values: T) -> T:
     if max(map(abs, values)) > STRONGEST:
-        raise UsageError(f"--field is {text}", f"give up to {STRONGEST:g} m/s^2")
+        raise UsageError(f"{where} is too strong", f"give up to {STRONGEST:g} m/s^2")
     return values
 
 

@@ -65,6 +65,7 @@ def read_physics(
         return StagePhysics(
             gravity=gravity,
             scene=scene,
+            fields=read_fields(stage, scene, facts, time),
             attachments=attachments_of(prims, bodies, time, notes),
             gravity_keys=tuple((code, g) for code, g in keys if g is not None),
             colliders=colliders,
@@ -177,7 +178,24 @@ class _Groups:
         ]
 
 
+FIELDS = "gaussianFlesh:fields"
 DIRECTION, MAGNITUDE = "physics:gravityDirection", "physics:gravityMagnitude"
+
+
+def read_fields(
+    stage: Usd.Stage, scene: str, facts: StageFacts, time: Usd.TimeCode
+) -> tuple[str, ...]:
+    """The texts of a scene's fields.  Raises InputError for what is no list of texts."""
+    if not scene:
+        return ()
+    prim = stage.GetPrimAtPath(scene)
+    value = authored(prim, FIELDS, time)
+    texts = () if value is None else value
+    if isinstance(texts, str) or not all(isinstance(text, str) for text in texts):
+        raise refuse(
+            facts.path, prim, FIELDS, value, 'author it as string[], such as ["wind:3,0,0"]'
+        )
+    return tuple(map(str, texts))
 
 
 def gravity_samples(stage: Usd.Stage, scene: str) -> list[float]:
