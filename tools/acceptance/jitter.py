@@ -1,10 +1,13 @@
 """Every sample ten times with random seed, position and parameters: all must be sound.
 
     python -m tools.acceptance.jitter [--json] [--runs N] [--seed S] [--keep FOLDER]
+                                      [--only FILE]... [--rows FILE] [--kept]
 
 A scene is put under an Xform that moves and turns it about the up axis, and is baked by
 `gf-usd bake`; `gf-usd check` then reads what was written.  A run is sound if neither has anything
-to say, but for warnings that the scene is known for.  Exit status 1 if one was not sound.
+to say, but for warnings that the scene is known for.  Each run is added to the FILE of --rows, with
+the day and the commit; what that has already is not baked again, and with --kept nothing is.  Exit
+status 1 if one was not sound.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from typing import Any
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from gf_usd.system import usd_schema as schema  # noqa: F401  (registers itself before any stage opens)
+from tools.acceptance.record import git
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 RUNS = 10
@@ -54,6 +58,9 @@ class Ran:
     warnings: tuple[str, ...] = ()  # what they are about
     figures: dict[str, Any] | None = None  # of the health of the bake
     fault: str = ""  # "" if it was sound
+    seed: int = 0  # of all runs
+    date: str = ""  # ISO 8601, UTC
+    commit: str = ""  # of which it was baked
 
 
 def one_body(dice: random.Random) -> dict[str, str]:
@@ -137,6 +144,9 @@ def bake(scene: Scene, number: int, seed: int, folder: Path) -> Ran:
         place=(where[0], where[1], where[2]),
         turned=angle,
         seconds=0.0,
+        seed=seed,
+        date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        commit=git("rev-parse", "HEAD"),
     )
     found: dict[str, Any] = {}
     if status == 0:
@@ -170,6 +180,14 @@ def gf_usd(folder: Path, *words: str, patience: float = PATIENCE) -> tuple[int, 
     return done.returncode, done.stdout, done.stderr
 
 
+def earlier(file: Path | None, seed: int) -> dict[tuple[str, int], Ran]:
+    """Runs of a seed that a file of rows has, by scene and number; none where it is not there."""
+    if file is None or not file.exists():
+        return {}
+    rows = [Ran(**json.loads(line)) for line in file.read_text("utf-8").splitlines()]
+    return {(ran.scene, ran.number): ran for ran in rows if ran.seed == seed}
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Run all and print what came of them."""
     ask = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -177,13 +195,27 @@ def main(words: Sequence[str] | None = None) -> int:
     ask.add_argument("--runs", type=int, default=RUNS, help="of each scene")
     ask.add_argument("--seed", type=int, default=0)
     ask.add_argument("--keep", type=Path, help="folder for what was baked")
+    ask.add_argument("--only", action="append", choices=[scene.file for scene in SCENES])
+    ask.add_argument("--rows", type=Path, help="JSON lines of the runs, to go on from")
+    ask.add_argument("--kept", action="store_true", help="bake nothing")
     asked = ask.parse_args(words)
+    there = earlier(asked.rows, asked.seed)
     runs = []
     with tempfile.TemporaryDirectory() as scratch:
         for scene in SCENES:
             for number in range(asked.runs):
+                if asked.only and scene.file not in asked.only:
+                    continue
+                if one := there.get((scene.file, number)):
+                    runs.append(one)
+                    continue
+                if asked.kept:
+                    continue
                 folder = (asked.keep or Path(scratch)) / scene.file.partition(".")[0] / str(number)
                 runs.append(bake(scene, number, asked.seed, folder))
+                if asked.rows:
+                    with asked.rows.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(asdict(runs[-1])) + "\n")
                 verdict = runs[-1].fault or "sound"
                 print(f"{scene.file} {number}: {runs[-1].seconds} s, {verdict}", file=sys.stderr)
     if asked.json:
