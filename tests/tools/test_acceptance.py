@@ -177,3 +177,22 @@ def test_a_record_of_assets_has_no_paths() -> None:
     more, said = words_of("assets", asked)
     assert more == ["/a/b", "--rows", "/f/g.jsonl", "--kept"]
     assert said == ["ASSETS", "--rows", "g.jsonl", "--kept"]
+    more, said = words_of("jitter", asked)
+    assert more == ["--rows", "/f/g.jsonl", "--kept"]
+    assert said == ["--rows", "g.jsonl", "--kept"]
+    assert words_of("verify", asked) == ([], [])
+
+
+def test_jittered_runs_go_on_from_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only rows of the seed that is asked for are taken."""
+    from dataclasses import asdict
+
+    from tools.acceptance.jitter import Ran, main
+
+    one = Ran(scene="duck.usda", number=0, command="", place=(0, 0, 0), turned=0.0, seconds=1.0)
+    rows = tmp_path / "rows.jsonl"
+    lines = [asdict(one), {**asdict(one), "number": 1, "seed": 1}]
+    rows.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert main(["--rows", str(rows), "--kept", "--json"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    assert [(run["scene"], run["number"]) for run in runs] == [("duck.usda", 0)]

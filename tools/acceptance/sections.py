@@ -24,7 +24,7 @@ from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
 
-LIMBS, ASSETS = "limbs", "assets"
+LIMBS, ASSETS, JITTER = "limbs", "assets", "jitter"
 OF_ASSETS = (LIMBS, ASSETS)  # sections that need a folder of assets
 
 
@@ -273,7 +273,7 @@ SECTIONS: dict[str, Section] = {
         command=("python", "-m", "tools.acceptance.batch", "--json"),
         read=read_batch,
     ),
-    "jitter": Section(
+    JITTER: Section(
         title="Randomized samples",
         command=("python", "-m", "tools.acceptance.jitter", "--json"),
         read=read_jitter,
@@ -339,10 +339,12 @@ def run(
 
 
 def words_of(name: str, options: argparse.Namespace) -> tuple[list[str], list[str]]:
-    """Words of the command of a section of OF_ASSETS besides, and the same without paths."""
-    more, said = [str(options.assets)], ["ASSETS"]
+    """Words of a section's command besides, and the same without paths."""
+    if name not in (*OF_ASSETS, JITTER):
+        return [], []
+    more, said = ([str(options.assets)], ["ASSETS"]) if name in OF_ASSETS else ([], [])
     rest = {"--keep": options.keep, "--recorded": options.recorded}
-    for word, value in ({"--rows": options.rows} if name == ASSETS else rest).items():
+    for word, value in (rest if name == LIMBS else {"--rows": options.rows}).items():
         if value:
             more += [word, str(value)]
             said += [word, "FOLDER" if word == "--keep" else Path(value).name]
@@ -356,12 +358,16 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--assets", metavar="FOLDER", help=f"of {' and '.join(OF_ASSETS)}")
     parser.add_argument("--keep", metavar="FOLDER", help=f"where {LIMBS} goes on from, if it ended")
     parser.add_argument("--recorded", metavar="FILE", help=f"record whose rows of {LIMBS} are kept")
-    parser.add_argument("--rows", metavar="FILE", help=f"where {ASSETS} goes on from, if it ended")
-    parser.add_argument("--kept", action="store_true", help="bake nothing for these two")
+    parser.add_argument(
+        "--rows", metavar="FILE", help=f"where {ASSETS} or {JITTER} goes on from, if it ended"
+    )
+    parser.add_argument("--kept", action="store_true", help="bake nothing for these three")
     parser.add_argument("--quick", action="store_true", help="verify in its quick form")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
     options = parser.parse_args(words)
     chosen = [] if options.page else options.only or list(SECTIONS)
+    if options.rows and (ASSETS in chosen) == (JITTER in chosen):
+        parser.error(f"--rows goes with --only {ASSETS} or --only {JITTER}")
     if options.assets is None:
         for name in OF_ASSETS:
             if name in (options.only or ()):
@@ -370,10 +376,7 @@ def main(words: Sequence[str] | None = None) -> None:
     sections = dict(SECTIONS)
     if options.quick:
         sections["verify"] = replace(SECTIONS["verify"], command=("gf-usd", "verify", "--json"))
-    passed = [
-        run(name, sections[name], *(words_of(name, options) if name in OF_ASSETS else ()))
-        for name in chosen
-    ]
+    passed = [run(name, sections[name], *words_of(name, options)) for name in chosen]
     write(PAGE, page(newest()))
     sys.exit(0 if all(passed) else 1)
 
