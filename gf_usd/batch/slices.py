@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import read_record
 from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options.texts import parse_frames
 from gf_usd.prepare.outputs import interrupted, outputs
 
 SETTLED = ("failed", "refused", "unsound")  # another slice would end them alike
@@ -76,7 +77,13 @@ def slices(job: Job, clips: int) -> int:
             f"{job.name}: how many slices it takes depends on its frames, which are not given",
             "give them: --frames 240",
         )
-    intervals = int(frames) - 1 + 2 * int(job.options.get("handles") or 0)
+    most = parse_frames(frames).frames
+    if most is None:
+        raise UsageError(
+            f"{job.name}: how many slices it takes depends on when it comes to rest",
+            "say how many frames it may take at most: --frames rest:240",
+        )
+    intervals = most - 1 + 2 * int(job.options.get("handles") or 0)
     full, rest = len(job.materials) * (intervals // length), intervals % length
     return full // clips + 1 if rest else max(1, math.ceil(full / clips))
 

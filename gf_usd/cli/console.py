@@ -63,11 +63,13 @@ def announce(prepared: Prepared) -> None:
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
+    most = "at most " if plan.choices.until_rest else ""
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(f"note: {note}", err=True)
+    spent = f"{duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}"
     typer.echo(
-        f"{len(plan.particles)} particles, {plan.settings.frames} frames, {each} substeps a frame:"
-        f" about {duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}",
+        f"{len(plan.particles)} particles, {most}{plan.settings.frames} frames, {each} substeps a"
+        f" frame: about {spent}",
         err=True,
     )
 
@@ -276,9 +278,10 @@ def _measured(bake: VariantResult) -> str:
     overlap = h["deepest_overlap_spacings"]
     met = f", deepest overlap {overlap:.2f} spacings" if overlap else ""
     redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
+    rest = f", at rest at frame {bake.at_rest}" if bake.at_rest else ""
     return (
-        f"{bake.look}: {bake.frames} frames, {h['substeps']} substeps{redone}, {rebound}, deepest"
-        f" penetration {h['deepest_penetration_spacings']:.2f} spacings"
+        f"{bake.look}: {bake.frames} frames{rest}, {h['substeps']} substeps{redone}, {rebound},"
+        f" deepest penetration {h['deepest_penetration_spacings']:.2f} spacings"
         f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"
     )

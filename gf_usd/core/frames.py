@@ -314,6 +314,7 @@ class Choices:
     flat: bool = False  # one file instead of layers
     settled: bool = False  # one pose, that at rest, without time samples
     tets: bool = False  # tetrahedra of each body
+    until_rest: bool = False  # the last frame is the first at rest
 
     @property
     def mesh(self) -> bool:

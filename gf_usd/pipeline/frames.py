@@ -302,7 +302,7 @@ class Rest:
 
     def __init__(self, frame_time: float, radius: float) -> None:
         self._step, self._radius = frame_time, radius
-        self._since = 0.0  # [s]
+        self.still = 0.0  # [s] since when all are at rest
 
     def limit(self, health: Health) -> float:
         """[J] of kinetic energy that counts as rest."""
@@ -311,8 +311,8 @@ class Rest:
     def reached(self, health: Health) -> bool:
         """Whether this frame, the next one, ends a time T at rest."""
         still = health.kinetic <= self.limit(health)
-        self._since = self._since + self._step if still else 0.0
-        return self._since >= time_scale(self._radius)
+        self.still = self.still + self._step if still else 0.0
+        return self.still >= time_scale(self._radius)
 
 
 def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:

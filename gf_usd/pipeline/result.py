@@ -76,6 +76,7 @@ class VariantResult:
     per_frame: list[dict[str, Any]] = field(repr=False, default_factory=list)  # fields of `Health`
     warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
+    at_rest: int | None = None  # frame, from 1, at which everything was; None: not looked for
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""
@@ -84,6 +85,7 @@ class VariantResult:
             "cache": str(self.cache),
             "material": self.material.values,
             "frames": self.frames,
+            "at_rest": self.at_rest,
             "health": self.health,
         }
         return {**out, "per_frame": self.per_frame} if frames else out

@@ -355,7 +355,10 @@ def _run_variant(
     )
     period = Period(plan.cycle * n, settings.frames - 1, plan.particles.radius)
     failure = None
-    rest = Rest(settings.frame_time, plan.particles.radius) if plan.choices.settled else None
+    alone, ends = plan.choices.settled, plan.choices.settled or plan.choices.until_rest
+    rest = Rest(settings.frame_time, plan.particles.radius) if ends else None
+    if rest is not None and since is not None:
+        rest.still = float(since.log["still"])
     settled = False
     with CacheWriter(
         variant.cache,
@@ -373,11 +376,12 @@ def _run_variant(
                 if index < 0 and sample.splats:
                     sample = splats.held(sample)
                 settled = rest is not None and rest.reached(sample.health)
-                if index >= settings.first and (settled or rest is None):
+                settled = settled and (alone or index % n == 0)
+                if index >= settings.first and (settled or not alone):
                     guard.require(index, cache.unsaved)
                     cache.write(sample)
                     if index % n == 0:
-                        splats.export(sample, 0 if settled else (index - settings.first) // n)
+                        splats.export(sample, 0 if alone else (index - settings.first) // n)
                 if index < 0:
                     continue
                 period.see(index, sample.gaussians.positions)
@@ -394,25 +398,29 @@ def _run_variant(
                     break
                 if cache.full:
                     last, state = sample.health, builder.state()
-                    full = {"last": last, "log": log.state(), "cache": cache.state(), **state}
+                    seen = {**log.state(), "still": rest.still if rest else 0.0}
+                    full = {"last": last, "log": seen, "cache": cache.state(), **state}
                     checkpoints.write(number, index, full)
                     left = index < settings.frames - 1 or number < len(plan.materials) - 1
                     if left and checkpoints.sliced:
                         raise checkpoints.unfinished(number, variant.name, frame, total)
         except SolverError as error:
             failure = error
-        if rest is not None and not settled and failure is None:
+        if alone and rest is not None and not settled and failure is None:
             raise _restless(plan, variant.name, rest, log.frames[-1])
         stages.begin(WRITING, variant.name)
         summary = cache.close()
     health = log.summary()
-    at = (f"{variant.name}: at rest at frame {len(log.frames)}",) if settled else ()
+    at = _when_at_rest(plan, variant.name, rest, log, settled=settled) if rest else ()
+    if plan.choices.until_rest:  # its layers end where it ended
+        info = replace(info, settings=replace(info.settings, frames=len(log.frames)))
     result = VariantResult(
         look=variant.name,
         cache=plan.outputs.root if plan.outputs.flat else variant.cache,
         material=variant.material,
         frames=summary.frames,
         clips=summary.clips,
+        at_rest=len(log.frames) if settled else None,
         health=health,
         per_frame=log.per_frame(),
         warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
@@ -427,6 +435,20 @@ def _run_variant(
         failure="" if failure is None else failure.message,
     )
     return result, baked, (*at, *summary.notes, *splats.notes, *period.notes), failure
+
+
+def _when_at_rest(
+    plan: Plan, look: str, rest: Rest, log: HealthLog, *, settled: bool
+) -> tuple[str, ...]:
+    """When a material came to rest, in words."""
+    if settled:
+        return (f"{look}: at rest at frame {len(log.frames)}",)
+    last = log.frames[-1]
+    return (
+        f"{look}: not at rest within {plan.settings.frames} frames: the kinetic energy of the last"
+        f" one is {last.kinetic:.3g} J, and {rest.limit(last):.3g} J counts as rest;"
+        f" --frames rest:{2 * plan.settings.frames} simulates longer",
+    )
 
 
 def _restless(plan: Plan, look: str, rest: Rest, last: Health) -> BakeError:

@@ -362,6 +362,7 @@ def _chosen(
         flat=request.flatten or files.flat,
         settled=request.settle_only,
         tets=request.tets,
+        until_rest=request.until_rest,
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

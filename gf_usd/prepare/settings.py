@@ -217,9 +217,10 @@ def resolve(
     if animation:
         start = animation.first
         shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
-    if request.settle_only:
+    if request.settle_only or request.until_rest:
         shot = SETTLING * (shot - 1) + 1
-    frames = request.frames or (PAPER_FRAMES if paper else shot)
+    most = asked["frames"].frames if asked["frames"] else None
+    frames = most or (PAPER_FRAMES if paper and not request.until_rest else shot)
     first, frames = span(
         asked["range"], request.handles or 0, start=start, step=step,
         frames=frames, fixed=bool(request.frames), said=f"--range {request.range}",

@@ -37,7 +37,8 @@ def test_what_does_not_decide_is_left_out_of_the_identity() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "value"),
     [
-        ("frames", "12", 12),
+        ("particles", "12", 12),
+        ("frames", "rest:12", "rest:12"),
         ("fps", "23.976", 23.976),
         ("wls", "false", False),
         ("drop", "3r", "3r"),
@@ -51,7 +52,7 @@ def test_words_become_values(name: str, text: str, value: object) -> None:
 
 def test_a_word_that_is_no_number_is_refused() -> None:
     with pytest.raises(UsageError, match="'many' is no int"):
-        parse("frames", "many", "--set")
+        parse("particles", "many", "--set")
     with pytest.raises(UsageError, match="repair is 'yes'"):
         clean({"repair": parse("repair", "yes", "--set")}, "here", Path())
 

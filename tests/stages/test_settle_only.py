@@ -15,6 +15,7 @@ from gf_usd.core.frames import Health
 from gf_usd.core.materials import G0, time_scale
 from gf_usd.layers.stage import hold_still
 from gf_usd.pipeline.frames import Rest
+from gf_usd.prepare.options.texts import Length, parse_frames
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 BODY = "/Sphere/Geom/Body"
@@ -90,3 +91,47 @@ def test_the_pose_at_rest_is_that_of_the_frame_in_which_all_rests(tmp_path: Path
     points = np.asarray(one.GetPrimAtPath(BODY).GetAttribute("points").Get())
     assert points[:, 1].min() == pytest.approx(0.0, abs=0.05)
     assert not [fault for fault in still.findings if fault["level"] == "error"]
+
+
+def test_frames_until_rest_are_parsed() -> None:
+    assert parse_frames("48") == parse_frames(48) == Length(frames=48, rest=False)
+    assert parse_frames("rest") == Length(frames=None, rest=True)
+    assert parse_frames("rest:480") == Length(frames=480, rest=True)
+    for wrong in ("soon", "rest:", "rest:x", "1.5", "rest:0", "-1"):
+        with pytest.raises(UsageError, match="--frames is"):
+            parse_frames(wrong)
+
+
+@pytest.mark.parametrize("more", [{"range": (1, 2)}, {"handles": 2}])
+def test_what_says_how_long_does_not_go_with_until_rest(
+    tmp_path: Path, more: dict[str, Any]
+) -> None:
+    with pytest.raises(UsageError, match="rest does not go with"):
+        gf_usd.bake(SPHERE, output=tmp_path / "s.usda", frames="rest", **SMALL, **more)
+
+
+@pytest.mark.slow
+def test_a_bake_until_rest_is_the_longer_one_up_to_there(tmp_path: Path) -> None:
+    done = gf_usd.bake(SPHERE, output=tmp_path / "rest.usda", frames="rest", only="mesh", **SMALL)
+    (bake,) = done.bakes
+    assert bake.at_rest == bake.frames
+    assert any(note == f"clay: at rest at frame {bake.frames}" for note in done.notes)
+    stage = Usd.Stage.Open(str(done.root))
+    assert stage.GetEndTimeCode() == bake.frames
+    longer = gf_usd.bake(
+        SPHERE, output=tmp_path / "long.usda", frames=bake.frames + 3, only="mesh", **SMALL
+    )
+    other = Usd.Stage.Open(str(longer.root))
+    for time in (1.0, float(bake.frames)):
+        np.testing.assert_array_equal(
+            stage.GetPrimAtPath(BODY).GetAttribute("points").Get(time),
+            other.GetPrimAtPath(BODY).GetAttribute("points").Get(time),
+        )
+
+
+@pytest.mark.slow
+def test_a_bake_that_does_not_rest_in_time_is_complete_up_to_there(tmp_path: Path) -> None:
+    done = gf_usd.bake(SPHERE, output=tmp_path / "s.usda", frames="rest:6", only="mesh", **SMALL)
+    (bake,) = done.bakes
+    assert (bake.frames, bake.at_rest) == (6, None)
+    assert any("clay: not at rest within 6 frames: the kinetic" in note for note in done.notes)

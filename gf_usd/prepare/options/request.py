@@ -42,6 +42,11 @@ class Request(RequestOptions):
         texts = {name: getattr(self, name) for name, row in PLANNED.items() if row.parse}
         return {name: PLANNED[name].value(text) for name, text in texts.items()}
 
+    @property
+    def until_rest(self) -> bool:
+        """Whether the bake ends when everything is at rest."""
+        return self.parsed["frames"] is not None and self.parsed["frames"].rest
+
     @cached_property
     def regions(self) -> tuple[Region, ...]:
         """What has a preset of its own, labels first.  Raises UsageError as `parse_regions`."""
@@ -122,6 +127,17 @@ class Request(RequestOptions):
                 raise UsageError(
                     f"--settle-only does not go with {option}: it writes one pose, that at rest",
                     f"leave {option} out",
+                )
+        for option, given in (
+            ("--range", self.range),
+            ("--handles", self.handles),
+            ("--flesh", self.flesh),
+        ):
+            if self.until_rest and given:
+                raise UsageError(
+                    f"--frames {self.frames} does not go with {option}, which says how long is"
+                    " simulated",
+                    "leave one of the two out",
                 )
 
     def _check_flesh(self) -> None:

@@ -97,9 +97,11 @@ class RequestOptions:
         " random.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
-    frames: Annotated[int | None, Option(
-        TIME, "Simulate this many frames, at --fps.",
-        shown="13.6 T of the body", above_zero=True, commands=INSPECT,
+    frames: Annotated[int | str | None, Option(
+        TIME, "Simulate this many frames, at --fps; rest: until everything is at rest, and rest:480"
+        " 480 frames at most.",
+        shown="13.6 T of the body; with rest 54.4 T at most", noun="number of frames",
+        parse=texts.parse_frames, commands=INSPECT, write=values.frames,
     )] = None
     fps: Annotated[float | None, Option(
         TIME, "Write this many frames for each second of playback.",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.units import STRONGEST, number
+from gf_usd.core.units import STRONGEST, number, positive
 from gf_usd.prepare.options.fields import GravityKeys, is_key_file, read_gravity_keys
 
 LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
@@ -61,6 +61,33 @@ def parse_time_scale(text: str) -> float | str:
     if value <= 0.0:
         raise UsageError(f"--time-scale is {text}", "give a number above 0, or auto")
     return value
+
+
+REST = "rest"
+FRAMES = "give a whole number such as 48, rest, or rest:480 for 480 at most"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Length:
+    """How long is simulated."""
+
+    frames: int | None  # at most, where it ends at rest; None: by the size of the body
+    rest: bool  # until everything is at rest
+
+
+def parse_frames(text: str | int) -> Length:
+    """The length of "48", "rest" or "rest:480"."""
+    word, colon, most = str(text).partition(":")
+    rest = word == REST
+    count = most if rest else str(text)
+    if rest and not colon:
+        return Length(frames=None, rest=True)
+    try:
+        frames = int(count)
+    except ValueError as error:
+        raise UsageError(f"--frames is {text}", FRAMES) from error
+    positive("--frames", frames)
+    return Length(frames=frames, rest=rest)
 
 
 def parse_drop(text: str) -> Height:

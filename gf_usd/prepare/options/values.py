@@ -125,6 +125,11 @@ def length(name: str, value: Any) -> str:
     return value if isinstance(value, str) else digits(real(name, value, wanted))
 
 
+def frames(name: str, value: Any) -> str:
+    """A number of frames, "rest", or "rest:480"."""
+    return value if isinstance(value, str) else str(whole(name, value))
+
+
 def rate(name: str, value: Any) -> str:
     """A factor, or "auto"."""
     return value if isinstance(value, str) else digits(real(name, value, "a number, or 'auto'"))
