@@ -7,7 +7,7 @@ closing, Serra 1982).  What cannot be reached from outside is filled.  On a grid
     f(x) = min_p (|x - p| - w_p / 2),    D = {f <= c} filled,    body = {x in D: dist(x, dD) >= c}
 
 c is twice the median distance between neighbors, and at most the median width, so that balls that
-lie apart stay apart.
+lie apart stay apart.  Dimples between neighbors are smoothed by a Gaussian of BLUR cells.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from gf_usd.readers.usd_physics.attributes import SOFT_BODIES, apis, body_of
 
 CELLS = 96  # along the longest side, at most
 FEWEST = 24  # along the longest side, at least
+BLUR = 1.5  # [cells]
+APART = 3.0  # [radii] between neighbors that lie apart, and are balls by themselves
 NEAR = 8  # balls of about one size that are looked at around a place
 PARTICLES = ("Newton", "Physx", "OmniPhysics", "PhysicsDeformable")  # of APIs, for points
 
@@ -86,6 +88,11 @@ def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
     depth = _to_surface(nodes[inside], outer, faces)
     g = -f  # outside D: f - reach is the distance to it
     g[inside] = depth - reach
+    if spacing < APART * typical:
+        from scipy import ndimage
+
+        # The dimples between balls are no thin parts of the body, for which particles are small.
+        g = ndimage.gaussian_filter(g, BLUR)
     vertices, triangles = _contour(-g, nodes, h)
     if len(triangles) == 0:
         raise LeftAlone(f"no surface could be put around its {len(points)} points")
