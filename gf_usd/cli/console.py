@@ -49,7 +49,7 @@ def show_plan(
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
         f"disk        about {_bytes(d['estimated_bytes'])}",
         *(f"would write {path}" for path in d["outputs"]),
-        *(f"note: {note}" for note in (*d["notes"], *saved)),
+        *(_told(prepared.plan, note) for note in (*d["notes"], *saved)),
     ]
     typer.echo("\n".join(lines), err=err)
 
@@ -65,13 +65,20 @@ def announce(prepared: Prepared) -> None:
     )
     most = "at most " if plan.choices.until_rest else ""
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
-        typer.echo(f"note: {note}", err=True)
+        typer.echo(_told(plan, note), err=True)
     spent = f"{duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}"
     typer.echo(
         f"{len(plan.particles)} particles, {most}{plan.settings.frames} frames, {each} substeps a"
         f" frame: about {spent}",
         err=True,
     )
+
+
+def _told(plan: Plan, note: str) -> str:
+    """A note as a line; an implausible size is a warning, as in `inspect`."""
+    from gf_usd.prepare.fill import implausible_size
+
+    return f"{'warning' if note == implausible_size(plan.asset) else 'note'}: {note}"
 
 
 EVERY = 30.0  # [s] between plain lines, at most

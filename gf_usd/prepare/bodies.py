@@ -160,12 +160,12 @@ def keep_limbs_apart(
         for k, skin in enumerate(setup.skins)
     )
     notes = [
-        f"limbs near each other at rest move apart: {limbs.nodes} nodes of the grid are copied"
+        f"parts that are close at rest can move apart: {limbs.nodes} grid nodes are duplicated"
     ]
     if limbs.crowded:
         notes.append(
-            f"{limbs.crowded} cells of the grid hold so many scraps of surface that limbs in them"
-            " are not told apart"
+            f"in {limbs.crowded} grid cells surfaces are too close together to be separated: parts"
+            " in them move together"
         )
     return LimbPlan(
         particles=replace(filled.particles, copies=limbs.copies),

@@ -317,20 +317,20 @@ def by_thickness(volume: float, thick: Thickness | None) -> Resolution:
     count = int(np.ceil(min(wanted, FINEST * base)))
     longer = (count / base) ** (4.0 / 3.0)
     note = (
-        f"5 % of the surface is no thicker than {thick.thin:.3g} m: {count} particles instead of"
-        f" {base}, about {longer:.1f} times the time, put {ACROSS:g} across it"
+        f"5 % of the surface is at most {thick.thin:.3g} m thick: {count} particles put {ACROSS:g}"
+        f" across it and take about {longer:.1f} times as long as {base}"
     )
     if wanted > count:
         across = thick.across(float(np.cbrt(volume / count)))
         digit = 10.0 ** (np.floor(np.log10(wanted)) - 1.0)
         more = int(np.ceil(wanted / digit) * digit)
         note = (
-            f"5 % of the surface is no thicker than {thick.thin:.3g} m: {count} particles, the most"
-            f" by default and about {longer:.1f} times the time of {base}, put {across:.1f} across"
-            f" it; "
+            f"5 % of the surface is at most {thick.thin:.3g} m thick: {count} particles, the most"
+            f" by default, put {across:.1f} across it and take about {longer:.1f} times as long as"
+            f" {base}; "
         ) + (
-            f"--particles {more} would put {ACROSS:g}"
+            f"--particles {more} would put {ACROSS:g} across"
             if more <= SENSIBLE
-            else f"{ACROSS:g} would take more than {SENSIBLE} particles"
+            else f"{ACROSS:g} across would need more than {SENSIBLE} particles"
         )
     return Resolution(spacing=None, particles=count, note=note)

@@ -153,9 +153,9 @@ def test_nothing_falls_without_gravity(gf_usd, here: Path, block: Path) -> None:
 
 def test_an_odd_size_is_told(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "1", "--dry-run")
-    assert "note: the asset is 30 m wide" not in done.out, "30 m is the limit"
+    assert "warning: the asset is 30 m wide" not in done.out, "30 m is the limit"
     done = gf_usd("bake", block, *SMALL, "--meters-per-unit", "2", "--dry-run")
-    assert "note: the asset is 60 m wide: 30 units of 2 m" in done.out
+    assert "warning: the asset is 60 m wide: 30 units of 2 m" in done.out
 
 
 def test_the_layer_of_a_mesh_file_is_listed(gf_usd, here: Path) -> None:

@@ -25,22 +25,25 @@ def test_thin_parts_take_three_across() -> None:
     assert made.particles == pytest.approx((3.0 / 0.12) ** 3, abs=1)
     assert (1.0 / made.particles) ** (1.0 / 3.0) == pytest.approx(0.04)
     assert made.note == (
-        "5 % of the surface is no thicker than 0.12 m: 15625 particles instead of 8000, about"
-        " 2.4 times the time, put 3 across it"
+        "5 % of the surface is at most 0.12 m thick: 15625 particles put 3 across it and take"
+        " about 2.4 times as long as 8000"
     )
 
 
 def test_the_budget_ends_it_and_says_so() -> None:
     made = by_thickness(1.0, thick(0.05))
     assert made.particles == 32000
-    assert "32000 particles, the most by default and about 6.3 times the time" in made.note
+    assert (
+        "32000 particles, the most by default, put 1.6 across it and take about 6.3 times"
+        in made.note
+    )
     # (1 / 32000)^(1/3) = .0315 m: 1.6 of them; (3 / .05)^3 = 216000
-    assert made.note.endswith("put 1.6 across it; --particles 220000 would put 3")
+    assert made.note.endswith("as long as 8000; --particles 220000 would put 3 across")
 
 
 def test_what_no_sensible_number_fills_gets_no_advice() -> None:
     made = by_thickness(1.0, thick(0.01))
-    assert made.note.endswith("; 3 would take more than 2000000 particles")
+    assert made.note.endswith("; 3 across would need more than 2000000 particles")
 
 
 @pytest.mark.parametrize(
