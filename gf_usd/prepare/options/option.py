@@ -92,8 +92,8 @@ class Option:
         """Raise UsageError for a number out of range, or a text that is none of the choices."""
         if value is None:
             return
-        if self.parse is not None and isinstance(value, str):
-            self.parse(value)
+        if self.parse is not None:
+            self.value(value)
         if self.choices and value not in self.choices:
             raise UsageError(f"there is no {self.name} {value!r}", _choose(self, str(value)))
         if self.above_zero:
