@@ -31,7 +31,7 @@ from gf_usd.system.warm.workers import Commands, listening
 Emit = Callable[[dict[str, Any]], None]  # an event, see docs/farm.md
 
 SHOWN = 10  # events of frames that are passed on, for each look
-AGAIN = ("crashed", "timeout")  # what another attempt may mend
+AGAIN = ("crashed", "timeout")  # for which another attempt may succeed
 
 
 @dataclass(frozen=True, kw_only=True)

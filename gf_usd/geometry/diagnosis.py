@@ -230,8 +230,8 @@ def tolerated(seen: Diagnosis) -> str:
     if not said:
         return ""
     small = any(hole.share <= HOLE_LIMIT for hole in seen.holes)
-    mends = "; --repair mends such things" if small or len(said) > bool(seen.holes) else ""
-    return f"<{seen.path}> is filled in spite of {', '.join(said)}{mends}"
+    hint = "; --repair fixes this" if small or len(said) > bool(seen.holes) else ""
+    return f"<{seen.path}> is filled in spite of {', '.join(said)}{hint}"
 
 
 def _count(n: int, what: str) -> str:

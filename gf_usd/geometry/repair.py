@@ -1,4 +1,4 @@
-"""Mend the triangles that bound a solid; the authored mesh stays as it is.
+"""Repair the triangles that bound a solid; the authored mesh stays as it is.
 
 Only the triangles that the fill uses change: they lose faces that enclose nothing, gain caps over
 small holes, without a new point, and agree on which side is out.  Points, faces, UVs and normals of
@@ -129,7 +129,7 @@ class Repairs:
 
 
 def repair_asset(asset: Asset) -> tuple[Asset, tuple[Repairs, ...]]:
-    """The asset with every surface's triangles mended, and what was done to each."""
+    """The asset with every surface's triangles repaired, and what was done to each."""
     done = [repair_surface(surface) for surface in asset.surfaces]
     return replace(asset, surfaces=tuple(s for s, _ in done)), tuple(r for _, r in done)
 

@@ -7,7 +7,7 @@ What of a bake's health deserves a warning, in plain words.  Energy that contact
 is an error: what moves then is wrong, although nothing else shows it.
 
 A warning is for numbers that a sound bake does not have, so that ``--strict`` may stop a farm on
-them.  What the solver met and mended, or what is usual, is told in the report and warned of by
+them.  What the solver met and corrected, or what is usual, is told in the report and warned of by
 nobody: a few frames that were redone, and friction at its limit, which is how a sample sticks.
 """
 

@@ -1,4 +1,4 @@
-"""From an asset that was read to a plan: bodies, particles, materials, settings, encounters.
+"""From an asset that was read to a plan: bodies, particles, materials, settings, contact.
 
 Nothing that is called from here takes the whole request but `settings.resolve`.
 

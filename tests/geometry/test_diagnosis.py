@@ -91,7 +91,7 @@ def test_faults_are_told_in_words():
     triangles = np.concatenate([CUBE_TRIANGLES[2:11], CUBE_TRIANGLES[11:, ::-1]])
     seen = diagnose(surface(CUBE_POINTS, np.concatenate([triangles, triangles[:2]])))
     assert "2 duplicate triangles" in faults(seen)
-    assert tolerated(seen).endswith("--repair mends such things")
+    assert tolerated(seen).endswith("--repair fixes this")
 
 
 def test_an_edge_of_four_triangles_is_not_manifold():

@@ -32,7 +32,7 @@ def thicken_asset(
     """The asset as it is filled, and its repairs with what was thickened.
 
     Open or flat shells, and closed ones with less than `parts.THIN` of a spacing between their
-    sides, become one spacing thick (`LAYER`).  asset : mended by `repair_asset`, with its repairs.
+    sides, become one spacing thick (`LAYER`).  asset : repaired by `repair_asset`.
     spacing : [m]; None: that at which so many particles fill all.
     """
     mine = [k for k, s in enumerate(asset.surfaces) if s.splats is None and len(s.triangles)]

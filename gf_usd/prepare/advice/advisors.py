@@ -49,7 +49,7 @@ def ask(name: str, question: Question) -> tuple[Advice, ...]:
     call = _Call(find_advisor(name), question)
     call.start()
     call.join(TIMEOUT)
-    hint = f"mend the advisor or what it asks, or use --material {AUTO} without it"
+    hint = f"fix the advisor or what it calls, or use --material {AUTO} without it"
     said = f"{question.file}: the material advisor {name!r}"
     if call.is_alive():
         raise BakeError(f"{said} gave no answer in {TIMEOUT:g} s", hint)

@@ -14,7 +14,7 @@ from gf_usd.readers.notes import Notes, source_of, unit_and_axis
 from gf_usd.readers.splats.ply import holds_splats
 from gf_usd.readers.usd.splats import write_splat_layer
 
-# Captures often have y or z down, for that is how cameras see: a half turn about x mends it.
+# Captures often have y or z down, for that is how cameras see: a half turn about x corrects it.
 AXES = {"Y": ("Y", 0.0), "Z": ("Z", 0.0), "-Y": ("Y", 180.0), "-Z": ("Z", 180.0)}
 
 
