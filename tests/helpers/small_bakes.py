@@ -20,7 +20,7 @@ REPORT = {
     "notes", "seconds", "bakes", "warnings", "check", "pins", "rigid",
     "separate_bodies", "obstacles", "tables", "advice", "own_values",
 }  # fmt: skip
-BAKE = ["look", "cache", "material", "frames", "health"]
+BAKE = ["look", "cache", "material", "frames", "at_rest", "health"]
 HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
     "frames_without_substeps", "flying_body_frames", "sleeping_body_frames",

@@ -83,7 +83,7 @@ def test_a_bake_says_what_flowed_and_writes_the_parameter(
     assert total == pytest.approx(sum(per_frame))
     assert total > 0.0
     labels = [line.label for line in health_rows(look["health"])]
-    assert "Energy lost to flow" in labels
+    assert "Plastic dissipation" in labels
     assert material_labels()["yield_stress"] == ("Yield stress", "Pa")
     cache = Usd.Stage.Open(str(next(out.glob("*.cache.usdc"))))
     (prim,) = (p for p in cache.TraverseAll() if p.GetTypeName() == "Material")
