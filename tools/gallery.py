@@ -1,4 +1,4 @@
-"""Make the pictures of docs/gallery.md by the commands beside them.
+"""Make the pictures of docs/gallery.md by the commands next to them.
 
     python tools/gallery.py [--only NAME ...] [--keep FOLDER]
 

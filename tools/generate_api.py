@@ -173,7 +173,7 @@ def cell(text: str) -> str:
 
 
 def field_rows(made: type) -> Iterator[tuple[str, str]]:
-    """Fields of a dataclass with the comments beside them; attributes set by `__init__`."""
+    """Fields of a dataclass with the comments next to them; attributes set by `__init__`."""
     comments = commented(made)
     if is_dataclass(made):
         for one in fields(made):
@@ -190,7 +190,7 @@ def default(one: Field[Any]) -> str:
 
 
 def commented(made: type) -> dict[str, str]:
-    """The comments beside the fields of a class, or beside what `__init__` sets."""
+    """The comments next to the fields of a class, or next to what `__init__` sets."""
     lines = textwrap.dedent(inspect.getsource(made)).splitlines()
     (tree,) = ast.parse("\n".join(lines)).body
     found = {}

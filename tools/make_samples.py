@@ -3,7 +3,7 @@
     python tools/make_samples.py [--out FOLDER]
 
 The shapes are this project's own work, computed from the formulas in samples/duck.py,
-sphere.py, creature.py and bowl.py beside this file; running it again gives the same bytes.
+sphere.py, creature.py and bowl.py next to this file; running it again gives the same bytes.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The documents are written to be read in the repository as well.  For the site,
 
 - README.md becomes the start page, and the other pages of the root folder join those of docs/;
 - links to pages lead to their place in the site, and links to other files become plain names;
-- the table of contents that opens a page goes, since the site has its own beside the text;
+- the table of contents that opens a page goes, since the site has its own next to the text;
 - diagrams in Mermaid become pictures, because a browser would fetch Mermaid from another host.
 
 `python tools/site_hooks.py MERMAID` draws those pictures with Chromium; MERMAID is the file

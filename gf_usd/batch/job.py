@@ -41,14 +41,14 @@ class Job:
     @property
     def record(self) -> Path:
         """The file next to the root layer that says what came of the job."""
-        return self.beside(RECORD)
+        return self.sibling(RECORD)
 
     @property
     def report(self) -> Path:
         """The report of the bake."""
-        return self.beside(REPORT)
+        return self.sibling(REPORT)
 
-    def beside(self, ending: str) -> Path:
+    def sibling(self, ending: str) -> Path:
         """``duck.rubber.usda`` -> ``duck.rubber.ENDING``."""
         return self.root.with_name(self.root.name.removesuffix(self.root.suffix) + ending)
 

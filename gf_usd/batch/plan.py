@@ -129,7 +129,7 @@ def _require_apart(jobs: Sequence[Job]) -> None:
             ply=job.options.get("export_ply"), spz=job.options.get("export_spz"),
         )  # fmt: skip
         splats = [one.path(0).absolute() for each in frames for one in each]
-        own = ((path, job.name) for path in (*files.own, job.beside(RECORD), *splats))
+        own = ((path, job.name) for path in (*files.own, job.sibling(RECORD), *splats))
         reading = (str(job.asset), *(job.options.get(k) for k in ("meters_per_unit", "up_axis")))
         shared = ((path, reading) for path in ([files.source] if files.source else []))
         for path, owner in (*own, *shared):

@@ -50,7 +50,7 @@ it falls in slow motion                the body is large: check --meters-per-uni
 parts hang in the air                  they are open sheets: --repair, see gf-usd inspect
 it sinks into the floor                more --particles, or a lower --drop
 fingers or legs stick together         thinner than two spacings: more --particles
-it looks faceted or jittery            look at the report's warnings; more --particles
+it looks faceted or jittery            read the report's warnings; more --particles
 it does not move in the viewer         the file is usd with payloads: load them"""),
     "exit": ("exit statuses", """\
 0 done; 1 failed while baking; 2 wrong usage; 3 the input was refused; 4 warnings under

@@ -103,7 +103,7 @@ class Diagnosis:
 
 
 def diagnose(surface: Surface) -> Diagnosis:
-    """Look at one surface."""
+    """Diagnose one surface."""
     counts = surface.face_counts
     welded = weld(surface.points)[0][surface.triangles]
     sound = proper(welded)

@@ -48,7 +48,7 @@ class _Clip:
 
 
 class ClipStore:
-    """Takes the samples of a cache that has no room for them.
+    """Takes the samples that exceed the size of a cache file.
 
     Samples are authored on `stage`, whose edit target is a layer in memory; `keep` moves them on.
 

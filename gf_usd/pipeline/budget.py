@@ -6,7 +6,7 @@ of which nine in ten are within a factor of two (docs/performance.md).  Memory i
 ``/usr/bin/time -v``.
 
 A bake that is clearly too large is refused before any work.  One that meets a disk or a memory that
-others fill ends before it is full, while there is room for what it had: its frames, a layer to open
+others fill ends before it is full, while what it had still fits: its frames, a layer to open
 them, and a report.
 """
 
@@ -347,7 +347,7 @@ class ResourceGuard:
     folder : of the results.
     sample_bytes : on the disk, of one sample.
     reserve : [bytes] that stay free for the rest of the files.
-    again : what to do once there is room, in words.
+    again : what to do once there is enough of either, in words.
     """
 
     def __init__(self, folder: Path, sample_bytes: float, reserve: float, again: str) -> None:

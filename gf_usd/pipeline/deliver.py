@@ -148,7 +148,7 @@ def output_lock(root: Path, sequences: Sequence[Path], seen: Stamps) -> Iterator
         if any(stamp(path) != before for path, before in seen):
             raise UsageError(
                 f"another bake wrote {root} while this one was prepared",
-                "look at what is there, and repeat the command if it is still wanted",
+                "check that file, and repeat the command if it is still wanted",
             )
         yield
 

@@ -80,7 +80,7 @@ def prepare(
     # what is in the way of the results is found before the asset is read, where they have names
     targets = _targets(source, presets, target, request, **again) if presets else None
     with reading(source, limits, request, presets, prims, meters_per_unit, up_axis) as read:
-        # Beside it; a device that is not there is found out before the file is judged.
+        # In parallel; a device that is not there is found out before the file is judged.
         init_taichi(request.device, request.threads)
         found = read_stage(
             read.result(), source, request, presets, prims=prims, limits=limits, draw=draw

@@ -1,4 +1,4 @@
-"""Shocks: a body that hits faster than its waves run, beside the jump conditions."""
+"""Shocks: a body that hits faster than its waves run, against the jump conditions."""
 
 from __future__ import annotations
 

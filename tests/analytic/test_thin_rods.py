@@ -1,4 +1,4 @@
-"""Rods thinner than a cell beside a thick body: they stretch and bend as rods do."""
+"""Rods thinner than a cell next to a thick body: they stretch and bend as rods do."""
 
 from __future__ import annotations
 

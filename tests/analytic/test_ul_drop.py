@@ -1,4 +1,4 @@
-"""The drop of the looks in the Updated Lagrangian solver, beside the Total Lagrangian one."""
+"""The drop of the looks in the Updated Lagrangian solver, against the Total Lagrangian one."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def test_no_bake_runs_what_the_code_leaves_out() -> None:
 def baked(of: Job) -> list[Path]:
     """Files as a bake leaves them."""
     of.root.parent.mkdir(exist_ok=True)
-    paths = [of.root, of.beside(".cache.usdc")]
+    paths = [of.root, of.sibling(".cache.usdc")]
     for path in paths:
         path.write_text(path.name, encoding="utf-8")
     return paths

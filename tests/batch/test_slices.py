@@ -105,7 +105,7 @@ def test_what_an_earlier_slice_settled_is_not_begun_again(tmp_path: Path) -> Non
     assert settled(asked, "x") is None
     # a disk that was full then may have room now: there is something to go on from
     record("failed")
-    checkpoint = asked.beside(".checkpoint.npz")
+    checkpoint = asked.sibling(".checkpoint.npz")
     checkpoint.touch()
     assert settled(asked, "x") is None
     assert spent(asked, "x") == (0.0, 0.0)

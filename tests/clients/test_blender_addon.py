@@ -68,7 +68,7 @@ def drive(
             BLENDER_USER_RESOURCES=str(user),
             PATH=os.pathsep.join([str(program.parent), os.environ["PATH"]]),
         )
-        # beside the folder, which holds what the add-on left there
+        # next to the folder, which holds what the add-on left there
         told = json.loads(out.with_suffix(".json").read_text())
         with np.load(out.with_suffix(".npz")) as arrays:
             told["vertices"] = dict(arrays)

@@ -127,7 +127,7 @@ def test_a_box_without_a_lid_is_a_solid_and_a_sheet_is_not():
     assert [path for path, _ in body.embedded] == ["/Tube"]
     assert [s.path for s in body.surfaces] == ["/Solid"]
     reason = body.embedded[0][1]
-    # Two loops of four edges; fans of 2 m^2 beside walls of 4.
+    # Two loops of four edges; fans of 2 m^2 next to walls of 4.
     assert "8 boundary edges" in reason
     assert "33 % of the closed area (at most 25 %)" in reason
 

@@ -105,7 +105,7 @@ class GltfMaker:
         return path
 
     def gltf(self, path: Path) -> Path:
-        """Write it as text with its buffer beside it."""
+        """Write it as text with its buffer next to it."""
         path.with_suffix(".bin").write_bytes(self.data)
         buffer = {"uri": f"{path.stem}.bin", "byteLength": len(self.data)}
         path.write_text(json.dumps({**self.tree, "buffers": [buffer]}))

@@ -60,7 +60,7 @@ def physics_of(
 
 
 def beside_a_body(write: Callable[..., Path]) -> Callable[..., StagePhysics]:
-    """A reader of what a stage says beside the mesh /Body, which is baked."""
+    """A reader of what a stage says besides the mesh /Body, which is baked."""
 
     def said(
         *prims: str, layer: str = head(), bodies: tuple[str, ...] = ("/Body",)

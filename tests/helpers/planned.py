@@ -30,7 +30,7 @@ def at(x: float, y: float = 0.0) -> str:
 
 
 def cubes(*lines: str, apis: tuple[str, ...] = ()) -> str:
-    """/One at the origin, which says `lines`, and /Two two meters beside it."""
+    """/One at the origin, which says `lines`, and /Two two meters next to it."""
     return mesh("One", *lines, apis=apis) + mesh("Two", at(3.0))
 
 

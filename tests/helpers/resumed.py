@@ -1,4 +1,4 @@
-"""A bake that was ended early and resumed, beside the same bake in one go."""
+"""A bake that was ended early and resumed, against the same bake in one go."""
 
 from __future__ import annotations
 

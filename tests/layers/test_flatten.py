@@ -156,7 +156,7 @@ PNG = b"\x89PNG\r\n\x1a\n not looked into"
 
 
 def painted(folder: Path, file: str) -> Asset:
-    """An asset in a folder of its own, whose texture is ``file`` beside it."""
+    """An asset in a folder of its own, whose texture is ``file`` next to it."""
     where = folder / "asset"
     where.mkdir()
     for name in ("tex/skin.png", "tex/tile.1001.png", "tex/tile.1002.png"):

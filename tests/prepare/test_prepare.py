@@ -164,7 +164,7 @@ def test_what_the_fill_tolerates_is_said_and_what_repair_did(stage, tmp_path, mo
     seen = inspect(path, repair=True, **FEW)
     (row,) = seen.as_json()["meshes"]
     assert row["repairs"]["holes_closed"] >= 1
-    # The page shows the mesh as it came; the repairs stand beside it.
+    # The page shows the mesh as it came; the repairs stand next to it.
     assert row["watertight"] is False
 
 

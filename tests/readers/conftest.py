@@ -45,7 +45,7 @@ def read(write: Callable[..., Path]) -> Callable[..., Asset]:
 
 @pytest.fixture
 def picture(tmp_path: Path) -> np.ndarray:
-    """A 2 x 3 picture t.png beside the stage; every texel differs."""
+    """A 2 x 3 picture t.png next to the stage; every texel differs."""
     pixels = (np.arange(18, dtype=np.uint8) * 10).reshape(2, 3, 3)
     Image.fromarray(pixels).save(tmp_path / "t.png")
     return pixels

@@ -1,4 +1,4 @@
-"""The USD layer of a mesh file: its units, its name, and how it comes to lie beside a result."""
+"""The USD layer of a mesh file: its units, its name, and how it comes to lie next to a result."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def test_of_a_cube_in_a_cube_all_of_the_inner_one_is_inside() -> None:
 
 @pytest.mark.parametrize(("gap", "inside"), [(1e-4, False), (-1e-4, True)])
 def test_what_touches_is_not_inside(gap, inside) -> None:
-    """Two cubes beside each other, with a gap and an overlap of a tenth of BESIDE and less."""
+    """Two cubes next to each other, with a gap and an overlap of a tenth of BESIDE and less."""
     points = np.concatenate([CUBE_POINTS, CUBE_POINTS + [1.0 + gap, 0.0, 0.0]])
     triangles = np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])
     found, area = which_inside(points, triangles, np.repeat([0, 1], 12))

@@ -159,7 +159,7 @@ def test_other_numbers_give_another_legend():
 
 
 def test_a_picture_too_small_for_words_is_refused():
-    with pytest.raises(UsageError, match="100x80 pixels has no room for a legend"):
+    with pytest.raises(UsageError, match="100x80 pixels is too small for a legend"):
         Legend(Quantity(title="strain"), (100, 80))
     assert Legend(Quantity(title="strain"), SMALLEST_PICTURE).reserved < SMALLEST_PICTURE[0] // 2
 

@@ -66,7 +66,7 @@ class Session:
 
 
 def program() -> str:
-    """The openjd beside this Python, or on the path.  Raises SystemExit where there is none."""
+    """The openjd next to this Python, or on the path.  Raises SystemExit where there is none."""
     beside = Path(sys.executable).with_name("openjd")
     found = str(beside) if beside.is_file() else shutil.which("openjd")
     if found is None:

@@ -43,7 +43,7 @@ FILES = {
 MADE = ("hand", "table", "octopus", "rings")
 INSIDE = 0.01  # of the surface, at the end
 PATIENCE = 7200.0  # [s] for a bake
-RESULT = "limbs.json"  # beside a bake: what came of it
+RESULT = "limbs.json"  # next to a bake: what came of it
 BESIDE = 2e-3  # of the box: how far from the surface a point is asked for, on both sides
 FIGURES = ("inverted_max", "rollbacks", "min_J", "substeps", "deepest_penetration_spacings",
            "deepest_overlap_spacings", "energy_gain_max_share", "inside_at_end_share",
@@ -98,7 +98,7 @@ def triangles_at(stage: Usd.Stage, frame: int) -> tuple[Any, Any, Any]:
 def which_inside(points: Any, triangles: Any, mesh: Any) -> tuple[Any, Any]:
     """(t,) whether both sides of a triangle have a winding number above 1/2, and its area.
 
-    Its own mesh is asked beside it, where its winding number is a whole number.  The others are
+    Its own mesh is asked next to it, where its winding number is a whole number.  The others are
     asked on it: meshes that touch, and do not stand in each other, have nothing inside.
     """
     a, b, c = np.moveaxis(points[triangles], 1, 0)

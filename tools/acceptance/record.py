@@ -3,7 +3,7 @@
     docs/acceptance/DATE-SECTION.json    one run of one section
     docs/acceptance.md                   the newest of each section
 
-Files are written beside their place and moved there, so that a kill leaves none half-written.
+Files are written next to their place and moved there, so that a kill leaves none half-written.
 """
 
 from __future__ import annotations

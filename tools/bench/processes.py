@@ -95,7 +95,7 @@ def run(
     """One process of at most `seconds`: its result, or {"failed": why}."""
     job = {**job, "options": peer.options | job.get("options", {}), "began": time.time()}
     command = [python, "-W", "ignore", str(SCRIPTS / peer.script), json.dumps(job)]
-    # gf-usd is the one that lies beside this file, not another that may be installed
+    # gf-usd is the one that lies next to this file, not another that may be installed
     environment = {**os.environ, **ALONE}
     if not peer.requirements:
         environment["PYTHONPATH"] = str(ROOT)

@@ -127,7 +127,7 @@ def orderings(tables: Mapping[str, Runs]) -> list[str]:
 
 
 def table_3(tables: Mapping[str, Runs]) -> str:
-    """TL and UL, the paper's figures beside ours."""
+    """TL and UL, the paper's figures against ours."""
     tl, ul = ([long_run(s) for s in tables["table 3"][key] if not s.failed] for key in ("tl", "ul"))
     rows = []
     for name, printed in TABLE_3.items():
@@ -174,7 +174,7 @@ def speeds(tables: Mapping[str, Runs]) -> str:
 
 
 def laws(tables: Mapping[str, Runs]) -> str:
-    """Neo-Hookean beside corotated from the identical particles."""
+    """Neo-Hookean against corotated from the identical particles."""
     rows = []
     for look, runs in tables["neo-Hookean"].items():
         for column in ("spread", "sigma"):

@@ -21,7 +21,7 @@ MOTIONS = ("walk", "jump")
 
 
 def write_creature(path: Path) -> Quads:
-    """Write the layer, and its texture as PNG beside it; returns the mesh."""
+    """Write the layer, and its texture as PNG next to it; returns the mesh."""
     mesh = creature_quads()
     atlas = creature_atlas(mesh)
     texture = path.with_suffix(".png")

@@ -71,5 +71,5 @@ def Xform "Shot"
 
 
 def write_shot(path: Path) -> None:
-    """Write the shot; the duck is referenced as a file beside it."""
+    """Write the shot; the duck is referenced as a file next to it."""
     path.write_text(SHOT, "utf-8")

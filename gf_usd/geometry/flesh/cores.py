@@ -1,8 +1,8 @@
 """Bone cores: the part of a body around the bones of its skeleton, which moves with their joints.
 
 Around each segment of a bone lies a core whose radius is a share of the distance to the skin, point
-by point.  Its axis ends before the joint, by `CLEAR` radii, so that the flesh between two bones has
-room to bend.  A point within reach of several bones belongs to the one whose core it is in the
+by point.  Its axis ends before the joint, by `CLEAR` radii, so that the flesh between two bones can
+bend.  A point within reach of several bones belongs to the one whose core it is in the
 deepest.
 """
 

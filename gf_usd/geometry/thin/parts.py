@@ -68,7 +68,7 @@ def poor_parts(solid: Solid, particles: Particles, samples: SurfaceSamples) -> t
     """
     labels = [shells(triangles) for triangles in solid.triangles]
     parts: list[Part] = []
-    settled: set[tuple[int, int]] = set()  # shells that need no look at their regions
+    settled: set[tuple[int, int]] = set()  # shells whose regions need no check
     for number, label in enumerate(labels):
         found, hollow = _poor_shells(solid, number, label, particles)
         parts += found

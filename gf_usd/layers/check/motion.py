@@ -70,7 +70,7 @@ MOST = 64
 # A factor is wrong where windows of this share of the smooth places agree with it.
 AGREE = 0.9
 SCATTER = 0.5  # of the factor's distance from 1: windows within it agree
-# Factors of wrong units of time and length, beside the rate of the stage itself.
+# Factors of wrong units of time and length, besides the rate of the stage itself.
 UNITS = (10.0, 12.0, 24.0, 30.0, 39.37, 60.0, 100.0, 1000.0)
 UNIT_SCATTER = 0.01
 

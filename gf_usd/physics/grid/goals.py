@@ -25,7 +25,7 @@ HARDEST = 0.5  # [1/dt^2] of l K
 PULL = 5.0 * G0  # [m/s^2] A
 BEGIN = 0.5  # of the way to a limit, where its pull begins
 # The kernels have GOAL numbers of a node: G, dG/dt from RATE on, k and c from SPRING on, and WORK.
-# With limits, K, the rooms D / 2 away from G and toward the bone (0: no limit), the place B that
+# With limits, K, the slacks D / 2 away from G and toward the bone (0: no limit), the place B that
 # the bone carries it to, as G, and the direction N from the bone, each with its rate.
 GOAL, RATE, SPRING, WORK = 24, 3, 6, 8
 HARD, AWAY, TOWARD, CARRIED, NORMAL = 9, 10, 11, 12, 18

@@ -77,7 +77,7 @@ class LawSet:
 
     @property
     def values(self) -> int:
-        """Values q of a particle: the moduli, and room for the law that has most of its own."""
+        """Values q of a particle: the moduli, and the parameters of the law with the most."""
         return MODULI + max(len(law.spec.parameters) for law in self.laws)
 
     @property
@@ -97,7 +97,7 @@ class LawSet:
 
     @property
     def internals(self) -> int:
-        """Internal variables of a particle: room for the law that has most."""
+        """Internal variables of a particle: those of the law with the most."""
         return max(len(law.spec.internal) for law in self.laws)
 
     @property

@@ -43,7 +43,7 @@ class Batches:
         return len(self.cells)
 
     def arrays(self, stencil: Stencil) -> dict[str, Any]:
-        """What the kernels find cells and nodes by, and the room for forces."""
+        """What the kernels find cells and nodes by, and the storage of forces."""
         slot_start, slot = node_slots(stencil, self)
         return {
             "block": np.zeros((81 * self.groups, LANES)),

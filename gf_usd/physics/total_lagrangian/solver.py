@@ -116,7 +116,7 @@ class TotalLagrangian(Solver):
         self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state)
-        state.drop_view()  # no room for it during the substeps of a large body
+        state.drop_view()  # a large body's substeps need its memory
         if (stats := self.shortcuts.take(state, pairs, near, substeps)) is not None:
             return stats
         if pairs:

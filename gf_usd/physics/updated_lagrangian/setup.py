@@ -214,7 +214,7 @@ def _contact_arrays(
 
 
 def grid_arrays(nodes: int, cells: int) -> dict[str, Floats]:
-    """Room for a box of so many nodes, of whose cells so many hold particles."""
+    """Arrays for a box of so many nodes, of whose cells so many hold particles."""
     return {
         "slot": np.zeros(nodes, int),
         "node_v": np.zeros(3 * nodes),

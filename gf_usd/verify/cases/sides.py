@@ -77,7 +77,7 @@ def sides(particles: int) -> Callable[[str], Iterator[Measure]]:
         ):
             a, b = getattr(tl, name), getattr(ul, name)
             yield Measure(
-                name=f"{name}.ul-beside-tl", value=b, target=a, bound=bound, why=why,
+                name=f"{name}.ul-against-tl", value=b, target=a, bound=bound, why=why,
                 unit="r" if name == "center" else "",
             )  # fmt: skip
         yield Measure(

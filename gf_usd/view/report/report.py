@@ -136,7 +136,7 @@ def _page(
 def _fit(
     sources: Sequence[Source], recordings: Sequence[Recording], limits: Limits, bytes_left: int
 ) -> tuple[list[Motion], list[tuple[dict[str, dict[str, Any]], str]]]:
-    """Thin the variants until their blobs have room together [bytes]."""
+    """Thin the variants until their blobs fit together [bytes]."""
     now = limits
     while True:
         motions = []

@@ -198,7 +198,7 @@ def _pinned(
 def new_folder(scene: bpy.types.Scene, stem: str) -> Path:
     """A folder for one bake, so that an earlier one stays what it is, for Undo and other files.
 
-    Beside the .blend file; while that is not saved, in Blender's temporary folder.
+    Next to the .blend file; while that is not saved, in Blender's temporary folder.
 
     Raises ProgramError where it cannot be made.
     """

@@ -2,7 +2,7 @@
 
     python newton_import.py STAGE ...
 
-Beside each STAGE is written a file .json.  `tetmesh` holds the Lame parameters and the density of
+Next to each STAGE is written a file .json.  `tetmesh` holds the Lame parameters and the density of
 </Proof/Tet> in stage units, as newton.usd.get_tetmesh reads them by the AOUSD proposal alone;
 `soft` the Lame parameters that ModelBuilder.add_usd gives its tetrahedra; `particles` the moduli
 [Pa], damping times [s] and densities [kg/m^3] of the Points that it imported as an MPM body.

@@ -2,7 +2,7 @@
 
     python newton_tets.py STAGE PRIM FRAMES
 
-Beside STAGE is written a file .json: `tets` and `points` as many as Newton read, `masses` of its
+Next to STAGE is written a file .json: `tets` and `points` as many as Newton read, `masses` of its
 particles, `lame` parameters of its tetrahedra, `start` and `end` positions of the particles before
 and after so many frames of 1/24 s, in steps of `step` s, and `gravity`.
 """

@@ -37,7 +37,7 @@ def test_a_ball_is_as_thick_as_its_diameter() -> None:
 
 
 def test_a_thin_part_counts_by_its_area() -> None:
-    # a cube with a fin beside it whose faces are 2 * 0.2 of 6.4, then of 6.2 of the area
+    # a cube with a fin next to it whose faces are 2 * 0.2 of 6.4, then of 6.2 of the area
     big = cube(path="/Cube")
     for height, thin in ((0.2, 0.01), (0.1, 1.0)):
         fin = cube(low=(2.0, 0.0, 0.0), edge=(0.01, height, 1.0), path="/Fin")

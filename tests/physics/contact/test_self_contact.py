@@ -77,7 +77,7 @@ def test_a_sample_is_pushed_before_it_touches_but_not_where_it_is_at_rest():
 def test_thin_bars_near_each_other_at_rest_are_not_pushed(wide, spacing):
     """Samples of thin bars lie far apart: the nearest is farther off than what a sample faces.
 
-    The frame of a chair beside its cushion began with 0.15 % of all energy in such springs.
+    The frame of a chair next to its cushion began with 0.15 % of all energy in such springs.
     """
     shape = np.ones((3, 24, wide), bool)
     shape[1, 2:] = False

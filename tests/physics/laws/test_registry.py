@@ -83,7 +83,7 @@ def test_stress_is_the_gradient_of_the_energy(token):
     slope = ((high - low) / (2.0 * step)).reshape(-1, 3, 3)
     P = evaluate(token, F, MU, LAM)[1]
     # Truncation is step^2 / 6 times the third derivative: at J0 = .1, the steepest place, some
-    # lam ln(J0) 2 / J0^3 + 3 lam / J0^3 = 2e4 beside a stress of lam ln(J0) / J0 = 70, thus 5e-9 of
+    # lam ln(J0) 2 / J0^3 + 3 lam / J0^3 = 2e4 on a stress of lam ln(J0) / J0 = 70, thus 5e-9 of
     # it.  Rounding is 1e-16 psi / step = 1e-11 psi, and psi is at most ten times the stress.
     assert relative(P - slope, P) < 2e-8
 

@@ -1,4 +1,4 @@
-"""Functions that write a kernel down as they are called, beside what Taichi reads itself."""
+"""Functions that write a kernel down as they are called, against what Taichi reads itself."""
 
 import warnings
 

@@ -301,7 +301,7 @@ def test_what_draco_compressed(tmp_path):
 
 
 def draco(maker: GltfMaker) -> None:
-    """A primitive as a compressor leaves it: accessors without data, an opaque blob beside them."""
+    """A primitive as a compressor leaves it: accessors without data, and an opaque blob."""
     maker.tree["accessors"] = [
         {"componentType": 5126, "count": 8, "type": "VEC3"},
         {"componentType": 5125, "count": 36, "type": "SCALAR"},

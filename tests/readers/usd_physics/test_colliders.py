@@ -26,7 +26,7 @@ MIRROR = """
 
 @pytest.fixture
 def said(write: Write) -> Callable[..., StagePhysics]:
-    """What a stage says beside the body that is baked."""
+    """what a stage says besides the body that is baked."""
     return beside_a_body(write)
 
 

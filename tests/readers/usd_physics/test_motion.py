@@ -18,7 +18,7 @@ CLOSE = 1e-6  # float32 points of size 1
 
 @pytest.fixture
 def said(write: Callable[..., Path]) -> Callable[..., StagePhysics]:
-    """What a stage says beside the body that is baked."""
+    """what a stage says besides the body that is baked."""
     return beside_a_body(write)
 
 

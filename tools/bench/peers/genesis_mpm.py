@@ -12,7 +12,7 @@ import numpy as np
 
 from tools.bench import play, scene
 
-SIDE = 1.4  # [m] that the ball may spread to, beside the padding that genesis keeps free
+SIDE = 1.4  # [m] that the ball may spread to, without the padding that genesis keeps free
 
 
 @cache

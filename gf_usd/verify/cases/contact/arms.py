@@ -63,7 +63,7 @@ def closing(name: str, speed: float, particles: int, device: str) -> Iterator[Me
 
 
 def arms(speeds: Sequence[float], counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
-    """Every look at every speed [m/s], with every number of particles."""
+    """Every preset at every speed [m/s], with every number of particles."""
 
     def run(device: str) -> Iterator[Measure]:
         for count in counts:

@@ -1,4 +1,4 @@
-"""The kernels that do eight cells at once, beside the plain sums they stand for."""
+"""The kernels that do eight cells at once, against the plain sums they stand for."""
 
 from __future__ import annotations
 
