@@ -89,6 +89,7 @@ def spread(frames) -> float:
     return most
 
 
+@pytest.mark.slow
 def test_a_stronger_shape_correction_leaves_less_of_the_shape_to_correct():
     # Rubber at rest in midair, thrown apart: the farther back each frame, the less strain is left.
     left = []

@@ -198,6 +198,7 @@ def test_the_step_follows_what_is_pressed_flat_for_good():
     assert seen[1] / seen[0] == pytest.approx(10.0, rel=0.02)  # whole numbers of substeps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", slow_but([False, True], False))
 def test_flow_keeps_the_volume_over_many_steps(plain):
     """A block is sheared evenly in steps that all round alike."""

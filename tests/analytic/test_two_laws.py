@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_parameters import slow_but
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
@@ -47,7 +48,7 @@ def close(a: Floats, b: Floats) -> None:
     np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-5 * np.abs(b).max())
 
 
-@pytest.mark.parametrize("solver", ["tl", "ul"])
+@pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
 def test_each_body_moves_as_in_a_bake_of_its_own_law(solver: str) -> None:
     body = twins()
     if solver == "ul":

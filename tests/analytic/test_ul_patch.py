@@ -28,7 +28,7 @@ def strained(token: str, real: type, **changes):
     return body, made, solver
 
 
-@pytest.mark.parametrize("token", ENERGIES)
+@pytest.mark.parametrize("token", slow_but(ENERGIES, "corotated"))
 @pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 1e-5), (np.float64, 1e-11)])
 def test_stress_is_uniform(token, real, tolerance):
     # P ~ mu (F - R) and |F - R| ~ 0.1 here, and F has rounding eps: some 3 eps of the stress, with

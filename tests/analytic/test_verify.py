@@ -12,7 +12,7 @@ ORDERED = sorted(CASES, key=lambda case: case.f64)
 LONG = {  # more than half of the time of all
     "hertz", "lamb", "penetration", "collisions", "slope", "solvers", "expansion", "law-crushable",
     "law-neoHookean", "law-vonMises", "patch", "patch-f64", "spin-apic", "slump", "rigid-end",
-    "goals", "law-corotated", "rim",
+    "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble",
 }  # fmt: skip
 
 

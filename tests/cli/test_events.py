@@ -88,6 +88,7 @@ def test_a_file_descriptor_takes_them(gf_usd, here: Path, block: Path) -> None:
     assert f"--events {writer} cannot be opened: Bad file descriptor" in closed.err
 
 
+@pytest.mark.slow
 def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None:
     path = tmp_path / "duck.usda"
     text = (SAMPLES / "duck.usda").read_text(encoding="utf-8")

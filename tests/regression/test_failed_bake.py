@@ -76,6 +76,7 @@ def fault(monkeypatch: pytest.MonkeyPatch) -> Fault:
     return Fault(monkeypatch)
 
 
+@pytest.mark.slow
 def test_a_step_that_is_far_too_long_ends_in_words(here: Path) -> None:
     (here / "hard.usda").write_text(HARD)
     done = subprocess.run(

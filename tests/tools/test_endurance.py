@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tools.acceptance.sections import read_endurance
 
 ROOT = Path(__file__).parents[2]
@@ -17,6 +19,7 @@ def ran(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(tool, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_cut_short_they_are_not_yet_at_rest_and_say_so() -> None:
     done = ran("--particles", "300", "--frames-scale", "0.01")
     runs = json.loads(done.stdout.splitlines()[-1])["runs"]

@@ -68,6 +68,7 @@ def swirl(X: Floats) -> Floats:
     return np.stack([np.sin(x) * (1.0 + y**2), 0.5 * y * np.cos(x), np.sin(z) * x**2], 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
 @pytest.mark.parametrize("plain", slow_but([False, True], False))
 def test_a_quarter_on_symmetry_planes_moves_as_the_whole_body(mass, plain, monkeypatch):

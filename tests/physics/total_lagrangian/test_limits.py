@@ -26,6 +26,7 @@ def test_clipping_by_hand():
     assert changed.tolist() == [True, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("A", [SQUASH, INVERTED, np.diag([0.05, 6.0, 1.0])], ids=["a", "b", "c"])
 @pytest.mark.parametrize("law", slow_but(["corotated", "neoHookean"], "corotated"))
 def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
@@ -69,6 +70,7 @@ def test_with_wls_the_new_f_is_clipped_and_counted():
     assert frame.health.rollbacks == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.25, 0.9, 1.1])
 def test_the_cap_scales_the_stress_down_to_itself(share):
     A = SQUASH

@@ -74,6 +74,7 @@ def test_a_frame_with_wls_ends_with_f_of_the_positions():
     )
 
 
+@pytest.mark.slow
 def test_wls_gives_energy_that_is_counted():
     solver = made(wls=True, velocity=lambda X: 2e3 * np.sin(2.0 * X[:, [1, 2, 0]]))
     solver.advance(1, 2)  # forget the start: F0 is not I any more

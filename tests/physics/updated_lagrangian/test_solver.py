@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from slow_parameters import slow_but
 from solids import ball, look, settings
 
 from gf_usd.core.errors import SolverError, UsageError
@@ -47,7 +48,7 @@ def first(serial_below: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
+@pytest.mark.parametrize("serial_below", slow_but([10**9, 0], 10**9), ids=["serial", "parallel"])
 def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below, threads):
     monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
     assert np.array_equal(first(serial_below), landed(threads))
@@ -66,6 +67,7 @@ def test_the_two_paths_agree(monkeypatch):
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_saved_state_goes_on_to_the_bit():
     whole, first, second = (dropped(frames=n) for n in (7, 4, 7))
     list(whole.frames())
@@ -79,6 +81,7 @@ def test_a_saved_state_goes_on_to_the_bit():
     assert (whole.state.time, whole.state.done) == (second.state.time, second.state.done)
 
 
+@pytest.mark.slow
 def test_the_floor_gives_what_its_samples_feel():
     # Forces go back by the transpose of how samples read their motion: over one substep the body
     # gains dt sum f and dt sum x_s x f_s, to rounding, its particles' own spin included.
@@ -145,6 +148,7 @@ def test_a_cap_that_is_never_met_changes_nothing():
     np.testing.assert_allclose(state(free), state(capped), rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_riders_come_with_every_frame():
     body, _ = ball(300)
     made = look("rubber", body, damping_time=0.0)
