@@ -18,7 +18,7 @@ from gf_usd.core import __version__
 if TYPE_CHECKING:
     from gf_usd.api.bake import bake
     from gf_usd.api.check import check
-    from gf_usd.api.deliver import deliver
+    from gf_usd.api.deliver import deliver, retime
     from gf_usd.api.drawing.compare import compare
     from gf_usd.api.drawing.preview import Preview, preview
     from gf_usd.api.inspect import inspect
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from gf_usd.core.frames import Health, Settings
     from gf_usd.core.materials import Material
     from gf_usd.delivery.deliver import Delivered, DeliveredBody
+    from gf_usd.delivery.retime import Retimed
     from gf_usd.layers.check.run import CheckResult
     from gf_usd.pipeline.inspect import Inspection
     from gf_usd.pipeline.result import BakeResult, VariantResult
@@ -54,6 +55,7 @@ _HOMES = {
     "preview": "gf_usd.api.drawing.preview",
     "read": "gf_usd.api.read",
     "report": "gf_usd.api.report",
+    "retime": "gf_usd.api.deliver",
     "simulate": "gf_usd.api.simulate",
     "Bake": "gf_usd.api.read",
     "BakeFrame": "gf_usd.api.read",
@@ -66,6 +68,7 @@ _HOMES = {
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials",
     "Preview": "gf_usd.api.drawing.preview",
+    "Retimed": "gf_usd.delivery.retime",
     "Scene": "gf_usd.api.scene",
     "Settings": "gf_usd.core.frames",
     "Simulation": "gf_usd.api.simulate",
@@ -95,6 +98,7 @@ __all__ = [
     "Inspection",
     "Material",
     "Preview",
+    "Retimed",
     "Scene",
     "Settings",
     "Simulation",
@@ -114,6 +118,7 @@ __all__ = [
     "preview",
     "read",
     "report",
+    "retime",
     "simulate",
 ]
 

@@ -1,8 +1,9 @@
-"""`gf_usd.deliver`: a bake as a small file of joints or blend shapes."""
+"""`gf_usd.deliver` and `gf_usd.retime`: a bake as a small file, or at another speed."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
     from gf_usd.delivery.deliver import Delivered
+    from gf_usd.delivery.retime import Retimed
 
 
 def deliver(
@@ -64,6 +66,80 @@ def deliver(
             "most_shapes": values.whole("max_shapes", max_shapes),
         }
         return here_or_away("gf_usd.delivery.deliver:deliver", asked)[0]
+
+
+def retime(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    speed: float | None = None,
+    keys: Sequence[tuple[float, float]] | None = None,
+) -> Retimed:
+    """Write a bake at another speed, without simulating again.
+
+    >>> slow = gf_usd.retime(result.root, "slow.usda", speed=0.5)
+    >>> slow.frames
+    7
+
+    Positions between the frames of the bake follow the cubic through both and their velocities;
+    rotations and all else are interpolated linearly.  Velocities are those of the result.
+
+    Parameters
+    ----------
+    path : root layer of a bake.
+    output : the root layer that is written (.usda, .usdc, .usd), its cache next to it; files of
+        these names are replaced.
+    speed : how many times as fast; 0.5 is slow motion.  The animation of the source plays at the
+        same speed.
+    keys : pairs (time code of the result, time code of the bake), for a speed that changes: equal
+        time codes of the bake hold a pose, falling ones play backwards.
+
+    Returns
+    -------
+    Retimed : the root layer, its caches, the number of frames and the time codes.
+
+    Raises
+    ------
+    UsageError : not one of speed and keys, or values that make no sense.
+    InputError : the file cannot be read, or is no root layer with caches; or keys were given and
+        the source is animated.
+    BakeError : the disk refuses.
+    """
+    with keywords("speed", "keys"):
+        asked: dict[str, Any] = {
+            "bake": asset_path(path),
+            "target": Path(values.path("output", output)),
+            "speed": None if speed is None else values.real("speed", speed),
+            "keys": None if keys is None else _pairs(keys),
+        }
+        return here_or_away("gf_usd.delivery.retime:retime", asked)[0]
+
+
+PAIRS = "pairs (time code of the result, time code of the bake)"
+
+
+def _pairs(keys: object) -> list[tuple[float, float]]:
+    found = []
+    for pair in values.items("keys", keys, PAIRS):
+        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+            raise values.refuse("keys", keys, PAIRS)
+        found.append((values.real("keys", pair[0], PAIRS), values.real("keys", pair[1], PAIRS)))
+    return found
+
+
+def read_keys(text: str) -> list[tuple[float, float]]:
+    """((1, 1), (48, 24)) of "1:1,48:24".  Raises UsageError for what is no pair of numbers."""
+    found = []
+    for pair in text.split(","):
+        try:
+            new, old = (float(number) for number in pair.split(":"))
+        except ValueError:
+            raise UsageError(
+                f"--keys is {text!r}, of which {pair!r} is no pair of time codes",
+                "give NEW:OLD pairs, such as 1:1,48:24,60:48",
+            ) from None
+        found.append((new, old))
+    return found
 
 
 def _share(name: str, value: object) -> float:

@@ -31,6 +31,7 @@ from gf_usd.cli.misuse import WrongUsage, usage_words
 from gf_usd.cli.options import signed
 from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
+from gf_usd.cli.retime import retime
 from gf_usd.cli.serve import serve
 from gf_usd.cli.topics import topic
 from gf_usd.cli.verify import verify
@@ -50,6 +51,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "preview": (preview, {}),
     "report": (report, {}),
     "deliver": (deliver, {}),
+    "retime": (retime, {}),
     "view": (view, {}),
     "check": (check, {}),
     "compare": (compare, {}),

@@ -95,7 +95,7 @@ def weights(points: Floats, faces: Ints) -> tuple[Ints, Floats]:
     found /= found.sum(axis=1, keepdims=True)
     for _ in range(SMOOTHINGS):
         found = mean @ found
-    # Left and right are as far on the middle plane, but for rounding, which depends on the processor.
+    # On the middle plane left and right differ by rounding only, which depends on the processor.
     joints = np.argsort(-found.round(9), axis=1, kind="stable")[:, :INFLUENCES]
     largest = np.take_along_axis(found, joints, axis=1)
     largest = np.where(largest < 0.01, 0.0, largest)

@@ -1,0 +1,68 @@
+"""gf-usd retime: a bake at another speed, without simulating again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def retime(
+    bake: Annotated[Path, typer.Argument(help="Root layer of a bake.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Root layer to write: .usda, .usdc or .usd, its cache next to it; files of these"
+            " names are replaced.",
+        ),
+    ],
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="FACTOR",
+            help="Play this many times as fast; 0.5 is slow motion. The animation of the source"
+            " plays at the same speed.",
+            show_default="none: give --speed or --keys",
+        ),
+    ] = None,
+    keys: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NEW:OLD,...",
+            help="Time codes of the result and of the bake: 1:1,48:24,60:48 plays the first second"
+            " at half the speed, the next at twice. Equal OLD hold a pose, falling ones play"
+            " backwards.",
+            show_default="none",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
+) -> None:
+    """Write a bake at another speed, without simulating again.
+
+    Positions between frames follow their velocities, so that slow motion is smooth.
+    """
+    # pxr takes a second to import, which --help must not wait for
+    from gf_usd.api.deliver import read_keys
+    from gf_usd.delivery.retime import retime as write
+
+    done = write(bake, output, speed=speed, keys=None if keys is None else read_keys(keys))
+    for note in done.notes:
+        typer.echo(f"note: {note}", err=True)
+    if as_json:
+        found = {
+            "path": str(done.path),
+            "caches": [str(path) for path in done.caches],
+            "frames": done.frames,
+            "start": done.start,
+            "end": done.end,
+            "notes": list(done.notes),
+        }
+        typer.echo(json.dumps(found, indent=1))
+        return
+    for path in (done.path, *done.caches):
+        typer.echo(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
+    typer.echo(f"{done.frames} frames, time codes {done.start:g} to {done.end:g}")

@@ -1,0 +1,302 @@
+"""A bake at another speed: a root layer like its own, over caches with other times.
+
+The caches are resampled, nothing is simulated.  With a constant speed the source plays at it as
+well, by a layer offset on the references to it, so that a character under its flesh, or what the
+bodies hit, keeps in step.  With keys it cannot: one offset is one speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdUtils
+
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.delivery.resample import SAME, Warp, resample
+from gf_usd.delivery.usd import VARIANTS, absolute, inputs_of
+from gf_usd.layers.flatten import export, write_placed
+from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.system.atomic_files import partial_path, publish
+
+SUFFIXES = (".usda", ".usdc", ".usd")
+MOST_FRAMES = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retimed:
+    """A retimed bake."""
+
+    path: Path  # root layer
+    caches: tuple[Path, ...]  # one of each variant
+    frames: int  # samples of the longest
+    start: float  # time codes
+    end: float
+    notes: tuple[str, ...] = ()  # files that could not be found, in words
+
+
+def retime(
+    bake: Path,
+    target: Path,
+    *,
+    speed: float | None = None,
+    keys: Sequence[tuple[float, float]] | None = None,
+) -> Retimed:
+    """Write a bake at another speed; see `gf_usd.retime`.
+
+    speed : times as fast.  keys : (time code of the result, time code of the bake).
+
+    Raises
+    ------
+    UsageError : not one of speed and keys, values that make no sense, or a target that is an input.
+    InputError : the file cannot be read, or is no root layer of a bake with caches.
+    BakeError : the disk refuses.
+    """
+    keys = None if keys is None else tuple(keys)
+    _require(target, speed, keys)
+    with reading(bake):
+        root = open_stage(bake).GetRootLayer()
+        caches = _caches(root, bake)
+        made = {cache: _named(target, name, len(caches)) for name, cache in caches.items()}
+        _require_no_input(bake, target, *made.values())
+        if keys is not None:
+            _require_still_source(root, bake, caches)
+        try:
+            codes = [_retimed(cache, new, speed, keys) for cache, new in made.items()]
+            span = min(each[0] for each in codes), max(each[-1] for each in codes)
+            layer = _root(root, made, speed, keys, span)
+            notes = write_placed(layer, target, moved={})
+            for path in (*made.values(), target):
+                publish(path)
+        finally:
+            for path in (*made.values(), target):
+                partial_path(path).unlink(missing_ok=True)
+    return Retimed(
+        path=target,
+        caches=tuple(made.values()),
+        frames=max(len(each) for each in codes),
+        start=span[0],
+        end=span[1],
+        notes=notes,
+    )
+
+
+def _require(
+    target: Path, speed: float | None, keys: tuple[tuple[float, float], ...] | None
+) -> None:
+    if (speed is None) == (keys is None):
+        raise UsageError(
+            "--speed and --keys say the same thing in two ways, and one of them is needed",
+            "--speed 0.5 plays at half the speed; --keys 1:1,48:24,60:48 changes it on the way",
+        )
+    if speed is not None and not (np.isfinite(speed) and 1e-3 <= speed <= 1e3):
+        raise UsageError(f"--speed is {speed:g}", "give a number from 0.001 to 1000, such as 0.5")
+    if keys is not None:
+        out = [key[0] for key in keys]
+        if len(keys) < 2 or not np.isfinite(keys).all() or not (np.diff(out) > 0.0).all():
+            raise UsageError(
+                "--keys is " + ",".join(f"{a:g}:{b:g}" for a, b in keys),
+                "give two pairs NEW:OLD of time codes or more, with NEW increasing: 1:1,48:24",
+            )
+    if target.suffix.lower() not in SUFFIXES:
+        raise UsageError(
+            f"{target} does not end in {', '.join(SUFFIXES)}",
+            "the root layer of a bake is written: -o slow.usda",
+        )
+    if not target.parent.is_dir():
+        raise UsageError(f"{target.parent} is no folder", "choose a folder that exists, with -o")
+    if target.is_dir():
+        raise UsageError(f"{target} is a folder", "name the file: -o slow.usda")
+
+
+def _require_no_input(bake: Path, *targets: Path) -> None:
+    inputs = [path for path in inputs_of(bake) if path.exists()]
+    for target in targets:
+        if target.exists() and any(path.samefile(target) for path in inputs):
+            raise UsageError(f"{target} is an input of the bake", "choose another -o")
+
+
+def _switches(root: Sdf.Layer) -> Iterator[Sdf.VariantSpec]:
+    """The variants of the bake, of each root prim."""
+    for prim in root.rootPrims:
+        found = prim.variantSets.get(VARIANTS)
+        yield from found.variants.values() if found else ()
+
+
+def _payloads(variant: Sdf.VariantSpec) -> list[Sdf.Payload]:
+    return list(variant.primSpec.payloadList.GetAddedOrExplicitItems())
+
+
+def _caches(root: Sdf.Layer, bake: Path) -> dict[str, Path]:
+    """The cache of each variant."""
+    found = {
+        variant.name: Path(root.ComputeAbsolutePath(payload.assetPath))
+        for variant in _switches(root)
+        for payload in _payloads(variant)
+    }
+    if not found:
+        raise InputError(
+            f"{bake}: it has no caches that could be retimed",
+            "give the root layer of a bake that was not flattened, and flatten the result",
+        )
+    return found
+
+
+def _named(target: Path, variant: str, several: int) -> Path:
+    """slow.usda -> slow.cache.usdc, or slow.rubber.cache.usdc of several variants."""
+    middle = f".{variant}" if several > 1 else ""
+    return target.with_name(f"{target.stem}{middle}.cache.usdc")
+
+
+def _retimed(
+    cache: Path,
+    target: Path,
+    speed: float | None,
+    keys: tuple[tuple[float, float], ...] | None,
+) -> list[float]:
+    """Write a cache under its partial name; returns its time codes."""
+    stage = open_stage(cache)
+    times = np.array(_times(stage, cache))
+    first, last = float(times[0]), float(times[-1])
+    if keys is None:
+        assert speed is not None
+        keys = ((first, first), (first + (last - first) / speed, last))
+    else:
+        _require_within(keys, first, last, cache)
+    step = float(np.median(np.diff(times)))
+    count = int((keys[-1][0] - keys[0][0]) / step + SAME) + 1
+    if count > MOST_FRAMES:
+        raise UsageError(
+            f"{count} samples were asked for, {MOST_FRAMES} are the limit",
+            "choose a higher --speed, or retime a part with --keys",
+        )
+    codes = [keys[0][0] + k * step for k in range(count)]
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(stage.GetRootLayer())
+    UsdUtils.ModifyAssetPaths(layer, lambda path: absolute(stage.GetRootLayer(), path))
+    for prim in layer.rootPrims:
+        prim.ClearInfo("clips")  # value clips: their samples go into the one file
+    layer.customLayerData = {k: v for k, v in layer.customLayerData.items() if k != VARIANTS}
+    resample(stage, layer, Warp(keys), codes)
+    layer.startTimeCode, layer.endTimeCode = codes[0], codes[-1]
+    export(layer, partial_path(target))
+    return codes
+
+
+def _times(stage: Usd.Stage, cache: Path) -> list[float]:
+    """Time codes of the samples, those of the attribute that has most."""
+    most: list[float] = []
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
+        for attribute in prim.GetAuthoredAttributes():
+            if attribute.GetNumTimeSamples() > len(most):
+                most = attribute.GetTimeSamples()
+    if len(most) < 2:
+        raise InputError(
+            f"{cache}: it has {len(most)} time samples, and no motion that could be retimed",
+            "give a bake of more than one frame",
+        )
+    return most
+
+
+def _require_within(
+    keys: Sequence[tuple[float, float]], first: float, last: float, cache: Path
+) -> None:
+    for out, source in keys:
+        if not first - SAME <= source <= last + SAME:
+            raise UsageError(
+                f"--keys {out:g}:{source:g} is outside of the time codes {first:g} to {last:g} of"
+                f" {cache}",
+                "NEW:OLD has the time code of the result first, that of the bake second",
+            )
+
+
+def _require_still_source(root: Sdf.Layer, bake: Path, caches: Mapping[str, Path]) -> None:
+    """Raise InputError where what a cache moves is carried by an animation of the source."""
+    stage = open_stage(bake)
+    if own := _sampled(root):
+        raise InputError(
+            f"{bake}: <{own[0]}> is animated next to the bake, which --keys cannot retime",
+            "use --speed, with which everything plays at the same speed",
+        )
+    for cache in dict.fromkeys(caches.values()):
+        moved = _paths(open_stage(cache).GetRootLayer())
+        for path in (path for path in moved if path.IsPrimPath()):
+            prim = stage.GetPrimAtPath(path)
+            place = UsdGeom.Xformable(prim) if prim else None
+            if place and place.TransformMightBeTimeVarying():
+                raise InputError(
+                    f"{bake}: <{path}> is animated in the source, which --keys cannot retime",
+                    "use --speed, with which the source plays at the same speed",
+                )
+
+
+def _paths(layer: Sdf.Layer) -> list[Sdf.Path]:
+    found: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
+    return sorted(found)
+
+
+def _sampled(layer: Sdf.Layer) -> list[Sdf.Path]:
+    """The attributes of a layer that have time samples in it."""
+    return [path for path in _paths(layer) if layer.GetNumTimeSamplesForPath(path)]
+
+
+def _root(
+    root: Sdf.Layer,
+    caches: Mapping[Path, Path],
+    speed: float | None,
+    keys: Sequence[tuple[float, float]] | None,
+    span: tuple[float, float],
+) -> Sdf.Layer:
+    """The root layer over other caches, its paths absolute."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(root)
+
+    def place(path: str) -> str:
+        found = absolute(root, path)
+        return str(caches.get(Path(found), found)) if path else path
+
+    UsdUtils.ModifyAssetPaths(layer, place)
+    start, end = root.startTimeCode, root.endTimeCode
+    if speed is not None:
+        offset = Sdf.LayerOffset(start * (1.0 - 1.0 / speed), 1.0 / speed)
+        for prim in layer.rootPrims:
+            _offset(prim, offset)
+        for path in _sampled(layer):
+            samples = {
+                c: layer.QueryTimeSample(path, c) for c in layer.ListTimeSamplesForPath(path)
+            }
+            for code in samples:
+                layer.EraseTimeSample(path, code)
+            for code, value in samples.items():
+                layer.SetTimeSample(path, offset * code, value)
+        end = start + (end - start) / speed
+        layer.startTimeCode, layer.endTimeCode = min(start, span[0]), max(end, span[1])
+    else:
+        layer.startTimeCode, layer.endTimeCode = span
+    data: dict[str, Any] = dict(layer.customLayerData)
+    said = {"speed": speed} if speed is not None else {"keys": _text(keys or ())}
+    data[VARIANTS] = {**data.get(VARIANTS, {}), "retime": said}
+    layer.customLayerData = data
+    return layer
+
+
+def _offset(prim: Sdf.PrimSpec, offset: Sdf.LayerOffset) -> None:
+    """Play what a prim and its children refer to with another time."""
+    items = [
+        Sdf.Reference(one.assetPath, one.primPath, offset * one.layerOffset, one.customData)
+        if one.assetPath
+        else one
+        for one in prim.referenceList.prependedItems
+    ]
+    if items:
+        prim.referenceList.prependedItems = items
+    for child in prim.nameChildren:
+        _offset(child, offset)
+
+
+def _text(keys: Sequence[tuple[float, float]]) -> str:
+    return ",".join(f"{a:g}:{b:g}" for a, b in keys)

@@ -1,0 +1,211 @@
+"""Retimed bakes: the analytic motion of `small_stages` at other times, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, UsdGeom
+from small_sources import MOVING, PLAIN, SEVERAL_ROOTS, SKINNED, Source
+from small_stages import EPS, bake, motion, open_with, world
+
+from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.frames import Choices
+from gf_usd.delivery.retime import Retimed, retime
+from gf_usd.layers.check.run import check_file
+from gf_usd.system.atomic_files import partial_path
+
+FRAMES, FPS = 7, 24.0
+BODY = "/duck/geo/body"
+# The motion is a squash of 5 rad/s, turned at 2 rad/s, of points within 1.8 m: its fourth
+# derivative is below (5 + 2)^4 1.4 1.8 m/s^4.
+FOURTH = 7.0**4 * 1.4 * 1.8
+POSITION = FOURTH / FPS**4 / 384.0  # of Hermite's cubic
+SPEED = FOURTH / FPS**3 * np.sqrt(3.0) / 216.0
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return baked(PLAIN, tmp_path)
+
+
+def baked(source: Source, folder: Path, **options: object) -> Path:
+    return bake(source.asset(folder), folder, frames=FRAMES, **options)[0].path
+
+
+def values(stage: Usd.Stage, name: str, code: float, path: str = BODY) -> np.ndarray:
+    return np.array(stage.GetPrimAtPath(path).GetAttribute(name).Get(code), np.float64)
+
+
+def rest_of(stage: Usd.Stage) -> np.ndarray:
+    return values(stage, "points", 10.0) - motion(np.zeros((1, 3)), 0.0)[0]
+
+
+def particles(stage: Usd.Stage) -> str:
+    (found,) = [p for p in stage.Traverse() if p.GetAttribute("positions")]
+    return str(found.GetPath())
+
+
+@pytest.mark.parametrize("clips", [0, 3], ids=["one file", "clips"])
+def test_slow_motion_is_the_motion_at_half_the_time(tmp_path: Path, clips: int) -> None:
+    before = baked(PLAIN, tmp_path, choices=Choices(clip_frames=clips))
+    done = retime(before, tmp_path / "slow.usda", speed=0.5)
+    assert (done.frames, done.start, done.end) == (2 * FRAMES - 1, 10.0, 8.0 + 2 * FRAMES)
+    old, new = open_with(before, "rubber"), Usd.Stage.Open(str(done.path))
+    assert (new.GetStartTimeCode(), new.GetEndTimeCode()) == (done.start, done.end)
+    rest = rest_of(old)
+    splats = particles(new)
+    for k in range(2 * FRAMES - 1):
+        x, v, _ = motion(rest, k / 2.0 / FPS)
+        # float32 keeps 6e-8 of coordinates of about a meter
+        assert np.abs(values(new, "points", 10.0 + k) - x).max() < POSITION + EPS
+        assert np.abs(values(new, "velocities", 10.0 + k) - v / 2.0).max() < SPEED + EPS
+        quaternions = values(new, "orientations", 10.0 + k, splats)
+        assert np.linalg.norm(quaternions, axis=1) == pytest.approx(1.0, abs=1e-6)
+    for k in range(FRAMES):  # at the frames of the bake, what it has
+        for name in ("points", "normals", "extent"):
+            assert np.array_equal(
+                values(new, name, 10.0 + 2 * k), values(old, name, 10.0 + k), equal_nan=True
+            )
+    assert not check_file(done.path).findings
+    assert old.GetPrimAtPath(BODY).GetAttribute("points").GetNumTimeSamples() == FRAMES
+
+
+def test_linear_interpolation_would_be_coarser(root: Path) -> None:
+    # The bound of the test above tells the cubic from a straight line.
+    stage = open_with(root, "rubber")
+    rest = rest_of(stage)
+    straight = (values(stage, "points", 12.0) + values(stage, "points", 13.0)) / 2.0
+    assert np.abs(straight - motion(rest, 2.5 / FPS)[0]).max() > 10.0 * (POSITION + EPS)
+
+
+def test_keys_hold_and_play_backwards(root: Path, tmp_path: Path) -> None:
+    keys = [(1.0, 10.0), (4.0, 13.0), (6.0, 13.0), (9.0, 10.0)]
+    done = retime(root, tmp_path / "again.usda", keys=keys)
+    assert (done.frames, done.start, done.end) == (9, 1.0, 9.0)
+    old, new = open_with(root, "rubber"), Usd.Stage.Open(str(done.path))
+    for code, at, rate in [
+        (1, 10, 1),
+        (3, 12, 1),
+        (4, 13, 0),
+        (5, 13, 0),
+        (7, 12, -1),
+        (9, 10, -1),
+    ]:
+        assert np.array_equal(values(new, "points", code), values(old, "points", at))
+        speeds = rate * values(old, "velocities", at)
+        assert values(new, "velocities", code) == pytest.approx(speeds, abs=1e-6)
+
+
+def test_fast_motion_skips_frames(root: Path, tmp_path: Path) -> None:
+    done = retime(root, tmp_path / "fast.usda", speed=2.0)
+    assert (done.frames, done.end) == (4, 13.0)
+    old, new = open_with(root, "rubber"), Usd.Stage.Open(str(done.path))
+    for k in range(4):
+        assert np.array_equal(values(new, "points", 10.0 + k), values(old, "points", 10.0 + 2 * k))
+
+
+def test_a_box_holds_what_is_between_its_frames(root: Path, tmp_path: Path) -> None:
+    done = retime(root, tmp_path / "slow.usda", speed=0.1)
+    stage = Usd.Stage.Open(str(done.path))
+    for k in range(done.frames):
+        low, high = values(stage, "extent", 10.0 + k)
+        points = values(stage, "points", 10.0 + k)
+        assert (points >= low - EPS).all()
+        assert (points <= high + EPS).all()
+
+
+@pytest.mark.parametrize(
+    "source", [MOVING, SKINNED, SEVERAL_ROOTS], ids=["moving", "skin", "roots"]
+)
+def test_the_source_plays_at_the_same_speed(tmp_path: Path, source: Source) -> None:
+    before = baked(source, tmp_path)
+    done = retime(before, tmp_path / "slow.usda", speed=0.5)
+    old, new = open_with(before, "rubber"), open_with(done.path, "rubber")
+    start = old.GetStartTimeCode()
+    meshes = [p for p in old.Traverse() if p.IsA(UsdGeom.Mesh)]
+    assert meshes
+    for prim in meshes:
+        path = str(prim.GetPath())
+        for k in range(FRAMES):
+            then = world(old, path, "points", start + k)
+            assert world(new, path, "points", start + 2 * k) == pytest.approx(then, abs=1e-5)
+
+
+def test_every_variant_has_a_cache(tmp_path: Path) -> None:
+    before = baked(PLAIN, tmp_path, looks=("rubber", "jelly"))
+    done = retime(before, tmp_path / "slow.usda", speed=0.5)
+    names = {path.name for path in done.caches}
+    assert names == {"slow.rubber.cache.usdc", "slow.jelly.cache.usdc"}
+    for name in ("rubber", "jelly"):
+        stage = open_with(done.path, name)
+        assert stage.GetPrimAtPath(BODY).GetAttribute("points").GetNumTimeSamples() == done.frames
+    none = open_with(done.path, "none")
+    assert none.GetPrimAtPath(BODY).GetAttribute("points").GetNumTimeSamples() == 0
+
+
+def test_it_can_lie_in_another_folder(root: Path, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    done = retime(root, tmp_path / "there" / "slow.usda", speed=0.5)
+    text = done.path.read_text()
+    assert str(tmp_path) not in text
+    assert "../duck.usda" in text
+    assert "./slow.cache.usdc" in text
+    assert Usd.Stage.Open(str(done.path)).GetPrimAtPath(BODY).GetAttribute("normals").Get(11.0)
+
+
+def refused(kind: type[Exception], words: str, *given: object, **options: object) -> None:
+    with pytest.raises(kind, match=words):
+        retime(*given, **options)
+
+
+def test_what_makes_no_sense_is_refused_and_nothing_is_written(root: Path, tmp_path: Path) -> None:
+    there = sorted(tmp_path.iterdir())
+    slow = tmp_path / "slow.usda"
+    refused(UsageError, "one of them is needed", root, slow)
+    refused(UsageError, "one of them is needed", root, slow, speed=1.0, keys=[(1, 1), (2, 2)])
+    refused(UsageError, "--speed is 0", root, slow, speed=0.0)
+    refused(UsageError, "--speed is nan", root, slow, speed=float("nan"))
+    refused(UsageError, "--keys is 1:10", root, slow, keys=[(1.0, 10.0)])
+    refused(UsageError, "--keys is 2:10,1:11", root, slow, keys=[(2.0, 10.0), (1.0, 11.0)])
+    refused(UsageError, r"--keys 5:99 is outside of .* 10 to 16", root, slow,
+            keys=[(1.0, 10.0), (5.0, 99.0)])  # fmt: skip
+    refused(UsageError, "does not end in", root, tmp_path / "slow.usdz", speed=0.5)
+    refused(UsageError, "is no folder", root, tmp_path / "no" / "slow.usda", speed=0.5)
+    refused(UsageError, "is an input", root, root, speed=0.5)
+    refused(UsageError, "is an input", root, root.with_suffix(".usdc"), speed=0.5)
+    refused(InputError, "no caches", tmp_path / "duck.usda", slow, speed=0.5)
+    assert sorted(tmp_path.iterdir()) == there
+
+
+def test_keys_do_not_go_with_an_animated_source(tmp_path: Path) -> None:
+    before = baked(MOVING, tmp_path)
+    start = Usd.Stage.Open(str(before)).GetStartTimeCode()
+    keys = [(start, start), (start + 4.0, start + 2.0)]
+    refused(InputError, "animated in the source", before, tmp_path / "slow.usda", keys=keys)
+
+
+def test_a_full_disk_leaves_nothing_under_a_partial_name(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gf_usd.delivery.retime.write_placed", full)
+    with pytest.raises(OSError, match="No space"):
+        retime(root, tmp_path / "slow.usda", speed=0.5)
+    for name in ("slow.usda", "slow.cache.usdc"):
+        assert not (tmp_path / name).exists()
+        assert not partial_path(tmp_path / name).exists()
+
+
+def test_the_result_says_what_was_done(root: Path, tmp_path: Path) -> None:
+    done: Retimed = retime(root, tmp_path / "slow.usda", speed=0.25)
+    layer = Sdf.Layer.FindOrOpen(str(done.path))
+    data = layer.customLayerData["gaussianFlesh"]
+    assert data["retime"] == {"speed": 0.25}
+    assert data["command"] == "gf-usd bake duck.usda"
+    (reference,) = layer.GetPrimAtPath("/duck").referenceList.prependedItems
+    assert reference.layerOffset == Sdf.LayerOffset(10.0 * (1 - 4.0), 4.0)
+    assert reference.layerOffset * 10.0 == 10.0
