@@ -271,6 +271,8 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
     lines += [f"note: {note}" for note in result.notes if note not in plan.notes]
     for bake in result.bakes:
         lines.append(_measured(bake))
+        if bake.certificate is not None:
+            lines += [f"{bake.look}: {line}" for line in bake.certificate.lines()]
         lines += [f"warning: {bake.look}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"

@@ -315,6 +315,7 @@ class Choices:
     settled: bool = False  # one pose, that at rest, without time samples
     tets: bool = False  # tetrahedra of each body
     until_rest: bool = False  # the last frame is the first at rest
+    certify: bool = False  # the figures are to have intervals
 
     @property
     def mesh(self) -> bool:

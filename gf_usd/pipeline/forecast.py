@@ -31,13 +31,14 @@ FEW = 3  # samples with substeps that say more than the estimate
 
 READING, FILLING, COMPILING = "reading", "filling", "compiling kernels"
 SIMULATING, WRITING, CHECKING = "simulating", "writing", "checking"
+CERTIFYING = "simulating coarsely"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Activity:
     """What a bake is doing now."""
 
-    stage: str  # one of the six above
+    stage: str  # one of those above
     what: str = ""  # the file that is read, or the variant that is simulated
     done: int = 0  # frames of all variants
     total: int = 0

@@ -25,7 +25,7 @@ from gf_usd.core.frames import (
 from gf_usd.core.materials import G0, time_scale
 from gf_usd.core.radiance import Y_0, linear_to_srgb
 from gf_usd.pipeline.checkpoint import Checkpoint
-from gf_usd.pipeline.inside import InsideMeasure
+from gf_usd.pipeline.measures.inside import InsideMeasure
 from gf_usd.prepare.outputs import SplatSequence
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from gf_usd.layers.space import Space
     from gf_usd.physics.frame_loop import Solver
     from gf_usd.physics.gaussians import CarriedSplats, GaussianTrack
+    from gf_usd.pipeline.measures.observe import Observer
 
 
 class FrameBuilder:
@@ -44,6 +45,7 @@ class FrameBuilder:
     settings : as `sampled`.
     splats : the captured Gaussians.
     tets : keys of the tetrahedra among the embedded points.
+    observer : is shown every frame.
     """
 
     def __init__(
@@ -55,8 +57,9 @@ class FrameBuilder:
         settings: Settings,
         splats: SplatDeformer,
         tets: Sequence[str] = (),
+        observer: Observer | None = None,
     ) -> None:
-        self._tets = tets
+        self._tets, self._observer = tets, observer
         self.solver, self._track, self._skin = solver, track, skin
         self._surfaces, self._settings, self._splats = surfaces, settings, splats
         meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
@@ -91,6 +94,8 @@ class FrameBuilder:
         s = self._settings
         gaussians = self._track.advance(frame.particles)
         poses = frame.embedded
+        if self._observer:
+            self._observer.see(frame, poses)
         if self._skin:
             poses = self._skin.poses(frame.particles, self._track.turn)
         meshes = {}

@@ -11,6 +11,7 @@ from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import Material
 from gf_usd.pipeline.health import ERROR, HealthWarning, warnings_json
+from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.prepare.plan import settings_json
 
 
@@ -77,6 +78,7 @@ class VariantResult:
     warnings: tuple[HealthWarning, ...] = ()  # each with about, message and hint
     clips: tuple[Path, ...] = ()  # files next to the cache
     at_rest: int | None = None  # frame, from 1, at which everything was; None: not looked for
+    certificate: Certificate | None = None  # how certain its figures are; None: not asked for
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""
@@ -88,6 +90,8 @@ class VariantResult:
             "at_rest": self.at_rest,
             "health": self.health,
         }
+        if self.certificate is not None:
+            out["certificate"] = self.certificate.as_json()
         return {**out, "per_frame": self.per_frame} if frames else out
 
 

@@ -27,6 +27,7 @@ from gf_usd.pipeline.checkpoint import CheckpointWriter, Resume, find_resume, fi
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.forecast import (
+    CERTIFYING,
     CHECKING,
     FILLING,
     READING,
@@ -38,10 +39,13 @@ from gf_usd.pipeline.forecast import (
 )
 from gf_usd.pipeline.frames import FrameBuilder, Period, Rest, SplatDeformer, with_held
 from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
+from gf_usd.pipeline.measures.certify import certify, coarser
+from gf_usd.pipeline.measures.observe import Observed, Observer
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
+from gf_usd.prepare.prepare import Refill
 from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.taichi_runtime import watching
@@ -64,6 +68,7 @@ class Prepared:
     plan: Plan
     converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
     resume: Resume = field(default_factory=Resume)
+    refill: Refill | None = None  # fills the same asset more coarsely; None: nobody needs it
     warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
 
     @cached_property
@@ -109,16 +114,23 @@ def prepare(
     from gf_usd.layers.usd_warnings import gathered
 
     stages = Stages(watch)
+    if resume and options.get("certify"):
+        raise UsageError(
+            "--certify does not go with --resume: it needs all frames of one run",
+            "bake anew with --overwrite, or leave --certify out",
+        )
     stages.begin(READING, Path(path).name)
+    refills: list[Refill] = []
     with gathered() as warned, watching(stages.compile):
         plan, converted = prepare_plan(
             path, overwrite=overwrite, resume=resume, draw=draw,
-            once_read=partial(stages.begin, FILLING), **options,
+            once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
         )  # fmt: skip
     plan = replace(plan, notes=(*plan.notes, *warned.lines()))
     told = frozenset(warned.said)
     if not resume:
-        return Prepared(plan=plan, converted=converted, warned=told)
+        refill = refills[0] if plan.choices.certify else None
+        return Prepared(plan=plan, converted=converted, refill=refill, warned=told)
     clips = bool(plan.choices.clip_frames)
     identify = partial(_identity, plan)
     found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
@@ -167,6 +179,11 @@ def run(
         raise UsageError(
             f"--slice {slice} counts value clips, and this bake has none",
             "add --clip-frames, the frames of a clip",
+        )
+    if slice and plan.choices.certify:
+        raise UsageError(
+            f"--slice {slice} does not go with --certify: it needs all frames of one run",
+            "leave one of the two out",
         )
     # read before the first frame: a file that changes meanwhile is found by who resumes
     clipped = plan.variants if plan.choices.clip_frames else ()
@@ -338,6 +355,7 @@ def _run_variant(
         clear(variant.sequences)
     else:
         log.load(since.log)
+    coarse, useless = _coarser(prepared, number, stages)
     stages.begin(
         SIMULATING, variant.name,
         done=number * total, total=total * len(plan.materials), left=forecast.left,
@@ -346,7 +364,8 @@ def _run_variant(
     solver = prepared.solvers.take(variant)
     solver.on_launch = forecast.require
     forecast.begin(number, since.index if since else -1)
-    builder = frame_builder(plan, variant, solver, splats)
+    observer = _observer(plan, variant) if plan.choices.certify else None
+    builder = frame_builder(plan, variant, solver, splats, observer)
     guard = ResourceGuard(
         _folder(plan),
         plan.frame_bytes / n,
@@ -412,6 +431,12 @@ def _run_variant(
         summary = cache.close()
     health = log.summary()
     at = _when_at_rest(plan, variant.name, rest, log, settled=settled) if rest else ()
+    certificate = None
+    if observer is not None and failure is None:
+        certificate = certify(
+            (observer.observed(), *coarse), held=_pushed(plan) or bool(plan.goals),
+            single=plan.bodies is None or plan.bodies.count == 1, reason=useless,
+        )  # fmt: skip
     if plan.choices.until_rest:  # its layers end where it ended
         info = replace(info, settings=replace(info.settings, frames=len(log.frames)))
     result = VariantResult(
@@ -424,6 +449,7 @@ def _run_variant(
         health=health,
         per_frame=log.per_frame(),
         warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
+        certificate=certificate,
     )
     baked = BakedVariant(
         name=variant.name,
@@ -435,6 +461,36 @@ def _run_variant(
         failure="" if failure is None else failure.message,
     )
     return result, baked, (*at, *summary.notes, *splats.notes, *period.notes), failure
+
+
+def _coarser(prepared: Prepared, number: int, stages: Stages) -> tuple[tuple[Observed, ...], str]:
+    """A variant at lower resolutions, without writing anything, and why that is of no use."""
+    plan, refill = prepared.plan, prepared.refill
+    if refill is None:
+        return (), ""
+
+    def run(spacing: float) -> tuple[Observed, float]:
+        # what else follows from the spacing, such as the frames of a body of another volume, stays
+        coarse = replace(refill(spacing), settings=plan.settings, each=plan.each)
+        variant = coarse.variants[number]
+        observer = _observer(coarse, variant)
+        solver = solver_of(coarse, variant)
+        rest = Rest(plan.settings.frame_time, plan.particles.radius)
+        for frame in solver.frames():
+            observer.see(frame, frame.embedded)
+            if rest.reached(frame.health) and (plan.choices.until_rest or plan.choices.settled):
+                break
+        return observer.observed(), coarse.particles.volume
+
+    stages.begin(CERTIFYING, plan.variants[number].name)
+    return coarser(plan.particles.lattice, plan.particles.volume, run)
+
+
+def _observer(plan: Plan, variant: Variant) -> Observer:
+    """What is shown the frames of a variant."""
+    carried = {path for path, _ in plan.embedded}
+    paths = [s.path for s in plan.asset.surfaces if s.path not in carried]
+    return Observer(plan.particles, sampled(variant.settings), paths)
 
 
 def _when_at_rest(
@@ -502,9 +558,13 @@ def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:
 
 
 def frame_builder(
-    plan: Plan, variant: Variant, solver: Solver, splats: SplatDeformer
+    plan: Plan,
+    variant: Variant,
+    solver: Solver,
+    splats: SplatDeformer,
+    observer: Observer | None = None,
 ) -> FrameBuilder:
-    """What makes samples of the frames of a variant's solver."""
+    """What makes samples of the frames of a variant's solver, which an observer is shown."""
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.gaussians import GaussianTrack
 
@@ -514,4 +574,6 @@ def frame_builder(
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     surfaces = plan.asset.surfaces if plan.choices.mesh else ()
     keys = [tets.key for tets in plan.tets]
-    return FrameBuilder(solver, track, skin, surfaces, sampled(variant.settings), splats, keys)
+    return FrameBuilder(
+        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer
+    )

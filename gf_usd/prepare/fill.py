@@ -363,6 +363,7 @@ def _chosen(
         settled=request.settle_only,
         tets=request.tets,
         until_rest=request.until_rest,
+        certify=request.certify,
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
+# Fills an asset that was read once more, with particles at another spacing [m].
+Refill = Callable[[float], Plan]
+
+
 def prepare(
     path: str | Path,
     *,
@@ -59,12 +63,14 @@ def prepare(
     limits: Limits | None = None,
     draw: Draw,
     once_read: Callable[[], None] | None = None,
+    once_filled: Callable[[Refill], None] | None = None,
     **options: Any,
 ) -> tuple[Plan, MeshSource | None]:
     """Read, check and fill an asset; nothing is written.  See `bake` for the parameters.
 
     draw : makes the picture of the asset that an advisor is shown.
     once_read : is called when the file is read, before it is filled.
+    once_filled : is given what fills the same asset again, more coarsely.
 
     Returns the plan, and the layer of an asset that is not USD, which lies in a temporary folder as
     long as the object is there.
@@ -93,6 +99,16 @@ def prepare(
     plan, _ = fill(
         asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
     )
+    if once_filled:
+
+        def refill(spacing: float) -> Plan:
+            coarse = replace(request, particles=None, spacing=spacing / asset.facts.units.length)
+            return fill(
+                asset, coarse, found.presets, law, files, found.file, spec=found.spec,
+                repair=repair,
+            )[0]  # fmt: skip
+
+        once_filled(refill)
     lists = {name: getattr(request, name) for name, row in PLANNED.items() if row.repeated}
     command = command_line(
         source, material=names_of(material), law=law, meters_per_unit=meters_per_unit,

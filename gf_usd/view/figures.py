@@ -50,6 +50,7 @@ class Series:
     touching: tuple[bool, ...]  # (T,) something was touched since the frame before
     inverted: tuple[int, ...]  # (T,) particles with J <= 0
     up: Floats  # (3,) unit, out of the floor
+    grounded: bool = True  # there is a floor; without one heights are above the origin
     landing: Landing | None = None  # None: it does not land on a floor
 
     def __len__(self) -> int:
@@ -148,7 +149,8 @@ class Recorder:
             times=t, high=high, high_rate=high_rate, low=low, low_rate=low_rate, volumes=volume,
             strains=strain, kinetic=kinetic, centers=np.array(self._centers),
             velocities=np.array(self._velocities), touching=tuple(self._touching),
-            inverted=tuple(self._inverted), up=self._up, landing=self._landing,
+            inverted=tuple(self._inverted), up=self._up, grounded=self._floor is not None,
+            landing=self._landing,
         )  # fmt: skip
 
 
@@ -202,6 +204,10 @@ def figures(
 ) -> dict[str, Floats | None]:
     """Figures of a motion by their names in `FIGURES`, (k,) each; None where there is none.
 
+    Heights are those of the highest point over the floor, which say more than the extent: where the
+    surface goes between the points at which the solver feels the floor is no figure of the motion.
+    Without a floor they are the extent.
+
     held : pins or bones say where a part of the body is, so that it neither lands nor rebounds.
     at_rest : it has come to rest in the last frame.
     """
@@ -210,7 +216,8 @@ def figures(
     worst = int(np.abs(series.volumes - 1.0).argmax())
     found["volume_change"] = np.array([series.volumes[worst] - 1.0])
     if at_rest:
-        found["settled_height"] = np.array([series.high[-1] - series.low[-1]])
+        ground = 0.0 if series.grounded else series.low[-1]
+        found["settled_height"] = np.array([series.high[-1] - ground])
         found["settled_center"] = np.array(series.centers[-1])
     if held:
         sag = least(series.times, series.low, series.low_rate)[1]
@@ -225,10 +232,10 @@ def figures(
     if begin is None:
         return found
     part = slice(max(0, begin - 1), end + 1)
-    squash = least(
-        series.times[part], (series.high - series.low)[part],
-        (series.high_rate - series.low_rate)[part],
-    )[1]  # fmt: skip
+    top, rate = series.high, series.high_rate
+    if not series.grounded:
+        top, rate = top - series.low, rate - series.low_rate
+    squash = least(series.times[part], top[part], rate[part])[1]
     found["least_height"] = np.array([squash])
     found["squash"] = np.array([1.0 - squash / series.height])
     rise = rebound(series)
@@ -269,6 +276,23 @@ def first_contact(series: Series) -> tuple[int | None, int]:
     begin = series.starts[0]
     after = (i for i in range(begin, len(series)) if not series.touching[i])
     return begin, next(after, len(series) - 1)
+
+
+def reached(series: Series, name: str) -> int:
+    """The frame by which a figure of `figures` is decided; what comes after does not change it."""
+    last = len(series) - 1
+    begin, end = first_contact(series)
+    frames = {
+        "first_contact_time": begin or 0,
+        "first_contact_place": begin or 0,
+        "least_height": end,
+        "squash": end,
+        "rebound": end,
+        "sag": min(last, int(series.low.argmin()) + 1),
+        "peak_strain": int(series.strains.argmax()),
+        "volume_change": int(np.abs(series.volumes - 1.0).argmax()),
+    }
+    return frames.get(name, last)
 
 
 def rebound(series: Series) -> float | None:

@@ -7,7 +7,7 @@ import pytest
 from solids import cube, sphere, surface
 
 from gf_usd.core.frames import Pose
-from gf_usd.pipeline.inside import LOOKS, InsideMeasure, directions
+from gf_usd.pipeline.measures.inside import LOOKS, InsideMeasure, directions
 
 
 def pose(points) -> Pose:

@@ -101,6 +101,7 @@ class Request(RequestOptions):
                 "leave them out: what they do once a frame would be done at every sample",
             )
         self._check_settling()
+        self._check_certify()
         if self.self_contact and self.preset:
             raise UsageError(
                 f"--preset {self.preset} does not know --self-contact",
@@ -138,6 +139,19 @@ class Request(RequestOptions):
                     f"--frames {self.frames} does not go with {option}, which says how long is"
                     " simulated",
                     "leave one of the two out",
+                )
+
+    def _check_certify(self) -> None:
+        """Raise UsageError for options with which --certify has nothing to look at."""
+        shapes = self.parsed["only"]
+        for option, given, why in (
+            ("--preset paper", self.preset, "its particles lie at random"),
+            (f"--skin {self.skin}", self.skin not in (None, "embed"), "it has no grid's surface"),
+            (f"--only {self.only}", shapes and "mesh" not in shapes, "figures are the surface's"),
+        ):
+            if self.certify and given:
+                raise UsageError(
+                    f"--certify does not go with {option}: {why}", "leave one of the two out"
                 )
 
     def _check_flesh(self) -> None:

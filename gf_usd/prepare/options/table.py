@@ -282,6 +282,10 @@ class RequestOptions:
         METHOD, "Largest stress |P| [Pa], or none (paper).",
         shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap, write=values.cap,
     )] = None
+    certify: Annotated[bool, Option(
+        WRITE, "Say how certain the figures are: simulate also at a half and a quarter of the"
+        " resolution, and give each an interval.",
+    )] = False
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
     internal: Annotated[bool, Option(

@@ -1,0 +1,191 @@
+"""How certain the figures of a bake are: the same at a half and a quarter of its resolution.
+
+The coarser runs have an eighth and a 64th of the particles and twice and four times as long steps,
+a sixteenth and a 256th of the work.  They write nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError, SolverError
+from gf_usd.pipeline.measures.observe import Observed
+from gf_usd.view.convergence import Band, Interval, band, estimate, unknown
+from gf_usd.view.figures import FIGURES, figures, reached
+
+COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
+# A run of fewer is no picture of the body: a cube of 4 x 4 x 4.
+FEWEST = 64
+MOST_DIGITS = 5  # after the point, in words
+NOISE = 0.02  # of the lattice edge: what is known no better (tools/acceptance/certify.py)
+VOLUME = 1e-3  # by which the volumes of the runs may differ
+WORDS = {2.0: "half of the resolution", 4.0: "a quarter of the resolution"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What is known of the figures of one variant."""
+
+    runs: tuple[tuple[int, float], ...]  # particles, and lattice edge [m], finest first
+    figures: Mapping[str, Interval]
+    center: Band | None = field(default=None, repr=False)  # of the path of the center of mass
+    contacts: tuple[int, ...] = ()  # frames in which something is touched anew
+    reason: str = ""  # why nothing is known; "" where something is
+
+    @property
+    def contact(self) -> int:
+        """Which contact is the last before the motion is no longer known, 1 for the first."""
+        until = 0 if self.center is None else self.center.until
+        return sum(frame < until for frame in self.contacts)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; docs/guide.md has the keys."""
+        out: dict[str, Any] = {
+            "particles": [count for count, _ in self.runs],
+            "spacing_m": [edge for _, edge in self.runs],
+            "reason": self.reason,
+            "figures": {
+                name: {"unit": FIGURES[name].unit, "words": FIGURES[name].words, **one.as_json()}
+                for name, one in self.figures.items()
+            },
+        }
+        if self.center is not None:
+            until = self.center.until
+            out["center"] = {
+                "half_width": [float(half) for half in self.center.half[:until]],
+                "frames": until,
+                "contacts": list(self.contacts),
+                "reason": self.center.reason,
+            }
+        return out
+
+    def lines(self) -> tuple[str, ...]:
+        """Every figure in words, and why one has no interval."""
+        if self.reason:
+            return (f"nothing is certified: {self.reason}",)
+        said = [f"{FIGURES[name].words} {told(name, one)}" for name, one in self.figures.items()]
+        return (*said, *self._path())
+
+    def _path(self) -> tuple[str, ...]:
+        if self.center is None:
+            return ()
+        count = len(self.center.half)
+        if self.center.until == count:
+            most = float(self.center.half.max())
+            return (f"path of the center of mass +- {most:.2g} m or less, in all {count} frames",)
+        return (
+            f"path of the center of mass known up to frame {self.center.until - 1} of {count - 1};"
+            f" {lost(self.center, self.contacts)}",
+        )
+
+
+def told(name: str, interval: Interval) -> str:
+    """``0.43 +- 0.01 (order 1.6)``, or why there is no interval."""
+    unit = f" {FIGURES[name].unit}" if FIGURES[name].unit else ""
+    if not interval.known:
+        shown = ", ".join(f"{x:.3g}" for x in interval.fine)
+        return f"{shown}{unit}, not certified: {interval.reason}"
+    digits = max(0, min(MOST_DIGITS, 1 - _exponent(interval.half)))
+    shown = ", ".join(f"{x:.{digits}f}".replace(f"-{0:.{digits}f}", f"{0:.{digits}f}")
+                      for x in interval.value)
+    half = max(interval.half, 0.1**digits)
+    order = "" if interval.order is None else f" (order {interval.order:.1f})"
+    return f"{shown} +- {half:.{digits}f}{unit}{order}"
+
+
+def _exponent(x: float) -> int:
+    return int(f"{x:e}".split("e")[1])
+
+
+def lost(center: Band, contacts: Sequence[int]) -> str:
+    """From which frame on a motion is not known, and why, in words."""
+    since = [number for number, frame in enumerate(contacts, 1) if frame <= center.until]
+    where = f", contact {since[-1]}" if since else ""
+    chaotic = "chaotic from there on, " if len(since) > 1 else ""
+    return f"{chaotic}from frame {center.until}{where}: {center.reason}"
+
+
+def coarser(
+    spacing: float, volume: float, run: Callable[[float], tuple[Observed, float]]
+) -> tuple[tuple[Observed, ...], str]:
+    """The runs at twice and four times a spacing [m], and why they are of no use, if so.
+
+    run : simulates at a spacing; returns the run and the volume [m^3] of its particles.
+    volume : [m^3] of the bake's particles.
+    """
+    found: list[Observed] = []
+    for factor in COARSER:
+        what = f"the run at {WORDS[factor]}"
+        try:
+            made, filled = run(factor * spacing)
+        except (InputError, SolverError) as error:
+            return (), f"{what} failed: {error.message}"
+        if made.particles < FEWEST:
+            many = int(FEWEST * COARSER[-1] ** 3)
+            return (), (
+                f"{what} has {made.particles} particles, fewer than {FEWEST}; give --particles"
+                f" {many} or more"
+            )
+        if abs(filled - volume) > VOLUME * volume:
+            return (), (
+                f"{what} is of another body, of {filled:.4g} m^3 in place of {volume:.4g}: where"
+                " --repair gives a sheet thickness, it has that of the spacing"
+            )
+        found.append(made)
+    return tuple(found), ""
+
+
+def certify(runs: Sequence[Observed], *, held: bool, single: bool, reason: str = "") -> Certificate:
+    """The certificate of a bake, the first of the runs, from the coarser ones after it.
+
+    held : a part of it is driven; single : it is one body, which can be said to bounce.
+    reason : why the coarser runs are of no use; "" where they are.
+    """
+    sizes = tuple((one.particles, one.spacing) for one in runs)
+    fine = runs[0]
+    values = [figures(one.series, held=held, at_rest=one.at_rest) for one in runs]
+    wanted = {name: value for name, value in values[0].items() if value is not None}
+    if not single:
+        for name in ("least_height", "squash", "rebound"):
+            wanted.pop(name, None)
+    contacts = fine.series.starts
+    if reason:
+        return Certificate(
+            runs=sizes, reason=reason, contacts=contacts,
+            figures={name: unknown(value, reason) for name, value in wanted.items()},
+        )  # fmt: skip
+    center = band([one.series.centers for one in runs], fine.series.height)
+    found = {}
+    for name, value in wanted.items():
+        others = [each[name] for each in values[1:]]
+        found[name] = _judge(name, value, others, fine, center)
+    return Certificate(runs=sizes, figures=found, center=center, contacts=contacts)
+
+
+def _judge(
+    name: str,
+    value: Floats,
+    others: Sequence[Floats | None],
+    fine: Observed,
+    center: Band,
+) -> Interval:
+    """The interval of one figure, or why there is none."""
+    series = fine.series
+    absent = [WORDS[factor] for factor, one in zip(COARSER, others) if one is None]
+    if absent:
+        return unknown(value, f"there is none at {' and at '.join(absent)}")
+    decided = reached(series, name)
+    if decided > center.until and name != "settled_height":
+        return unknown(value, f"it is reached in frame {decided}; {lost(center, series.starts)}")
+    turned = next((i for i, count in enumerate(series.inverted) if count), None)
+    if turned is not None and turned <= decided:
+        return unknown(value, f"particles were turned inside out from frame {turned} on")
+    known = [value, *(one for one in others if one is not None)]
+    if FIGURES[name].unit == "s":
+        return estimate(known, float(series.times[-1]))
+    if FIGURES[name].unit == "m":
+        return estimate(known, series.height, NOISE * fine.spacing)
+    return estimate(known, 1.0, NOISE * fine.spacing / series.height)

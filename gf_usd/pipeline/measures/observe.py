@@ -1,0 +1,77 @@
+"""The frames of a bake reduced to what its figures are read from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import AT_REST, Frame, Health, Particles, Pose, Settings
+from gf_usd.core.materials import G0
+from gf_usd.view.figures import Recorder, Series
+
+# Times the kinetic energy that counts as rest: what still moves so little changes a height by less
+# than it is known.
+SETTLED = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """A run, reduced to what its figures are read from."""
+
+    particles: int
+    spacing: float  # [m] lattice edge
+    series: Series
+    at_rest: bool  # in its last frame
+
+
+class Observer:
+    """Is shown every frame of a bake.
+
+    particles : of the solver; settings : as `sampled`; paths : of the embedded surfaces of its
+    bodies, whose points are looked at.
+    """
+
+    def __init__(self, particles: Particles, settings: Settings, paths: Sequence[str]) -> None:
+        self._particles, self._paths = particles, paths
+        self._volumes = np.asarray(particles.V0)
+        self._last = Health()
+        self._recorder = Recorder(settings.normal, settings.floor, np.array(settings.gravity))
+
+    def see(self, frame: Frame, poses: Mapping[str, Pose]) -> None:
+        """One more frame, with its embedded points."""
+        health = self._last = frame.health
+        self._recorder.add(
+            frame.time,
+            np.concatenate([poses[path].x for path in self._paths]),
+            np.concatenate([poses[path].v for path in self._paths]),
+            center=health.center,
+            velocity=tuple(p / health.mass for p in health.momentum),
+            volume=float(self._volumes @ ratios(frame.particles.F) / self._volumes.sum()),
+            strain=max(health.max_stretch - 1.0, 1.0 - health.min_stretch),
+            kinetic=health.kinetic,
+            touching=health.penetration > 0.0 or health.overlap > 0.0,
+            inverted=health.inverted,
+        )
+
+    def observed(self) -> Observed:
+        """The run, once it has ended."""
+        still = AT_REST * self._last.mass * G0 * self._particles.radius
+        return Observed(
+            particles=len(self._particles),
+            spacing=self._particles.lattice,
+            series=self._recorder.series(),
+            at_rest=self._last.kinetic <= SETTLED * still,
+        )
+
+
+def ratios(F: Floats) -> Floats:
+    """(N,) J = det F of deformation gradients (N, 3, 3)."""
+    a, b, c = (np.asarray(F)[:, k].T for k in range(3))
+    return (
+        a[0] * (b[1] * c[2] - b[2] * c[1])
+        + a[1] * (b[2] * c[0] - b[0] * c[2])
+        + a[2] * (b[0] * c[1] - b[1] * c[0])
+    )
