@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pxr import Sdf, Usd
 
@@ -19,7 +20,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import SOURCE_VARIANT as NONE
 from gf_usd.core.frames import BakeInfo, Choices
 from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
-from gf_usd.layers.tracks.health import author_totals, bake_root
+from gf_usd.layers.tracks.health import author_certificate, author_totals, bake_root
 from gf_usd.system.atomic_files import asset_path
 
 DISPLAY_SET = "display"
@@ -36,6 +37,7 @@ class BakedVariant:
     health: Mapping[str, object] = field(default_factory=dict)  # `HealthLog.summary`
     warnings: tuple[str, ...] = ()  # of its health, in words
     failure: str = ""  # why it ended before its last frame; "" where it did not
+    certificate: Mapping[str, Any] | None = None  # intervals of figures; None: not asked for
 
 
 def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices) -> None:
@@ -108,6 +110,8 @@ def add_variants(
                 _hide(layer, inner.path.AppendPath(path.MakeRelativePath(root)))
         if bake_root(asset, home) == root:
             author_totals(variant, bake.health, asset.facts.units, bake.warnings, bake.failure)
+            if bake.certificate is not None:
+                author_certificate(variant, bake.certificate, asset.facts.units)
         if choices.particles and home.scope.HasPrefix(root):
             _name_meshes(layer, variant.path, root, asset, home, choices)
 

@@ -459,6 +459,7 @@ def _run_variant(
         health={key: value for key, value in health.items() if value is not None},
         warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
+        certificate=None if certificate is None else certificate.as_json(),
     )
     return result, baked, (*at, *summary.notes, *splats.notes, *period.notes), failure
 

@@ -112,6 +112,7 @@ class Band:
     half: Floats = field(repr=False)  # (T,) half width about the fine curve; NaN where unknown
     until: int  # frames from the first that are known; T: all
     reason: str = ""  # why the others are not
+    parts: bool = False  # somewhere among the others the finer runs are no closer than the coarser
 
 
 def band(curves: Sequence[Floats], scale: float) -> Band:
@@ -142,4 +143,4 @@ def band(curves: Sequence[Floats], scale: float) -> Band:
         reason = f"it is uncertain by {width[until]:.3g} m"
     width = np.maximum(width, TINY * scale)
     width[until:] = np.nan
-    return Band(half=width, until=until, reason=reason)
+    return Band(half=width, until=until, reason=reason, parts=bool(parted.any()))

@@ -150,6 +150,39 @@ def author_totals(
         _author(spec, "failure", Types.String, failure)
 
 
+def author_certificate(
+    spec: Sdf.PrimSpec, certificate: Mapping[str, Any], units: StageUnits
+) -> None:
+    """Author the intervals of the figures of a bake, in stage units.
+
+    certificate : as reports have it: docs/guide.md.
+    """
+    length = {"m": units.length}
+    names, values, halves, unknown = [], [], [], []
+    for name, one in certificate["figures"].items():
+        if one["value"] is None:
+            unknown.append(f"{_camel(name)}: {one['reason']}")
+            continue
+        size = length.get(one["unit"], 1.0)
+        several = len(one["value"]) > 1
+        for axis, value in zip("XYZ", one["value"]):
+            names.append(_camel(name) + (axis if several else ""))
+            values.append(value / size)
+            halves.append(one["half_width"] / size)
+    _author(spec, "certified:figures", Types.TokenArray, Vt.TokenArray(names))
+    _author(spec, "certified:values", Types.DoubleArray, Vt.DoubleArray(values))
+    _author(spec, "certified:halfWidths", Types.DoubleArray, Vt.DoubleArray(halves))
+    _author(spec, "certified:unknown", Types.StringArray, Vt.StringArray(unknown))
+    frames = certificate.get("center", {}).get("frames", 0)
+    _author(spec, "certified:frames", Types.Int, frames)
+
+
+def _camel(name: str) -> str:
+    """peak_strain -> peakStrain."""
+    first, *rest = name.split("_")
+    return first + "".join(word.capitalize() for word in rest)
+
+
 def _author(spec: Sdf.PrimSpec, name: str, kind: Any, value: Any) -> None:
     uniform = Sdf.VariabilityUniform
     Sdf.AttributeSpec(spec, PREFIX + name, kind, uniform).default = value

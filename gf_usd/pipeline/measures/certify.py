@@ -35,12 +35,6 @@ class Certificate:
     contacts: tuple[int, ...] = ()  # frames in which something is touched anew
     reason: str = ""  # why nothing is known; "" where something is
 
-    @property
-    def contact(self) -> int:
-        """Which contact is the last before the motion is no longer known, 1 for the first."""
-        until = 0 if self.center is None else self.center.until
-        return sum(frame < until for frame in self.contacts)
-
     def as_json(self) -> dict[str, Any]:
         """Plain values; docs/guide.md has the keys."""
         out: dict[str, Any] = {
@@ -48,7 +42,12 @@ class Certificate:
             "spacing_m": [edge for _, edge in self.runs],
             "reason": self.reason,
             "figures": {
-                name: {"unit": FIGURES[name].unit, "words": FIGURES[name].words, **one.as_json()}
+                name: {
+                    "words": FIGURES[name].words,
+                    "told": told(name, one),
+                    "unit": FIGURES[name].unit,
+                    **one.as_json(),
+                }
                 for name, one in self.figures.items()
             },
         }
@@ -59,6 +58,7 @@ class Certificate:
                 "frames": until,
                 "contacts": list(self.contacts),
                 "reason": self.center.reason,
+                "told": self._path(self.center),
             }
         return out
 
@@ -67,18 +67,16 @@ class Certificate:
         if self.reason:
             return (f"nothing is certified: {self.reason}",)
         said = [f"{FIGURES[name].words} {told(name, one)}" for name, one in self.figures.items()]
-        return (*said, *self._path())
+        return (*said, self._path(self.center)) if self.center is not None else tuple(said)
 
-    def _path(self) -> tuple[str, ...]:
-        if self.center is None:
-            return ()
-        count = len(self.center.half)
-        if self.center.until == count:
-            most = float(self.center.half.max())
-            return (f"path of the center of mass +- {most:.2g} m or less, in all {count} frames",)
+    def _path(self, center: Band) -> str:
+        count = len(center.half)
+        if center.until == count:
+            most = float(center.half.max())
+            return f"path of the center of mass +- {most:.2g} m or less, in all {count} frames"
         return (
-            f"path of the center of mass known up to frame {self.center.until - 1} of {count - 1};"
-            f" {lost(self.center, self.contacts)}",
+            f"path of the center of mass known to frame {center.until - 1} of {count - 1};"
+            f" {lost(center, self.contacts)}"
         )
 
 
@@ -89,8 +87,9 @@ def told(name: str, interval: Interval) -> str:
         shown = ", ".join(f"{x:.3g}" for x in interval.fine)
         return f"{shown}{unit}, not certified: {interval.reason}"
     digits = max(0, min(MOST_DIGITS, 1 - _exponent(interval.half)))
-    shown = ", ".join(f"{x:.{digits}f}".replace(f"-{0:.{digits}f}", f"{0:.{digits}f}")
-                      for x in interval.value)
+    shown = ", ".join(
+        f"{x:.{digits}f}".replace(f"-{0:.{digits}f}", f"{0:.{digits}f}") for x in interval.value
+    )
     half = max(interval.half, 0.1**digits)
     order = "" if interval.order is None else f" (order {interval.order:.1f})"
     return f"{shown} +- {half:.{digits}f}{unit}{order}"
@@ -102,10 +101,11 @@ def _exponent(x: float) -> int:
 
 def lost(center: Band, contacts: Sequence[int]) -> str:
     """From which frame on a motion is not known, and why, in words."""
+    # what meets something anew is thrown elsewhere by a small difference, and a larger one follows
     since = [number for number, frame in enumerate(contacts, 1) if frame <= center.until]
     where = f", contact {since[-1]}" if since else ""
-    chaotic = "chaotic from there on, " if len(since) > 1 else ""
-    return f"{chaotic}from frame {center.until}{where}: {center.reason}"
+    how = "chaotic" if center.parts and len(since) > 1 else "not known"
+    return f"{how} from frame {center.until}{where}: {center.reason}"
 
 
 def coarser(

@@ -72,9 +72,11 @@ def _height(motion: Motion, record: Record) -> Plot:
         else sum(a * b for a, b in zip(c, up))
         for frame in record.frames
     ]
+    path = _health(motion, record, "center of mass", center)
+    path["band"] = _band(record, path)
     curves = [
         _geometry(motion, "highest", known.get("highest")),
-        _health(motion, record, "center of mass", center)
+        path
         if any(c is not None for c in center)
         else _geometry(motion, "center", known.get("center")),
         _geometry(motion, "lowest", known.get("lowest")),
@@ -84,6 +86,14 @@ def _height(motion: Motion, record: Record) -> Plot:
         plot["line"] = motion.recording.ground / plot.pop("factor")
         plot["line_name"] = "floor"
     return plot
+
+
+def _band(record: Record, curve: Curve) -> list[float | None]:
+    """Half width [m] of what is known about a curve of every frame; None where it is not known."""
+    known = record.certificate.get("center", {}).get("half_width", ())
+    if not known or len(curve["y"]) < len(record.frames):
+        return []
+    return [*known, *[None] * (len(curve["y"]) - len(known))][: len(curve["y"])]
 
 
 def _stretch(motion: Motion, record: Record) -> Plot:
@@ -192,8 +202,12 @@ def _plot(
         plot |= {"unit": dict(units)[factor], "factor": factor}
         for curve in there:
             curve["y"] = [None if y is None else y / factor for y in curve["y"]]
+            curve["band"] = [None if y is None else y / factor for y in curve.get("band", ())]
     for curve in there:
         # six digits are more than a screen shows
         curve["x"] = [float(f"{x:.6g}") for x in curve["x"]]
-        curve["y"] = [None if y is None else float(f"{y:.6g}") for y in curve["y"]]
+        for key in ("y", "band"):
+            curve[key] = [None if y is None else float(f"{y:.6g}") for y in curve.get(key, ())]
+        if not curve["band"]:
+            del curve["band"]
     return {**plot, "curves": there}

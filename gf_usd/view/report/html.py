@@ -212,7 +212,7 @@ def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -
     """Health, settings, materials, and what else there is to say of variant number i."""
     material = [row for m in record.materials for row in _material(m)]
     columns = (
-        [_health(record)],
+        [_health(record), _card("How certain it is", _pairs(_certain(record)))],
         [_card("Settings", _pairs(named_rows(record.settings, SETTINGS)))],
         [
             _card("Material", _pairs(material)),
@@ -223,6 +223,17 @@ def tables(i: int, record: Record, shown: Sequence[str], notes: Sequence[str]) -
         ],
     )
     return _of(i, tag("div", *(tag("div", *c) for c in columns if any(c)), class_="tables"))
+
+
+def _certain(record: Record) -> list[tuple[str, str]]:
+    """The figures with their intervals, or why they have none."""
+    found = record.certificate
+    rows = [(one["words"].capitalize(), one["told"]) for one in found.get("figures", {}).values()]
+    if "center" in found:
+        rows.append(("Path", found["center"]["told"].removeprefix("path of the ")))
+    if rows:
+        rows.append(("From", f"runs of {', '.join(map(str, found['particles']))} particles"))
+    return rows
 
 
 def _card(title: str, inside: Html) -> Html:

@@ -31,6 +31,7 @@ class Record:
     version: str = ""
     source: str = ""
     health: Mapping[str, Any] = field(default_factory=dict)
+    certificate: Mapping[str, Any] = field(default_factory=dict)  # intervals of figures
     frames: tuple[Mapping[str, Any], ...] = ()  # health of every frame
     settings: Mapping[str, Any] = field(default_factory=dict)
     materials: tuple[Mapping[str, Any], ...] = ()
@@ -78,6 +79,7 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
         version=str(report.get("version", "")),
         source=str(report.get("source", "")),
         health=_table(bake.get("health")),
+        certificate=_table(bake.get("certificate")),
         frames=tuple(bake.get("per_frame") or ()),
         settings=_table(report.get("settings")),
         materials=(_table(bake.get("material")),),

@@ -43,6 +43,9 @@ class Plots {
       line: { width: 1.8, color: inks[i % inks.length] },
       hovertemplate: `%{y:.4~g} ${plot.unit}`,
     }));
+    plot.curves.forEach((curve, i) => {
+      if (curve.band) traces.push(...bandOf(curve, inks[i % inks.length]));
+    });
     const end = variant.seconds.at(-1);
     const shapes = [cursorAt(variant.seconds[0], dark)];
     if (plot.line !== undefined) {
@@ -59,7 +62,8 @@ class Plots {
       xaxis: { ...axis, range: [0, end], ticksuffix: " s", nticks: 6 },
       yaxis: { ...axis, nticks: 5, exponentformat: "power" },
     }, { displayModeBar: false, responsive: true });
-    if (traces.length > 1) keys.append(...traces.map((trace, i) => keyOf(trace, i, canvas)));
+    const named = traces.filter((trace) => !trace.fill && trace.name);
+    if (named.length > 1) keys.append(...named.map((trace, i) => keyOf(trace, i, canvas)));
     canvas.on("plotly_click", (e) => this.seek(e.points[0].x));
     return canvas;
   }
@@ -68,6 +72,15 @@ class Plots {
     const x = variant.seconds[frame];
     for (const plot of this.drawn) Plotly.relayout(plot, { "shapes[0].x0": x, "shapes[0].x1": x });
   }
+}
+
+// Two traces around a curve and the area between them, as far as it is known.
+function bandOf(curve, ink) {
+  const known = curve.band.findLastIndex((half) => half !== null) + 1;
+  const x = curve.x.slice(0, known);
+  const edge = (sign) => x.map((_, i) => curve.y[i] + sign * curve.band[i]);
+  const one = { x, type: "scatter", mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+  return [{ ...one, y: edge(-1) }, { ...one, y: edge(1), fill: "tonexty", fillcolor: `${ink}40` }];
 }
 
 // The name of a curve, which hides and shows it.
