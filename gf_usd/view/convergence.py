@@ -19,7 +19,7 @@ tools/acceptance/certify.py measures.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -103,6 +103,17 @@ def estimate(values: Sequence[Floats], scale: float, least: float = 0.0) -> Inte
     ratio = 2.0**p - 1.0
     width = max(SAFETY * d1 / ratio, COARSE * d2, least)
     return Interval(fine=fine, value=fine + step / ratio, half=width, order=order)
+
+
+def capped(interval: Interval, most: float) -> Interval:
+    """An interval of which the part above `most` is known to be impossible.
+
+    As it was, where that would leave out the value at the full resolution.
+    """
+    low, high = interval.value[0] - interval.half, interval.value[0] + interval.half
+    if not interval.known or high <= most or max(low, float(interval.fine[0])) >= most:
+        return interval
+    return replace(interval, value=np.array([0.5 * (low + most)]), half=0.5 * (most - low))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gf_usd.core.arrays import Floats
 
@@ -50,6 +49,7 @@ class Series:
     touching: tuple[bool, ...]  # (T,) something was touched since the frame before
     inverted: tuple[int, ...]  # (T,) particles with J <= 0
     up: Floats  # (3,) unit, out of the floor
+    weight: float | None = None  # [N] of what falls; None: not known
     grounded: bool = True  # there is a floor; without one heights are above the origin
     landing: Landing | None = None  # None: it does not land on a floor
 
@@ -81,6 +81,7 @@ class Recorder:
 
     def __init__(self, up: Floats, floor: float | None, gravity: Floats) -> None:
         self._up, self._floor = np.asarray(up, float), floor
+        self.weight: float | None = None  # [N], where it is known
         self._gravity = np.asarray(gravity, float)
         self._rows: list[tuple[float, ...]] = []
         self._centers: list[Floats] = []
@@ -150,7 +151,7 @@ class Recorder:
             strains=strain, kinetic=kinetic, centers=np.array(self._centers),
             velocities=np.array(self._velocities), touching=tuple(self._touching),
             inverted=tuple(self._inverted), up=self._up, grounded=self._floor is not None,
-            landing=self._landing,
+            landing=self._landing, weight=self.weight,
         )  # fmt: skip
 
 
@@ -171,6 +172,8 @@ def landing(
 
     points, velocities : (n, 3) at `time`; center, velocity : (3,) of the center of mass.
     """
+    from scipy.spatial.transform import Rotation  # takes long to import, and most need it never
+
     r = np.asarray(points, float) - center
     relative = np.asarray(velocities, float) - velocity
     inertia = np.einsum("ij,ij->", r, r) * np.eye(3) - r.T @ r
@@ -314,6 +317,17 @@ def rebound(series: Series) -> float | None:
         return float(y[-1] + v[-1] ** 2 / (2.0 * abs(g)) - height) if g < 0.0 else None
     part = slice(left, left + int(down[0]) + 1)
     return float(-least(series.times[part], -y[part], -v[part])[1] - height)
+
+
+def highest_rebound(series: Series) -> float | None:
+    """[m] the rebound of a body that keeps all its energy: (E_kin + m g y at the start) / m g - y.
+
+    None where it does not land, or its weight is not known.
+    """
+    if series.landing is None or not series.weight:
+        return None
+    fall = float((series.centers[0] - series.landing.center) @ series.up)
+    return fall + float(series.kinetic[0]) / series.weight
 
 
 def _gravity(series: Series, left: int) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.view.convergence import COARSE, TINY, WIDEST, band, estimate
+from gf_usd.view.convergence import COARSE, TINY, WIDEST, band, capped, estimate
 
 
 def sequence(limit, slope, order):
@@ -76,6 +76,14 @@ def test_what_is_the_same_in_all_runs_is_known_to_rounding():
 
 def test_no_interval_is_narrower_than_the_least():
     assert estimate(sequence(3.0, 1e-3, 1.0), 1.0, least=0.01).half == 0.01
+
+
+def test_an_interval_ends_at_what_is_possible():
+    found = capped(estimate(sequence(3.0, -0.5, 1.0), 1.0), 3.02)
+    assert found.value[0] + found.half == pytest.approx(3.02)
+    assert found.value[0] - found.half == pytest.approx(2.95)
+    beyond = estimate(sequence(3.0, -0.5, 1.0), 1.0)
+    assert capped(beyond, 2.9) == beyond
 
 
 def curves(parting):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gf_usd.view.figures import Recorder, figures, first_contact, least
+from gf_usd.view.figures import Recorder, figures, first_contact, highest_rebound, least
 
 UP, G = np.array([0.0, 1.0, 0.0]), np.array([0.0, -9.81, 0.0])
 DT = 1.0 / 24.0
@@ -98,6 +98,17 @@ def test_a_body_that_starts_below_the_floor_does_not_land():
 def test_a_top_after_the_last_frame_is_that_of_free_flight():
     found = figures(record(bounce(np.arange(0.0, FLIGHT + PUSH + 3.0 * DT, DT))))
     assert found["rebound"] == pytest.approx((0.5 * 9.81 * FLIGHT) ** 2 / 2.0 / 9.81, abs=1e-9)
+
+
+def test_no_rebound_is_higher_than_the_energy():
+    recorder = Recorder(UP, 0.0, G)
+    recorder.weight = 2.0 * 9.81
+    for t, x, v, c, w, touching in bounce(np.arange(0.0, 0.7, DT)):
+        recorder.add(t, x, v, center=c, velocity=w, touching=touching, kinetic=2.0 * 0.5 * w @ w)
+    fall = 0.5 * 9.81 * FLIGHT**2
+    assert highest_rebound(recorder.series()) == pytest.approx(fall, abs=1e-9)
+    recorder.weight = None
+    assert highest_rebound(recorder.series()) is None
 
 
 def test_a_held_body_sags():

@@ -1,7 +1,7 @@
 """How often the intervals of ``bake --certify`` hold the truth, and how wide they are.
 
     python -m tools.acceptance.certify [--scene NAME]... [--seeds N] [--particles N]...
-                                       [--json FILE]
+                                       [--rows FILE] [--record]
 
 Every scene has a figure whose answer is known: in closed form, or as the limit of much finer runs.
 A seed turns the body about its axis of symmetry and changes the number of particles by up to a
@@ -19,8 +19,9 @@ import random
 import statistics
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,13 @@ from gf_usd.system import usd_schema  # noqa: F401  # isort: skip  (before pxr o
 from pxr import Usd, UsdGeom, Vt
 from scipy.spatial.transform import Rotation
 
+import gf_usd
 from gf_usd.core.materials import Material
+from tools.acceptance.record import PAGE, Outcome, newest, page, record, save, write
 from tools.bench import scene as bench
 
+RESOLUTIONS = (5000, 8000, 12000)  # particles
+COVERAGE, WIDTH = 0.95, 4.0  # that are asked for: share of intervals, and width over error
 UP = (0.0, 1.0, 0.0)
 G = 9.81
 
@@ -93,7 +98,7 @@ SCENES = {
             mesh=lambda: trimesh.creation.icosphere(4),
             turn=_anyhow,
             material=BALL,
-            options={"drop": "0.52", "frames": "28", "fps": 24.0, "filter_rate": 0.0},
+            options={"drop": 0.52, "frames": 28, "fps": 24.0, "filter_rate": 0.0},
             # over its own diameter, which faces make a little smaller than 2 m
             truth={"squash": 1.0 - 0.7790, "rebound": 0.5061},
             source="BENCHMARKS.md, tools/bench/equal_error.py",
@@ -103,7 +108,7 @@ SCENES = {
             mesh=lambda: _box((0.5, 1.0, 0.5), 3),
             turn=_about_up,
             material=BAR,
-            options={"drop": "0", "frames": "16", "fps": 48.0, "floor": "none"},
+            options={"drop": 0.0, "frames": 16, "fps": 48.0, "floor": False},
             # linear waves in one dimension: twice the static sag, after half a period
             truth={"sag": BAR_DENSITY * G / BAR_E},
             source="rho g L^2 / E, the wave equation with a sudden weight",
@@ -114,7 +119,7 @@ SCENES = {
             mesh=lambda: _box((1.0, 1.0, 1.0), 3),
             turn=_about_up,
             material=CUBE,
-            options={"drop": "0", "frames": "73", "fps": 24.0},
+            options={"drop": 0.0, "frames": 73, "fps": 24.0},
             truth={"settled_height": 1.0 - 0.5 * BAR_DENSITY * G / BAR_E},
             source="1 - rho g L / 2 E, a column under its own weight",
         ),
@@ -123,7 +128,7 @@ SCENES = {
             mesh=lambda: _box((1.0, 0.25, 0.25), 4),
             turn=_about_up,
             material=BEAM,
-            options={"drop": "0", "frames": "9", "fps": 24.0, "floor": "none"},
+            options={"drop": 0.0, "frames": 9, "fps": 24.0, "floor": False},
             truth={"sag": math.nan},
             source="",
             pinned=lambda centers: centers[:, 0] < -0.5 + 1e-6,
@@ -155,7 +160,148 @@ def write_asset(path: Path, scene: Scene, dice: random.Random) -> None:
 
 
 def options_of(scene: Scene, particles: int, dice: random.Random) -> dict[str, Any]:
-    """Of `gf_usd.pipeline.run.prepare`, for a seed."""
-    held = {"pins": ("/body/held",)} if scene.pinned is not None else {}
+    """Of `gf_usd.bake`, for a seed."""
+    held = {"pins": ["/body/held"]} if scene.pinned is not None else {}
     count = round(particles * dice.uniform(0.9, 1.1))
-    return {"material": (scene.material,), "particles": count, **scene.options, **held}
+    return {"material": scene.material, "particles": count, **scene.options, **held}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One figure of one bake."""
+
+    scene: str
+    figure: str
+    seed: int
+    asked: int  # particles, about
+    particles: int
+    truth: float
+    fine: float
+    value: float | None  # None: it was not certified
+    half: float | None
+    order: float | None
+    reason: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether the interval holds the truth."""
+        if self.value is None or self.half is None:
+            return False
+        return abs(self.value - self.truth) <= self.half
+
+    @property
+    def width(self) -> float:
+        """Width of the interval over the error of the finest run."""
+        error = abs(self.fine - self.truth)
+        return 2.0 * (self.half or math.nan) / error if error else math.inf
+
+
+def bake_rows(scene: Scene, particles: int, seed: int, folder: Path) -> list[Row]:
+    """The figures of a seed."""
+    dice = random.Random(seed)
+    asset = folder / f"{scene.name}.usda"
+    write_asset(asset, scene, dice)
+    result = gf_usd.bake(
+        asset, output=f"{folder}/out/", overwrite=True, certify=True, only="mesh", limits=False,
+        **options_of(scene, particles, dice),
+    )  # fmt: skip
+    certificate = result.bakes[0].certificate
+    rows = []
+    for name, truth in scene.truth.items():
+        found = certificate.figures[name]
+        rows.append(
+            Row(
+                scene=scene.name, figure=name, seed=seed, asked=particles,
+                particles=result.particles, truth=truth,
+                fine=float(found.fine[0]), order=found.order, reason=found.reason,
+                value=float(found.value[0]) if found.known else None,
+                half=float(found.half) if found.known else None,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def table(rows: Sequence[Row]) -> list[str]:
+    """The coverage of each scene, figure and resolution, as Markdown."""
+    groups: dict[tuple[str, str, int], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.scene, row.figure, row.asked), []).append(row)
+    lines = [
+        "| scene | figure | particles | bakes | certified | hold the truth | width over error |",
+        "|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for (scene, figure, particles), group in sorted(groups.items()):
+        lines.append(_line(f"{scene} | {figure} | about {particles:,}", group))
+    return [*lines, _line("all | | ", rows)]
+
+
+def _line(name: str, group: Sequence[Row]) -> str:
+    known = [row for row in group if row.value is not None]
+    holds = sum(row.holds for row in known)
+    width = statistics.median([row.width for row in known]) if known else math.nan
+    share = 100.0 * holds / len(known) if known else math.nan
+    return f"| {name} | {len(group)} | {len(known)} | {holds} ({share:.0f} %) | {width:.1f} |"
+
+
+def outcome(rows: Sequence[Row]) -> Outcome:
+    """What the intervals came to, for the page."""
+    known = [row for row in rows if row.value is not None]
+    holds = sum(row.holds for row in known)
+    width = statistics.median(row.width for row in known)
+    head, _, *lines = (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table(rows)
+    )
+    return Outcome(
+        passed=holds >= COVERAGE * len(known) and width <= WIDTH,
+        summary=f"{holds} of {len(known)} intervals hold the truth, and the median is"
+        f" {width:.1f} times as wide as the error; {len(rows) - len(known)} figures had none",
+        table=(tuple(head), *map(tuple, lines)),
+        data=[asdict(row) for row in rows],
+    )
+
+
+def main() -> int:
+    """Run what is asked for, and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--scene", action="append", choices=[*SCENES], default=[])
+    parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument("--particles", type=int, action="append", default=[])
+    parser.add_argument("--rows", type=Path, help="file to add rows to; what it has is kept")
+    parser.add_argument("--record", action="store_true", help="write a record of the rows")
+    asked = parser.parse_args()
+    began = time.perf_counter()
+    rows = read_rows(asked.rows) if asked.rows else []
+    done = {(row.scene, row.asked, row.seed) for row in rows}
+    with tempfile.TemporaryDirectory() as name:
+        for scene in asked.scene or SCENES:
+            for particles in asked.particles or RESOLUTIONS:
+                for seed in range(asked.seeds):
+                    if (scene, particles, seed) in done:
+                        continue
+                    made = bake_rows(SCENES[scene], particles, seed, Path(name))
+                    rows += made
+                    if asked.rows:
+                        with asked.rows.open("a", encoding="utf-8") as file:
+                            file.writelines(json.dumps(asdict(row)) + "\n" for row in made)
+                    for row in made:
+                        print(f"{row}", file=sys.stderr, flush=True)
+    print("\n".join(table(rows)))
+    found = outcome(rows)
+    print(f"{'passed' if found.passed else 'failed'}: {found.summary}")
+    if asked.record:
+        title = "Intervals of --certify"
+        command = ["python", "-m", "tools.acceptance.certify", *sys.argv[1:]]
+        save(record("certify", title, command, time.perf_counter() - began, found))
+        write(PAGE, page(newest()))
+    return 0 if found.passed else 1
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a file of `--rows`; none where it is not there yet."""
+    if not path.exists():
+        return []
+    return [Row(**json.loads(line)) for line in path.read_text("utf-8").splitlines()]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -13,8 +13,8 @@ from typing import Any
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, SolverError
 from gf_usd.pipeline.measures.observe import Observed
-from gf_usd.view.convergence import Band, Interval, band, estimate, unknown
-from gf_usd.view.figures import FIGURES, figures, reached
+from gf_usd.view.convergence import Band, Interval, band, capped, estimate, unknown
+from gf_usd.view.figures import FIGURES, figures, highest_rebound, reached
 
 COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
 # A run of fewer is no picture of the body: a cube of 4 x 4 x 4.
@@ -187,5 +187,7 @@ def _judge(
     if FIGURES[name].unit == "s":
         return estimate(known, float(series.times[-1]))
     if FIGURES[name].unit == "m":
-        return estimate(known, series.height, NOISE * fine.spacing)
+        interval = estimate(known, series.height, NOISE * fine.spacing)
+        most = highest_rebound(series) if name == "rebound" else None
+        return interval if most is None else capped(interval, most)
     return estimate(known, 1.0, NOISE * fine.spacing / series.height)

@@ -38,11 +38,13 @@ class Observer:
         self._particles, self._paths = particles, paths
         self._volumes = np.asarray(particles.V0)
         self._last = Health()
+        self._pull = -float(np.dot(settings.gravity, settings.normal))
         self._recorder = Recorder(settings.normal, settings.floor, np.array(settings.gravity))
 
     def see(self, frame: Frame, poses: Mapping[str, Pose]) -> None:
         """One more frame, with its embedded points."""
         health = self._last = frame.health
+        self._recorder.weight = health.mass * self._pull
         self._recorder.add(
             frame.time,
             np.concatenate([poses[path].x for path in self._paths]),
