@@ -63,7 +63,7 @@ def announce(prepared: Prepared) -> None:
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
-    most = "at most " if plan.choices.until_rest else ""
+    most = "at most " if plan.choices.until_rest or plan.until_periodic else ""
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(_told(plan, note), err=True)
     spent = f"{duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}"

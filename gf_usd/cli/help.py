@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
+
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options.option import Option
+from gf_usd.prepare.options.table import OPTIONS
 
 EXPERT = "Expert"
 # Options of `gf-usd bake --help` by what a person wants to change; what is in none is an expert's.
@@ -56,6 +60,7 @@ METAVARS = {
     "floor": "HEIGHT|none|X,Y,Z", "pins": "REGION", "velocity": "X,Y,Z", "spin": "X,Y,Z",
     "colliders": "FILE", "material_boxes": "PRESET:BOX",
     "material_labels": "NAME=VALUE:PRESET", "range": "FIRST:LAST", "only": "SHAPES",
+    "loop": "[N|auto]",
     "clamp": "LOW:HIGH|none", "stress_cap": "STRESS|none", "export_ply": "FOLDER",
     "export_spz": "FOLDER", "limits": "LIMITS|none",
 }  # fmt: skip
@@ -72,6 +77,11 @@ def metavar(name: str, kind: type, choices: tuple[str, ...]) -> str | None:
 
 class HelpfulCommand(TyperCommand):
     """A command whose help has examples, and options in groups where it has those of a bake."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """An option that may stand alone gets the value that this says."""
+        known = {flag for param in self.get_params(ctx) for flag in param.opts}
+        return super().parse_args(ctx, with_bare_values(args, known))
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """The examples stand between what a command does and its options."""
@@ -104,6 +114,29 @@ class HelpfulCommand(TyperCommand):
             rows = [row for p in mine if (row := p.get_help_record(ctx)) is not None]
             if rows:
                 yield group, rows
+
+
+def with_bare_values(arguments: Sequence[str], known: Collection[str]) -> list[str]:
+    """The arguments, with the value of each option that stands alone; see `Option.bare`.
+
+    known : flags of the command.  What follows such an option is its value where it can be one.
+    """
+    bare = {row.flag: row for row in OPTIONS.values() if row.bare and row.flag in known}
+    out: list[str] = []
+    for k, argument in enumerate(arguments):
+        if argument == "--":
+            return [*out, *arguments[k:]]
+        out.append(argument)
+        if argument in bare and not _is_value(bare[argument], arguments[k + 1 : k + 2]):
+            out.append(bare[argument].bare)
+    return out
+
+
+def _is_value(option: Option, following: Sequence[str]) -> bool:
+    try:
+        return any(option.value(text) is not None for text in following)
+    except UsageError:
+        return False
 
 
 def show_all(ctx: typer.Context, wanted: bool) -> None:

@@ -414,6 +414,17 @@ def sampled(settings: Settings) -> Settings:
     )
 
 
+def shortened(settings: Settings, skipped: int) -> Settings:
+    """The settings of a bake that began so many frames later; what is written stays as it is."""
+    step = settings.time_codes_per_second / settings.fps
+    return replace(
+        settings,
+        frames=settings.frames - skipped,
+        first=settings.first - skipped,
+        start=settings.start + skipped * step,
+    )
+
+
 def written(settings: Settings) -> int:
     """Number of frames written, those that hold the rest pose included."""
     return settings.frames - settings.first

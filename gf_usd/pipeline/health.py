@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from gf_usd.core.frames import Health, Settings
+from gf_usd.core.frames import Health, Settings, shortened
 from gf_usd.core.materials import G0
 
 REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
@@ -63,6 +63,10 @@ class HealthLog:
         if not self.frames or len(self._passing) == self._settings.samples_per_frame:
             self.frames.append(joined(self._passing))
             self._passing = []
+
+    def leave_out(self, frames: int) -> None:
+        """So many frames before those that are written were not simulated; see `shortened`."""
+        self._settings = shortened(self._settings, frames)
 
     def state(self) -> dict[str, Any]:
         """What was added, as plain values."""
@@ -319,6 +323,7 @@ RESTING = (
 # Of m v: float32 loses digits where a substep adds less to a velocity than its last digit holds.
 DRIFT = 0.01
 STILL = 1e-9  # of the energy scale: a body that never had more motion than this did not move
+NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
 ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
 
 
@@ -524,6 +529,19 @@ def _still(h: HealthSummary) -> Said:
     )
 
 
+def _loop(h: HealthSummary) -> Said:
+    share = h.get("loop_difference_share", 0.0)
+    if share <= NOT_PERIODIC:
+        return None
+    return (
+        f"after {h['loop_cycles']} times the cycle differs from the one before by"
+        f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: a step is seen"
+        " where it repeats",
+        "repeat it until it is periodic (--loop), or longer, and calm the flesh (--goal-frequency,"
+        " --damping-time)",
+    )
+
+
 RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "untouched": _untouched,
     "still": _still,
@@ -540,6 +558,7 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "inside": _inside,
     "resting-depth": _resting,
     "free-flight": _drift,
+    "loop": _loop,
 }
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import BakeError, OutOfResources, SolverError, UsageError
-from gf_usd.core.frames import BakeInfo, Health, sampled
+from gf_usd.core.frames import BakeInfo, Health, sampled, shortened
 from gf_usd.core.scene import Scene
 from gf_usd.pipeline.budget import (
     Cost,
@@ -37,7 +37,13 @@ from gf_usd.pipeline.forecast import (
     Stages,
     Watch,
 )
-from gf_usd.pipeline.frames import FrameBuilder, Period, Rest, SplatDeformer, with_held
+from gf_usd.pipeline.frames import (
+    FrameBuilder,
+    Period,
+    Rest,
+    SplatDeformer,
+    with_held,
+)
 from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
 from gf_usd.pipeline.measures.certify import certify, coarser
 from gf_usd.pipeline.measures.observe import Observed, Observer
@@ -351,10 +357,15 @@ def _run_variant(
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
+    period = Period(
+        plan.cycle * n, plan.repeats, settings.first, plan.particles.radius,
+        until=plan.until_periodic,
+    )  # fmt: skip
     if since is None:
         clear(variant.sequences)
     else:
         log.load(since.log)
+        period.load(since.track)
     coarse, useless = _coarser(prepared, number, stages)
     stages.begin(
         SIMULATING, variant.name,
@@ -372,7 +383,6 @@ def _run_variant(
         reserve(total),
         _again(plan),
     )
-    period = Period(plan.cycle * n, settings.frames - 1, plan.particles.radius)
     failure = None
     alone, ends = plan.choices.settled, plan.choices.settled or plan.choices.until_rest
     rest = Rest(settings.frame_time, plan.particles.radius) if ends else None
@@ -390,7 +400,7 @@ def _run_variant(
         since=since.cache if since else None,
     ) as cache:
         try:
-            for sample in with_held(builder.samples(since), settings):
+            for sample in with_held(builder.samples(since, period), settings):
                 index = sample.index
                 if index < 0 and sample.splats:
                     sample = splats.held(sample)
@@ -403,7 +413,6 @@ def _run_variant(
                         splats.export(sample, 0 if alone else (index - settings.first) // n)
                 if index < 0:
                     continue
-                period.see(index, sample.gaussians.positions)
                 log.add(sample.health)
                 frame = index // n + 1
                 if progress and index % n == 0:
@@ -418,6 +427,7 @@ def _run_variant(
                 if cache.full:
                     last, state = sample.health, builder.state()
                     seen = {**log.state(), "still": rest.still if rest else 0.0}
+                    state["track"] |= period.state()
                     full = {"last": last, "log": seen, "cache": cache.state(), **state}
                     checkpoints.write(number, index, full)
                     left = index < settings.frames - 1 or number < len(plan.materials) - 1
@@ -429,7 +439,10 @@ def _run_variant(
             raise _restless(plan, variant.name, rest, log.frames[-1])
         stages.begin(WRITING, variant.name)
         summary = cache.close()
-    health = log.summary()
+    if period.skipped:
+        log.leave_out(period.skipped // n)
+        info = replace(info, settings=shortened(info.settings, period.skipped // n))
+    health = {**log.summary(), **period.health}
     at = _when_at_rest(plan, variant.name, rest, log, settled=settled) if rest else ()
     certificate = None
     if observer is not None and failure is None:

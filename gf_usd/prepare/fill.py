@@ -165,7 +165,7 @@ def fill(
             share=request.bone_radius, frequency=request.goal_frequency,
             damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
             lattice=particles.lattice, spacing=particles.spacing,
-            cycle=cycle * settings.samples_per_frame, repeats=(request.loop or 1) - 1,
+            cycle=cycle * settings.samples_per_frame, repeats=request.cycles.repeats,
         )  # fmt: skip
         pins += flesh.pins
     physics = spec.physics
@@ -251,7 +251,9 @@ def fill(
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
         goals=flesh.goals,
-        cycle=cycle if (request.loop or 1) > 1 else 0,
+        cycle=cycle if request.cycles.repeats else 0,
+        repeats=request.cycles.repeats,
+        until_periodic=request.cycles.until_periodic,
         choices=choices,
         bodies=bodies,
         contact_setup=limbs.contact_setup,

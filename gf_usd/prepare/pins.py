@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -181,8 +181,12 @@ def flesh_of(
     frame = np.where((frame > 0) & (cycle > 0), frame % max(cycle, 1), frame)
     times = animation.first + frame * step
     paths = [s.path for s in asset.surfaces]
-    skeleton = read_skeleton(file, paths, asset.facts, first=animation.first, times=times.tolist())
-    bones = skeleton.bones
+    different, again = np.unique(times, return_inverse=True)
+    skeleton = read_skeleton(
+        file, paths, asset.facts, first=animation.first, times=different.tolist()
+    )
+    bones = tuple(replace(bone, path=bone.path[again]) for bone in skeleton.bones)
+    skeleton = replace(skeleton, bones=bones)
     if cycle and repeats:
         _require_closed(asset, skeleton, lead, cycle)
     cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)

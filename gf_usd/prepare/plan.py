@@ -66,7 +66,9 @@ class Plan:
     odd: str = ""  # how implausible its size is in a unit that nobody wrote down, if it is
     pins: tuple[Pin, ...] = ()
     goals: Goals | None = None
-    cycle: int = 0  # frames of a period that was repeated before it is written; 0: none was
+    cycle: int = 0  # frames of a period that is repeated before it is written; 0: none is
+    repeats: int = 0  # times that it is, at most where it ends by itself
+    until_periodic: bool = False  # only until it is periodic
     tables: tuple[tuple[Material, ...], ...] = ()  # of each variant; (): its main material
     bodies: BodyPlan | None = None
     embedded_copies: Mapping[str, Ints] = field(

@@ -227,7 +227,7 @@ def resolve(
     )  # fmt: skip
     if animation:
         lead = request.preroll or animation.preroll(fps, slow)
-        lead += ((request.loop or 1) - 1) * animation.cycle(shot)
+        lead += request.cycles.repeats * animation.cycle(shot)
         first, frames, start = first + lead, frames + lead, start - lead * step
     rate = request.filter_rate
     if rate is None:

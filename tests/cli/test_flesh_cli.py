@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, WIDTH, arm, drawn, points, skinned, write
+from arm import FIRST, LAST, WIDTH, arm, drawn, points, skinned, swinging, write
 from pxr import Usd
 from small_bakes import BLOCK
 
 import gf_usd
+from gf_usd.pipeline.frames import PERIODIC
+from gf_usd.prepare.options.texts import MOST_CYCLES
 from gf_usd.prepare.prepare import prepare
 
 FEW = {"particles": 400, "preroll": 12, "progress": None}
@@ -56,6 +58,9 @@ def test_frames_before_the_animation_are_simulated_but_not_written(tmp_path: Pat
         ({"squish": 0.5}, "squish 0.5 is for flesh=True"),
         ({"preroll": 4}, "preroll 4 is for flesh=True"),
         ({"loop": 2}, "loop 2 is for flesh=True"),
+        ({"loop": True}, "loop auto is for flesh=True"),
+        ({"flesh": True, "loop": "often"}, "loop is 'often'"),
+        ({"flesh": True, "loop": 0}, "loop is 0"),
         ({"flesh": True, "loop": 2, "frames": 4}, "loop 2 writes one cycle"),
     ],
 )
@@ -200,14 +205,8 @@ def test_a_goal_out_of_range_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_cycle_is_repeated_until_it_is_periodic(tmp_path: Path) -> None:
-    """B swings out and back, and stands where it began: the second time round less is new."""
-    out_and_back = [
-        f"[(1, 0, 0, 0), ({np.cos(half):.9f}, 0, 0, {np.sin(half):.9f})]"
-        for half in np.deg2rad([10.0, 20.0, 10.0])
-    ]
-    swing = f"{out_and_back[0]}, 7: {out_and_back[1]}, 13: {out_and_back[2]}"
-    path = write(tmp_path, arm(rotation=swing))
+def test_a_repeated_cycle_is_nearer_to_periodic(tmp_path: Path) -> None:
+    path = write(tmp_path, swinging())
     left = []
     for times in (2, 4):
         out = tmp_path / f"out{times}.usda"
@@ -215,14 +214,37 @@ def test_a_cycle_is_repeated_until_it_is_periodic(tmp_path: Path) -> None:
             path, flesh=True, output=out, material="jelly", loop=times, gravity=0.0, **FEW
         )
         assert result.frames == LAST - FIRST + 1
-        (said,) = [note for note in result.notes if note.startswith("the cycle that is written")]
-        left.append(float(said.split()[6]))
+        assert result.health["loop_cycles"] == times
+        left.append(result.health["loop_difference_m"])
         stage = Usd.Stage.Open(str(out))
         # the end of the cycle is its start, but for what is not periodic yet; vertices lie beyond
         # the particles
         close = np.linalg.norm(drawn(stage, LAST) - drawn(stage, FIRST), axis=1).max()
         assert close < 10.0 * left[-1]
     assert left[1] < 0.5 * left[0]
+
+
+@pytest.mark.slow
+def test_a_cycle_that_ends_by_itself_is_the_one_that_so_many_times_make(tmp_path: Path) -> None:
+    path = write(tmp_path, swinging())
+    asked = {"material": "jelly", "gravity": 0.0, **FEW}
+    asked |= {"goal_frequency": 3.0, "samples_per_frame": 2}
+    auto = gf_usd.bake(path, flesh=True, output=tmp_path / "auto.usda", loop=True, **asked)
+    times, share = auto.health["loop_cycles"], auto.health["loop_difference_share"]
+    assert 2 < times < MOST_CYCLES
+    # two cycles differed by no more before the last one was made, and differences shrink
+    assert share <= PERIODIC
+    first = auto.bakes[0].per_frame[0]["time_code"]
+    assert first + (auto.health["frames"] - 1) == LAST
+    counted = gf_usd.bake(path, flesh=True, output=tmp_path / "counted.usda", loop=times, **asked)
+    assert counted.health["frames"] == auto.health["frames"]
+    assert counted.health["loop_difference_share"] == share
+    stages = [Usd.Stage.Open(str(tmp_path / f"{name}.usda")) for name in ("auto", "counted")]
+    for code in np.arange(FIRST, LAST + 0.5, 0.5).tolist():
+        one, other = (drawn(stage, code) for stage in stages)
+        np.testing.assert_array_equal(one, other)
+    seam = np.linalg.norm(drawn(stages[0], LAST) - drawn(stages[0], FIRST), axis=1).max()
+    assert seam < 10.0 * auto.health["loop_difference_m"]  # vertices lie beyond the particles
 
 
 def test_an_animation_that_does_not_close_is_no_cycle(tmp_path: Path) -> None:

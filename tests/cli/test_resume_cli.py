@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import arm, write
+from arm import arm, swinging, write
 from captures import ball, write_ply
 from resumed import require_same, require_whole, samples, start, wait_for
 from small_bakes import names
@@ -251,6 +251,17 @@ def test_flesh_goes_on_alike(gf_usd, here: Path, more: tuple[str, ...]) -> None:
     write(here, arm())
     words = ("bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "400", "--preroll", "6",
              "--clip-frames", "4", *more)  # fmt: skip
+    assert gf_usd(*words, "-o", "whole/").status == 0
+    assert gf_usd(*words, "-o", "parts/", "--slice", "1").status == 5
+    assert gf_usd(*words, "-o", "parts/", "--resume").status == 0
+    require_same(here / "whole", here / "parts")
+
+
+@pytest.mark.slow
+def test_a_cycle_that_ends_by_itself_goes_on_alike(gf_usd, here: Path) -> None:
+    write(here, swinging())
+    words = ("bake", "arm.usda", "--flesh", "-m", "jelly", "--particles", "300", "--preroll", "12",
+             "--goal-frequency", "8", "--gravity", "0", "--clip-frames", "5", "--loop")  # fmt: skip
     assert gf_usd(*words, "-o", "whole/").status == 0
     assert gf_usd(*words, "-o", "parts/", "--slice", "1").status == 5
     assert gf_usd(*words, "-o", "parts/", "--resume").status == 0

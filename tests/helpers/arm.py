@@ -101,6 +101,15 @@ def SkelRoot "Arm" ( prepend apiSchemas = ["SkelBindingAPI"] )
 """
 
 
+def swinging() -> str:
+    """The arm in a cycle: B swings out and back, and stands where it began."""
+    out_and_back = [
+        f"[(1, 0, 0, 0), ({math.cos(half):.9f}, 0, 0, {math.sin(half):.9f})]"
+        for half in np.deg2rad([10.0, 20.0, 10.0]).tolist()
+    ]
+    return arm(rotation=f"{out_and_back[0]}, 7: {out_and_back[1]}, {LAST}: {out_and_back[2]}")
+
+
 def write(folder: Path, text: str) -> Path:
     """The file arm.usda in a folder."""
     path = folder / "arm.usda"

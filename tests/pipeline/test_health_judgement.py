@@ -110,6 +110,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(momentum_drift=0.001, angular_momentum_drift=0.011),
         "by 0.1 % of the momentum and 1.1 % of the angular momentum",
     ),
+    "loop": (
+        summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
+        summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),
+        "after 16 times the cycle differs from the one before by 0.006 m, 1.2 % of the radius",
+    ),
 }
 
 

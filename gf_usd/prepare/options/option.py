@@ -40,6 +40,7 @@ class Option:
     above_zero: bool = False  # in place of low and high
     noun: str = "number"  # what the value is, for the hint
     choices: tuple[str, ...] = ()
+    bare: str = ""  # what the flag alone says; "": it needs a value
     parse: Callable[[str], Any] | None = None  # a text to its value; raises UsageError
     # (name, value of Python) to the text, or to the texts of a list; raises UsageError
     write: Callable[[str, Any], Any] | None = None

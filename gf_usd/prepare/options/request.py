@@ -11,6 +11,7 @@ from typing import Any
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.fields import GravityKeys, parse_field
 from gf_usd.prepare.options.table import PLANNED, RequestOptions
+from gf_usd.prepare.options.texts import Cycles
 from gf_usd.prepare.regions import Region, parse_regions
 
 
@@ -46,6 +47,11 @@ class Request(RequestOptions):
     def until_rest(self) -> bool:
         """Whether the bake ends when everything is at rest."""
         return self.parsed["frames"] is not None and self.parsed["frames"].rest
+
+    @property
+    def cycles(self) -> Cycles:
+        """How often the animation is run through."""
+        return self.parsed["loop"] or Cycles(times=1)
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:
@@ -167,7 +173,8 @@ class Request(RequestOptions):
                 ("--loop", self.loop),
             ):
                 if value is not None:
-                    raise UsageError(f"{option} {value:g} is for --flesh", "add --flesh")
+                    shown = value if isinstance(value, str) else f"{value:g}"
+                    raise UsageError(f"{option} {shown} is for --flesh", "add --flesh")
             return
         for option, given in (
             ("--range", self.range),

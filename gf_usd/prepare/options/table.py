@@ -207,10 +207,10 @@ class RequestOptions:
         " simulated and not written.",
         shown="as many as keep accelerations below that of gravity, at least a second", low=1,
     )] = None
-    loop: Annotated[int | None, Option(
-        SCENE, "Times that --flesh runs through the animation, a cycle, before it has become"
-        " periodic; the last one is written.",
-        shown="1", low=1,
+    loop: Annotated[bool | int | str | None, Option(
+        SCENE, "Repeat the animation of --flesh, a cycle, this many times and write the last one;"
+        " without a number, or with auto, until it is periodic.",
+        shown="1", parse=texts.parse_loop, write=values.repeats, bare=texts.AUTO,
     )] = None
     combine: Annotated[bool, Option(
         SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,

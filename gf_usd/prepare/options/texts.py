@@ -90,6 +90,36 @@ def parse_frames(text: str | int) -> Length:
     return Length(frames=frames, rest=rest)
 
 
+MOST_CYCLES = 16  # that --loop auto simulates
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycles:
+    """How often a cycle is simulated."""
+
+    times: int  # at most, where it ends by itself
+    until_periodic: bool = False  # until it is periodic, and once more
+
+    @property
+    def repeats(self) -> int:
+        """Cycles before the one that is written, at most."""
+        return self.times - 1
+
+
+def parse_loop(text: str | int) -> Cycles:
+    """The cycles of "4" or "auto".  Raises UsageError for anything else."""
+    if text == AUTO:
+        return Cycles(times=MOST_CYCLES, until_periodic=True)
+    try:
+        times = int(text)
+    except ValueError as error:
+        raise UsageError(
+            f"--loop is {text!r}", "give a number of times, or auto: until it is periodic"
+        ) from error
+    positive("--loop", times)
+    return Cycles(times=times)
+
+
 def parse_drop(text: str) -> Height:
     """The height of "2.5" (stage units) or "3r" (radii)."""
     in_radii = text.endswith("r")

@@ -130,6 +130,13 @@ def frames(name: str, value: Any) -> str:
     return value if isinstance(value, str) else str(whole(name, value))
 
 
+def repeats(name: str, value: Any) -> str | None:
+    """A number of times, or "auto", which True stands for; None: once, for False."""
+    if isinstance(value, bool):
+        return "auto" if value else None
+    return value if isinstance(value, str) else str(whole(name, value))
+
+
 def rate(name: str, value: Any) -> str:
     """A factor, or "auto"."""
     return value if isinstance(value, str) else digits(real(name, value, "a number, or 'auto'"))

@@ -47,6 +47,14 @@ ROWS: tuple[Row, ...] = (
     Row(
         "restitution", "Rebound", "", "speed after the first bounce, divided by the speed before it"
     ),
+    Row("loop_cycles", "Cycles", "", "times that the animation was run through, the last written"),
+    Row(
+        "loop_difference_m",
+        "Difference of the last two cycles",
+        "m",
+        "largest of any particle",
+    ),
+    Row("loop_difference_share", "Difference of the last two cycles", "", "share of the radius"),
     Row("first_contact_frame", "First contact", "", "frame, counted from 0"),
     Row("falls", "Falls", "", "whether gravity takes the body to a floor or an obstacle"),
     Row("shift_max_m", "Largest displacement", "m", "of the center of mass from its start"),
