@@ -48,7 +48,7 @@ FORMATS = (
     Format(name="OFF", suffixes=(".off",), kind=MESH, read="gf_usd.readers.mesh.off:read_off"),
     Format(
         name="glTF", suffixes=(".glb", ".gltf"), kind=MESH,
-        read="gf_usd.readers.mesh.gltf_scene:read_gltf",
+        read="gf_usd.readers.mesh.gltf.scene:read_gltf",
     ),
     Format(name="FBX", suffixes=(".fbx",), kind=PROGRAM,
            read="gf_usd.readers.mesh.fbx:convert_fbx"),

@@ -21,9 +21,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileNode, MeshFile, require_sound
-from gf_usd.readers.mesh.gltf import Gltf, open_gltf
-from gf_usd.readers.mesh.gltf_materials import GltfMaterials
-from gf_usd.readers.mesh.gltf_mesh import Primitive, decoded, read_primitives
+from gf_usd.readers.mesh.gltf.container import Gltf, open_gltf
+from gf_usd.readers.mesh.gltf.materials import GltfMaterials
+from gf_usd.readers.mesh.gltf.primitives import Primitive, decoded, read_primitives
 from gf_usd.readers.notes import Notes
 
 

@@ -14,9 +14,9 @@ from pxr import Sdf
 from gf_usd.core.errors import InputError
 from gf_usd.core.mesh import boundary_edges, signed_volume, weld
 from gf_usd.readers import convert, read_asset
-from gf_usd.readers.mesh.gltf import open_gltf
-from gf_usd.readers.mesh.gltf_mesh import decoded
-from gf_usd.readers.mesh.gltf_scene import read_gltf
+from gf_usd.readers.mesh.gltf.container import open_gltf
+from gf_usd.readers.mesh.gltf.primitives import decoded
+from gf_usd.readers.mesh.gltf.scene import read_gltf
 
 EXACT = 1e-6  # float32 after a transform of size a few
 

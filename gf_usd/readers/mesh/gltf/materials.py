@@ -14,8 +14,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.readers.mesh.data import FileMaterial, Slot
-from gf_usd.readers.mesh.gltf import Gltf, GltfImages
-from gf_usd.readers.mesh.gltf_mesh import Primitive
+from gf_usd.readers.mesh.gltf.container import Gltf, GltfImages
+from gf_usd.readers.mesh.gltf.primitives import Primitive
 from gf_usd.readers.notes import Notes
 
 WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}

@@ -14,7 +14,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR
-from gf_usd.readers.mesh.gltf import DRACO, Gltf
+from gf_usd.readers.mesh.gltf.container import DRACO, Gltf
 from gf_usd.readers.notes import Notes
 
 GAUSSIANS = "KHR_gaussian_splatting"
