@@ -203,11 +203,6 @@ def read_stage(
     """
     asset, spec, converted = _hulled(read.asset), read.spec, read.converted
     usd = converted is None
-    if request.flesh and not usd:
-        raise InputError(
-            f"{source}: --flesh: no skeleton is read of {source.suffix} files",
-            "export the character as USD, with its skeleton (UsdSkel) and its animation",
-        )
     if spec is None:
         spec = StageSpec()
         if usd:
@@ -256,6 +251,7 @@ def reading(
     return Reading(
         source, limits, prims=tuple(prims), meters_per_unit=meters_per_unit, up_axis=up_axis,
         time_code=request.start, elastic=_elastic(presets), bind_pose=request.flesh,
+        fps=request.fps,
     )  # fmt: skip
 
 

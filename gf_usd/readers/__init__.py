@@ -43,8 +43,9 @@ def read_asset(
     path = Path(path)
     row = _format(path)
     if row.kind != USD:
-        source = _converted(path, meters_per_unit, up_axis)
-        return source.asset(prims=prims, time_code=time_code)
+        source = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis, rigged=bind_pose)
+        assert source is not None
+        return source.asset(prims=prims, time_code=time_code, bind_pose=bind_pose)
     return row.function(
         path,
         prims=prims,
@@ -56,23 +57,27 @@ def read_asset(
 
 
 def convert(
-    path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
+    path: Path,
+    *,
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    rigged: bool = False,
+    fps: float | None = None,
 ) -> MeshSource | None:
     """A mesh file made into USD, not yet written anywhere; None for a file that is USD already.
 
-    Arguments and errors are those of `read_asset`.  The result's `asset` stands in for
-    `read_asset`, so that the file is parsed once; its `write` puts the layer where results lie.
+    Arguments and errors are those of `read_asset` and `convert_mesh`.  The result's `asset` stands
+    in for `read_asset`, so that the file is parsed once; its `write` puts the layer where results
+    lie.
     """
     path = Path(path)
     if _format(path).kind == USD:
         return None
-    return _converted(path, meters_per_unit, up_axis)
-
-
-def _converted(path: Path, meters_per_unit: float | None, up_axis: str | None) -> MeshSource:
     from gf_usd.readers.conversion import convert_mesh
 
-    return convert_mesh(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+    return convert_mesh(
+        path, meters_per_unit=meters_per_unit, up_axis=up_axis, rigged=rigged, fps=fps
+    )
 
 
 def _format(path: Path) -> Format:

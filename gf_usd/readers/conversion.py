@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 
 
 def convert_mesh(
-    path: Path, *, meters_per_unit: float | None = None, up_axis: str | None = None
+    path: Path,
+    *,
+    meters_per_unit: float | None = None,
+    up_axis: str | None = None,
+    rigged: bool = False,
+    fps: float | None = None,
 ) -> MeshSource:
     """A mesh file as USD, not yet written anywhere.
 
@@ -37,10 +42,13 @@ def convert_mesh(
     meters_per_unit : [m] size of the file's unit; None: what the file says, or
         one that makes a body of a plausible size.
     up_axis : "Y" or "Z"; None: what the file says, or what is usual for its format.
+    rigged : with its skeletons and their animation, meshes in the bind pose.
+    fps : frames a second of the animation; None: those that its keys lie on.
 
     Raises
     ------
-    InputError : the file is damaged or empty, or the unit or the axis makes no sense.
+    InputError : the file is damaged or empty, the unit or the axis makes no sense, or no skeletons
+        are read of such a file.
     """
     from gf_usd.readers.mesh.to_usd import MeshSource
     from gf_usd.readers.splats.convert import convert_splats, is_splat_file
@@ -50,6 +58,12 @@ def convert_mesh(
             f"--meters-per-unit {meters_per_unit:g} is not a size",
             "give the size of the file's unit in meters, e.g. 0.01 for centimeters",
         )
+    row = format_of(path, MESH, PROGRAM)
+    if rigged and (is_splat_file(path) or row is None or not row.rigged):
+        raise InputError(
+            f"{path}: --flesh: no skeleton is read of {path.suffix} files",
+            "export the character as USD or glTF, with its skeleton and its animation",
+        )
     if is_splat_file(path):
         return convert_splats(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
     if up_axis is not None and up_axis.upper() not in ("Y", "Z"):
@@ -57,12 +71,11 @@ def convert_mesh(
             f"up axis {up_axis!r}: USD knows Y and Z", "give --up-axis Y or --up-axis Z"
         )
     axis = None if up_axis is None else up_axis.upper()
-    row = format_of(path, MESH, PROGRAM)
     assert row is not None
     if row.kind == PROGRAM:
         return row.function(path, meters_per_unit=meters_per_unit, up_axis=axis)
     try:
-        file: MeshFile = row.function(path)
+        file: MeshFile = row.rigged_function(path, fps) if rigged else row.function(path)
     except OSError as error:
         raise InputError(
             f"{path} cannot be read: {error}", "check the permissions of it and its files"

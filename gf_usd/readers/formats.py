@@ -28,12 +28,24 @@ class Format:
     kind: str
     read: str
     says_axis: bool = True  # splats: the up axis is part of the format
+    # mesh: "module:function" that takes a path and frames a second, and returns a MeshFile with
+    # skeletons; "": the format has none that are read
+    rigged: str = ""
 
     @property
     def function(self) -> Callable[..., Any]:
         """What reads it."""
-        module, name = self.read.split(":")
-        return getattr(import_module(module), name)
+        return _imported(self.read)
+
+    @property
+    def rigged_function(self) -> Callable[..., Any]:
+        """What reads it with its skeletons."""
+        return _imported(self.rigged)
+
+
+def _imported(where: str) -> Callable[..., Any]:
+    module, name = where.split(":")
+    return getattr(import_module(module), name)
 
 
 # A suffix may stand in a row of meshes and in one of splats: the file tells.
@@ -49,6 +61,7 @@ FORMATS = (
     Format(
         name="glTF", suffixes=(".glb", ".gltf"), kind=MESH,
         read="gf_usd.readers.mesh.gltf.scene:read_gltf",
+        rigged="gf_usd.readers.mesh.gltf.scene:read_rigged_gltf",
     ),
     Format(name="FBX", suffixes=(".fbx",), kind=PROGRAM,
            read="gf_usd.readers.mesh.fbx:convert_fbx"),

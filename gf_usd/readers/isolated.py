@@ -89,16 +89,20 @@ def read_untrusted(
     time_code: float | None = None,
     elastic: bool = True,
     bind_pose: bool = False,
+    fps: float | None = None,
 ) -> Source:
     """All that a bake reads of a file before it fills it.
 
-    The options are those of `read_asset` and `read_stage_spec`.  Raises InputError as these do.
+    The options are those of `read_asset`, `convert` and `read_stage_spec`.  Raises InputError as
+    these do.
     """
     from gf_usd.readers import convert, read_asset
 
-    converted = convert(path, meters_per_unit=meters_per_unit, up_axis=up_axis)
+    converted = convert(
+        path, meters_per_unit=meters_per_unit, up_axis=up_axis, rigged=bind_pose, fps=fps
+    )
     if converted is not None:
-        asset = converted.asset(prims=tuple(prims), time_code=time_code)
+        asset = converted.asset(prims=tuple(prims), time_code=time_code, bind_pose=bind_pose)
         return Source(asset=asset, spec=None, converted=converted)
     # registers itself before any stage opens
     from gf_usd.readers.usd_bake.spec import read_stage_spec

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gltf_arm
 import numpy as np
 import pytest
 from arm import FIRST, LAST, WIDTH, arm, drawn, points, skinned, swinging, write
@@ -46,6 +47,37 @@ def test_frames_before_the_animation_are_simulated_but_not_written(tmp_path: Pat
     samples = stage.GetPrimAtPath("/Arm/Skin").GetAttribute("points").GetTimeSamples()
     assert samples == [2.0, 3.0, 4.0, 5.0]
     assert result.frames == 4
+
+
+def test_the_skin_of_a_gltf_file_is_flesh(tmp_path: Path) -> None:
+    """Bones, frames and rest shape are those of the file, and goals draw to where glTF poses it."""
+    path = gltf_arm.write(tmp_path)
+    options = {"particles": 300, "goal_frequency": 4.0, "output": tmp_path / "out.usda"}
+    plan, source = prepare(path, flesh=True, draw=None, **options)
+    assert source is not None
+    assert [pin.name for pin in plan.pins] == ["/arm/Skeleton:A", "/arm/Skeleton:A/B"]
+    assert (plan.settings.fps, plan.settings.frames - plan.settings.first) == (24.0, LAST)
+    assert plan.goals is not None
+    (surface,) = plan.asset.surfaces
+    ends = np.flatnonzero(np.abs(points()[:, 0] - 1.0) > 0.9)  # each hangs on one joint
+    pose = plan.goals.pose(surface.points[ends])
+    for frame in (0, LAST - FIRST):
+        wanted = gltf_arm.posed(frame)[ends]
+        # of single precision, and of the last joint's weight on samples that lie near
+        np.testing.assert_allclose(pose(plan.settings.first + frame), wanted, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_baked_gltf_file_is_a_layer_over_its_skeleton(tmp_path: Path) -> None:
+    path, out = gltf_arm.write(tmp_path), tmp_path / "out.usda"
+    result = gf_usd.bake(path, flesh=True, output=out, material="rubber", **FEW)
+    assert (result.frames, result.findings) == (LAST - FIRST + 1, ())
+    stage = Usd.Stage.Open(str(out))
+    assert not stage.GetPrimAtPath("/arm/Skin").GetRelationship("skel:skeleton").GetTargets()
+    assert stage.GetPrimAtPath("/arm/Skeleton/Animation").IsValid()
+    for frame in (0, LAST - FIRST):
+        away = drawn(stage, FIRST + frame, "/arm/Skin") - gltf_arm.posed(frame)
+        assert np.sqrt((away**2).sum(1).mean()) < 0.1 * WIDTH  # as of the arm in USD
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,8 @@ from small_stages import CUBE, bake, write
 
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.delivery.deliver import deliver
+from gf_usd.delivery.gltf_read import GlbFile
+from gf_usd.readers import convert
 
 TOLERANCE = 0.02
 FRAMES = 4
@@ -360,3 +362,28 @@ def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing in it moves"):
         deliver(still, tmp_path / "out.glb")
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
+
+
+def test_delivered_joints_are_a_skeleton_that_is_read(ball: Path, tmp_path: Path) -> None:
+    """UsdSkel of the file poses its points where glTF does: joints of 16 bits are exact in both."""
+    target = tmp_path / "ball.glb"
+    deliver(ball, target, error=0.05, kind="joints")
+    source = convert(target, rigged=True)
+    assert source is not None
+    stage = Usd.Stage.Open(str(source.layer))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1.0, FRAMES)
+    file = GlbFile(target)
+    (node,) = [k for k, row in enumerate(file.tree["nodes"]) if "mesh" in row]
+    root, cache = UsdSkel.Root(stage.GetDefaultPrim()), UsdSkel.Cache()
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
+    (skin,) = binding.GetSkinningTargets()
+    joints = cache.GetSkelQuery(binding.GetSkeleton())
+    M = np.array(UsdGeom.Xformable(binding.GetSkeleton()).ComputeLocalToWorldTransform(1.0))
+    for frame in range(FRAMES):
+        points = UsdGeom.Mesh(skin.GetPrim()).GetPointsAttr().Get(1.0 + frame)
+        assert skin.ComputeSkinnedPoints(
+            joints.ComputeSkinningTransforms(1.0 + frame), points, 1.0 + frame
+        )
+        found = np.array(points) @ M[:3, :3] + M[3, :3]
+        np.testing.assert_allclose(found, file.vertices(node, frame), atol=1e-5)  # of 1 m: float32

@@ -130,8 +130,8 @@ def skinned(path: Path, code: float) -> NDArray[np.float64]:
     return np.array(posed, float)
 
 
-def drawn(stage: Usd.Stage, code: float) -> NDArray[np.float64]:
+def drawn(stage: Usd.Stage, code: float, path: str = "/Arm/Skin") -> NDArray[np.float64]:
     """(V, 3) [m] world points of the mesh as they are authored."""
-    prim = stage.GetPrimAtPath("/Arm/Skin")
+    prim = stage.GetPrimAtPath(path)
     M = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code))
     return np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code)) @ M[:3, :3] + M[3, :3]

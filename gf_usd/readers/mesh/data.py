@@ -61,6 +61,32 @@ class FileMaterial:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FileSkeleton:
+    """A tree of joints, its bind pose and its motion; matrices act on row vectors."""
+
+    name: str
+    joints: tuple[str, ...]  # names, parents first
+    parents: Ints  # (J,) -1: none
+    bind: Floats  # (J, 4, 4) in the skeleton's space
+    rest: Floats  # (J, 4, 4) relative to the joints above, without animation
+    matrix: Floats  # (4, 4) from the skeleton's space to the scene
+    # at each frame, relative to the joints above; None: no animation
+    translations: Floats | None = None  # (F, J, 3)
+    rotations: Floats | None = None  # (F, J, 4) (w, x, y, z)
+    scales: Floats | None = None  # (F, J, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileSkin:
+    """How a mesh hangs on a skeleton: x(t) = sum_k w_k x G B_k^-1 J_k(t)."""
+
+    skeleton: int  # into MeshFile.skeletons
+    joints: Ints  # (V, k) into its joints
+    weights: Floats  # (V, k) rows of sum 1
+    matrix: Floats  # (4, 4) G, from the mesh's points to the bind pose
+
+
+@dataclass(frozen=True, kw_only=True)
 class FileMesh:
     """One polygon mesh."""
 
@@ -76,6 +102,7 @@ class FileMesh:
     colors_per_face: bool = False
     materials: Ints | None = None  # (P,) into MeshFile.materials; -1 none; None: none anywhere
     groups: tuple[tuple[str, Ints], ...] = ()  # named sets of faces
+    skin: FileSkin | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +135,8 @@ class MeshFile:
     up_axis_known: bool = False  # False: the format does not say, up_axis is usual for it
     inputs: tuple[Path, ...] = ()  # every file that was read
     notes: tuple[str, ...] = ()  # what was assumed or left out, in words
+    skeletons: tuple[FileSkeleton, ...] = ()
+    fps: float | None = None  # of the frames of their motion, the first at time code 1
 
 
 def refuse_pointer(path: Path, data: bytes) -> None:

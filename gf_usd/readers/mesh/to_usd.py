@@ -23,12 +23,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.readers.mesh.data import FileMaterial, FileMesh, FileNode, MeshFile, Picture, Slot
+from gf_usd.readers.mesh.skeletons import bind_to_skeleton, write_skeletons
 from gf_usd.readers.usd.asset import read_usd
 from gf_usd.system.atomic_files import asset_path, partial_path, publish
 from gf_usd.system.sandbox import Scratch
@@ -101,6 +102,8 @@ class MeshSource:
             file, folder.layer, folder.pictures, meters_per_unit=meters_per_unit, up_axis=up_axis
         )
         record = record_of(file.path, file.inputs, meters_per_unit, up_axis)
+        if file.fps is not None:
+            record["rigged"] = f"{file.fps:g}"
         return cls(file.path, folder, record, notes, sources)
 
     @property
@@ -108,9 +111,18 @@ class MeshSource:
         """The USD form, until the object goes."""
         return self.folder.layer
 
-    def asset(self, *, prims: Sequence[str] = (), time_code: float | None = None) -> Asset:
+    def asset(
+        self,
+        *,
+        prims: Sequence[str] = (),
+        time_code: float | None = None,
+        bind_pose: bool = False,
+    ) -> Asset:
         """The surfaces and facts; `facts.path` is the original.  See `readers.read_asset`."""
-        asset = read_usd(self.folder.layer, prims=prims, time_code=time_code, named=self.path)
+        asset = read_usd(
+            self.folder.layer, prims=prims, time_code=time_code, bind_pose=bind_pose,
+            named=self.path,
+        )  # fmt: skip
         notes = (*self.notes, *asset.facts.notes)
         return replace(asset, facts=replace(asset.facts, notes=notes, **self.sources))
 
@@ -230,7 +242,8 @@ def write_layer(
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
     UsdGeom.SetStageUpAxis(stage, up_axis)
-    root = UsdGeom.Xform.Define(stage, f"/{_identifier(file.path.stem)}").GetPrim()
+    kind = UsdSkel.Root if file.skeletons else UsdGeom.Xform
+    root = kind.Define(stage, f"/{_identifier(file.path.stem)}").GetPrim()
     _name(root, file.path.stem)
     Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
     stage.SetDefaultPrim(root)
@@ -245,8 +258,9 @@ def write_layer(
             )
             _name(made.GetPrim(), material.name)
             materials.append(made)
+    skeletons = write_skeletons(stage, root, file.skeletons, file.fps, _free)
     for node in file.nodes:
-        _write_node(stage, root, node, file, materials)
+        _write_node(stage, root, node, file, materials, skeletons)
     stage.GetRootLayer().Save()
 
 
@@ -281,7 +295,12 @@ class _Pictures:
 
 
 def _write_node(
-    stage: Usd.Stage, parent: Usd.Prim, node: FileNode, file: MeshFile, materials: list
+    stage: Usd.Stage,
+    parent: Usd.Prim,
+    node: FileNode,
+    file: MeshFile,
+    materials: list,
+    skeletons: list[UsdSkel.Skeleton],
 ) -> None:
     path = parent.GetPath().AppendChild(free_name(parent, _identifier(node.name)))
     alone = node.mesh is not None and not node.children
@@ -296,8 +315,10 @@ def _write_node(
             mesh = UsdGeom.Mesh.Define(stage, path.AppendChild(name))
             _name(mesh.GetPrim(), node.mesh.name)
         _write_mesh(mesh, node.mesh, file, materials)
+        if (skin := node.mesh.skin) is not None:
+            bind_to_skeleton(mesh, skin, skeletons[skin.skeleton])
     for child in node.children:
-        _write_node(stage, made.GetPrim(), child, file, materials)
+        _write_node(stage, made.GetPrim(), child, file, materials, skeletons)
 
 
 def _write_mesh(prim: UsdGeom.Mesh, mesh: FileMesh, file: MeshFile, materials: list) -> None:
@@ -490,8 +511,13 @@ def bind(
 
 def free_name(parent: Usd.Prim, name: str) -> str:
     """`name`, or with a number where the prim has such a child."""
-    taken = {child.GetName() for child in parent.GetAllChildren()}
-    wanted, count = name, 1
+    return _free(name, {child.GetName() for child in parent.GetAllChildren()})
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A prim's name like `name` that is not taken."""
+    wanted, count = _identifier(name), 1
+    name = wanted
     while name in taken:
         count += 1
         name = f"{wanted}_{count}"

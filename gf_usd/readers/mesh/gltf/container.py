@@ -382,10 +382,10 @@ FILE = table(
 )
 
 
-def require_types(path: Path, tree: Any) -> None:
+def require_types(path: Path, tree: Any, schema: Check = FILE) -> None:
     """Raise InputError (with the place in the file) where a value is not of its type."""
     try:
-        FILE(tree, "")
+        schema(tree, "")
     except Wrong as wrong:
         raise InputError(
             f"{path}: {wrong.where or 'the file'} is not {wrong.wanted}", REPAIR

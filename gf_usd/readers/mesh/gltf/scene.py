@@ -1,18 +1,11 @@
 """The nodes of a glTF file with their meshes; its primitives are joined, so that bodies stay whole.
 
-Each material of a glTF mesh is a primitive of its own: apart they would be open surfaces.
-
-Skinned meshes of a glTF file in the pose of its nodes.
-
-glTF 2.0, 3.7.3.3: a vertex stands at sum_j w_j J_j x, where J_j takes the bind pose to joint j (its
-inverse bind matrix) and from there to the world; the node that holds the mesh does not matter.
-
-The transforms of glTF nodes, for row vectors.
+Each material of a glTF mesh is a primitive of its own: apart they would be open surfaces.  Skinned
+meshes stand in the pose of the nodes, or hang on skeletons (`read_rigged_gltf`).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +16,10 @@ from gf_usd.core.errors import InputError
 from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileNode, MeshFile, require_sound
 from gf_usd.readers.mesh.gltf.container import Gltf, open_gltf
 from gf_usd.readers.mesh.gltf.materials import GltfMaterials
-from gf_usd.readers.mesh.gltf.primitives import Primitive, decoded, read_primitives
+from gf_usd.readers.mesh.gltf.nodes import Nodes, local_matrix
+from gf_usd.readers.mesh.gltf.primitives import Primitive, read_primitives
+from gf_usd.readers.mesh.gltf.rigs import Rigs
+from gf_usd.readers.mesh.gltf.skins import Skins
 from gf_usd.readers.notes import Notes
 
 
@@ -32,15 +28,28 @@ def read_gltf(path: Path) -> MeshFile:
 
     Raises InputError for a file that is damaged, incomplete or needs what is not read.
     """
-    notes = Notes()
-    gltf = open_gltf(path)
+    gltf, notes = open_gltf(path), Notes()
     if gltf.tree.get("animations"):
         notes.add("its animations are not read: it stands as its nodes do")
-    scene = _Scene(gltf, notes)
-    nodes = scene.roots()
+    return _file(gltf, _Scene(gltf, notes), notes)
+
+
+def read_rigged_gltf(path: Path, fps: float | None = None) -> MeshFile:
+    """The same with skeletons, whose bind pose its skinned meshes have, and the first animation.
+
+    fps : frames a second of the animation; None: those that its keys lie on, else 24.
+
+    Raises InputError as `read_gltf`, and for skins and animations that are damaged.
+    """
+    gltf, notes = open_gltf(path), Notes()
+    return _file(gltf, _Scene(gltf, notes, rigged=True, fps=fps), notes)
+
+
+def _file(gltf: Gltf, scene: _Scene, notes: Notes) -> MeshFile:
+    nodes, rigs = scene.roots(), scene.rigs
     return require_sound(
         MeshFile(
-            path=path,
+            path=gltf.path,
             format="glTF",
             nodes=nodes,
             materials=scene.materials.used,
@@ -49,17 +58,27 @@ def read_gltf(path: Path) -> MeshFile:
             up_axis_known=True,
             inputs=(*gltf.inputs, *scene.materials.inputs),
             notes=notes.lines(),
+            skeletons=rigs.skeletons if rigs else (),
+            fps=rigs.fps if rigs else None,
         )
     )
 
 
 class _Scene:
-    def __init__(self, gltf: Gltf, notes: Notes) -> None:
+    def __init__(
+        self, gltf: Gltf, notes: Notes, *, rigged: bool = False, fps: float | None = None
+    ) -> None:
         self._gltf = gltf
         self._notes = notes
         self._primitives = read_primitives(gltf, notes)
         self.materials = GltfMaterials(gltf, notes)
-        self._skins = Skins(gltf)
+        nodes = Nodes(gltf)
+        self._skins = Skins(gltf, nodes)
+        self.rigs: Rigs | None = None
+        if rigged:
+            rows = gltf.rows("nodes")
+            used = sorted({row["skin"] for row in rows if "mesh" in row and "skin" in row})
+            self.rigs = Rigs(gltf, nodes, self._skins, used, fps, notes)
         self._posed: list[FileNode] = []  # skinned meshes stand in the world, whatever their node
 
     def roots(self) -> tuple[FileNode, ...]:
@@ -89,13 +108,26 @@ class _Scene:
         children = tuple(node for node in below if node is not None)
         name = str(row.get("name") or f"node{index}")
         mesh = self._mesh(row["mesh"], name) if "mesh" in row else None
-        if mesh is not None and "skin" in row:
-            primitives = self._of_mesh(row["mesh"])
-            self._posed.append(self._skins.posed(row["skin"], name, mesh, primitives, self._notes))
+        if mesh is not None and (posed := self._skinned(row, index, name, mesh)) is not None:
+            self._posed.append(posed)
             mesh = None
         if mesh is None and not children:
             return None
         return FileNode(name=name, matrix=local_matrix(row), mesh=mesh, children=children)
+
+    def _skinned(
+        self, row: dict[str, Any], index: int, name: str, mesh: FileMesh
+    ) -> FileNode | None:
+        """A node in the scene with a mesh that joints pose; None where none does."""
+        primitives = self._of_mesh(row["mesh"])
+        if self.rigs is None:
+            if "skin" not in row:
+                return None
+            return self._skins.posed(row["skin"], name, mesh, primitives, self._notes)
+        if "skin" in row:
+            return FileNode(name=name, mesh=self.rigs.skinned(row["skin"], name, mesh, primitives))
+        carried = self.rigs.carried(index, mesh)
+        return None if carried is None else FileNode(name=name, mesh=carried)
 
     def _of_mesh(self, number: Any) -> list[Primitive]:
         self._gltf.row("meshes", number)
@@ -147,114 +179,3 @@ def _joined(
         for v, p in zip(values, primitives)
     ]
     return np.concatenate(rows)
-
-
-FLOAT = 5126
-
-
-class Skins:
-    """The skins of a file."""
-
-    def __init__(self, gltf: Gltf) -> None:
-        self._gltf = gltf
-        self._parents = {
-            child: i
-            for i, node in enumerate(gltf.rows("nodes"))
-            for child in node.get("children", [])
-        }
-
-    def posed(
-        self, number: Any, name: str, mesh: FileMesh, primitives: list[Primitive], notes: Notes
-    ) -> FileNode:
-        """A node in the world with the mesh as its skeleton holds it."""
-        joints = self._joint_matrices(number)
-        rows = [self._blend(p, joints) for p in primitives]
-        if any(row is None for row in rows):
-            notes.add("its skin has no weights: read without a pose", name)
-            return FileNode(name=name, mesh=mesh)
-        blend = np.concatenate([row for row in rows if row is not None])
-        points = np.einsum("vi,vij->vj", mesh.points, blend[:, :3, :3]) + blend[:, 3, :3]
-        normals = mesh.normals
-        if normals is not None:
-            # The cofactors are the inverse transpose up to a factor, and exist where no inverse is.
-            a, b, c = np.moveaxis(blend[:, :3, :3], 1, 0)
-            cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-            normals = np.einsum("vi,vij->vj", normals, cofactors)
-        notes.add("is skinned: it stands as the nodes of its skeleton do", name)
-        return FileNode(name=name, mesh=replace(mesh, points=points, normals=normals))
-
-    def _blend(self, primitive: Primitive, joints: Floats) -> Floats | None:
-        """(V, 4, 4) for row vectors; None without weights."""
-        sets = [i for i in range(8) if f"JOINTS_{i}" in primitive.attributes]
-        sets = [i for i in sets if f"WEIGHTS_{i}" in primitive.attributes]
-        if not sets:
-            return None
-        index = np.concatenate([primitive.attributes[f"JOINTS_{i}"] for i in sets], axis=1)
-        weight = np.concatenate([primitive.attributes[f"WEIGHTS_{i}"] for i in sets], axis=1)
-        index = index.astype(np.int64)
-        if not np.isfinite(weight).all() or index.min() < 0 or index.max() >= len(joints):
-            raise InputError(
-                f"{self._gltf.path}: a skinned mesh names joint {index.max()} of {len(joints)}, or "
-                "has weights that are not finite",
-                REPAIR,
-            )
-        total = weight.sum(axis=1, keepdims=True)
-        weight = weight / np.where(total > 0.0, total, 1.0)
-        return np.einsum("vk,vkij->vij", weight, joints[index])
-
-    def _joint_matrices(self, number: Any) -> Floats:
-        """(J, 4, 4) from the bind pose to the world, for row vectors."""
-        skin = self._gltf.row("skins", number)
-        joints = skin.get("joints", [])
-        bind = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
-        if "inverseBindMatrices" in skin:
-            bind = self._matrices(skin["inverseBindMatrices"], len(joints))
-        world = np.array([self._world(joint) for joint in joints]).reshape(-1, 4, 4)
-        return bind @ world
-
-    def _matrices(self, index: Any, count: int) -> Floats:
-        row = self._gltf.row("accessors", index)
-        kind = row.get("componentType"), row.get("type")
-        if kind != (FLOAT, "MAT4") or row.get("count", 0) < count:
-            raise InputError(
-                f"{self._gltf.path}: accessor {index} holds no {count} inverse bind matrices",
-                REPAIR,
-            )
-        return decoded(self._gltf, index)[:count].reshape(-1, 4, 4)
-
-    def _world(self, index: Any) -> Floats:
-        matrix, above = np.eye(4), 0
-        at: int | None = index
-        while at is not None and above < 1000:
-            local = local_matrix(self._gltf.row("nodes", at))
-            matrix = matrix if local is None else matrix @ local
-            at, above = self._parents.get(at), above + 1
-        return matrix
-
-
-def local_matrix(row: dict[str, Any]) -> Floats | None:
-    """(4, 4) of a node for row vectors, x_parent = x S R T; None where it says nothing."""
-    if "matrix" in row:
-        # Column by column for column vectors is row by row for row vectors.
-        return np.array(row["matrix"], np.float64).reshape(4, 4)
-    if not any(key in row for key in ("translation", "rotation", "scale")):
-        return None
-    matrix = np.eye(4)
-    scale = np.array(row.get("scale", (1.0, 1.0, 1.0)), np.float64)
-    turn = _rotation(np.array(row.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64))
-    matrix[:3, :3] = scale[:, None] * turn.T
-    matrix[3, :3] = row.get("translation", (0.0, 0.0, 0.0))
-    return matrix
-
-
-def _rotation(q: Floats) -> Floats:
-    """(3, 3) of a quaternion (x, y, z, w) for column vectors; one of length 0 turns nothing."""
-    length = float(np.linalg.norm(q))
-    x, y, z, w = q / length if length > 0.0 else (0.0, 0.0, 0.0, 1.0)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

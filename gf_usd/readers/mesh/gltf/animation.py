@@ -1,0 +1,199 @@
+"""The animation of a glTF file, sampled: translations, rotations and scales of nodes.
+
+glTF 2.0, 3.11 and appendix C.  Between keys k and k + 1 at t_k and t_k+1, with d = t_k+1 - t_k and
+s = (t - t_k) / d, a value is
+
+    STEP         v_k
+    LINEAR       (1 - s) v_k + s v_k+1; of rotations the shorter arc at a constant rate
+    CUBICSPLINE  (2 s^3 - 3 s^2 + 1) v_k + d (s^3 - 2 s^2 + s) b_k
+                 + (3 s^2 - 2 s^3) v_k+1 + d (s^3 - s^2) a_k+1
+
+with tangents a into and b out of a key, rotations normalized; before the first key and after the
+last it stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.data import REPAIR
+from gf_usd.readers.mesh.gltf.container import Gltf, index, require_types, rows, table, text
+from gf_usd.readers.mesh.gltf.primitives import decoded
+from gf_usd.readers.notes import Notes
+
+WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+STEP, LINEAR, CUBIC = "STEP", "LINEAR", "CUBICSPLINE"
+RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0)  # [frames/s] that keys may lie on
+ON_FRAME = 1e-3  # [frames] by which times of single precision miss a frame
+LONGEST = 100_000  # frames
+
+ANIMATIONS = table(
+    animations=rows(
+        table(
+            name=text,
+            channels=rows(table(sampler=index, target=table(node=index, path=text))),
+            samplers=rows(table(input=index, output=index, interpolation=text)),
+        )
+    )
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One value of a node over time."""
+
+    times: Floats  # (n,) [s] increasing
+    values: Floats  # (n, w)
+    tangents: Floats | None = None  # (n, 2, w) [1/s] into and out of each key, of CUBICSPLINE
+    mode: str = LINEAR
+    turns: bool = False  # values are quaternions (x, y, z, w)
+
+    def at(self, t: Floats, tolerance: float = 0.0) -> NDArray[np.float64]:
+        """(F, w) at times t (F,) [s]; tolerance : [s] by which a step may come early."""
+        if len(self.times) == 1:
+            return np.repeat(self.values, len(t), axis=0)
+        if self.mode == STEP:
+            k = np.searchsorted(self.times, t + tolerance, side="right") - 1
+            return np.asarray(self.values[np.clip(k, 0, len(self.times) - 1)])
+        t = np.clip(t, self.times[0], self.times[-1])
+        k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        d = (self.times[k + 1] - self.times[k])[:, None]
+        s = (t - self.times[k])[:, None] / d
+        a, b = self.values[k], self.values[k + 1]
+        if self.tangents is not None:
+            out, into = self.tangents[k, 1], self.tangents[k + 1, 0]
+            value = (2 * s**3 - 3 * s**2 + 1) * a + (3 * s**2 - 2 * s**3) * b
+            value += d * ((s**3 - 2 * s**2 + s) * out + (s**3 - s**2) * into)
+            return _unit(value) if self.turns else value
+        return _arc(a, b, s) if self.turns else (1.0 - s) * a + s * b
+
+
+@dataclass(frozen=True, kw_only=True)
+class Animation:
+    """What moves the nodes of a file; empty: nothing does."""
+
+    channels: dict[tuple[int, str], Channel] = field(default_factory=dict)  # by node and WIDTHS
+
+    @property
+    def nodes(self) -> set[int]:
+        """Those that it moves."""
+        return {node for node, _ in self.channels}
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """[s] of the first key and the last."""
+        times = [channel.times for channel in self.channels.values()]
+        return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+    @property
+    def rate(self) -> float:
+        """[frames/s] on which its keys lie; 24 where they lie on none of RATES."""
+        keys = np.concatenate([c.times for c in self.channels.values()]) - self.span[0]
+        for rate in RATES:
+            if np.abs(keys * rate - np.rint(keys * rate)).max() <= ON_FRAME:
+                return rate
+        return RATES[0]
+
+
+def read_animation(gltf: Gltf, notes: Notes) -> Animation:
+    """The first animation of a file.
+
+    Raises InputError for keys that do not increase, are not finite or do not fit their values, and
+    for what is no target.
+    """
+    require_types(gltf.path, gltf.tree, ANIMATIONS)
+    every = gltf.rows("animations")
+    if not every:
+        return Animation()
+    names = [str(row.get("name") or f"number {k}") for k, row in enumerate(every)]
+    if names[1:]:
+        notes.add(f"of {len(names)} animations the first is read: {names[0]}")
+    channels = {}
+    samplers = every[0].get("samplers", [])
+    for k, row in enumerate(every[0].get("channels", [])):
+        where = f"{gltf.path}: animation {names[0]}, channel {k}"
+        target = row.get("target", {})
+        node, path = target.get("node"), target.get("path")
+        if path not in WIDTHS or node is None:
+            if path == "weights":
+                notes.add("weights of morph targets are not read")
+            continue
+        if "matrix" in gltf.row("nodes", node):
+            raise InputError(f"{where} moves node {node}, which has a matrix", REPAIR)
+        if row.get("sampler", len(samplers)) >= len(samplers):
+            raise InputError(f"{where} names no sampler of the {len(samplers)}", REPAIR)
+        channels[node, path] = _channel(gltf, where, samplers[row["sampler"]], path)
+    return Animation(channels=channels)
+
+
+def frame_times(
+    animation: Animation, fps: float | None, where: str
+) -> tuple[float, NDArray[np.float64]]:
+    """Frames a second, and the times (F,) [s] of the frames of an animation.
+
+    fps : asked for; None: that of its keys.  Raises InputError for one of too many frames.
+    """
+    if not animation.channels:
+        return fps or RATES[0], np.zeros(1)
+    rate, (first, last) = fps or animation.rate, animation.span
+    steps = (last - first) * rate
+    if not steps <= LONGEST:
+        raise InputError(
+            f"{where}: its animation takes {last - first:.3g} s, {steps:.3g} frames at {rate:g} a"
+            " second",
+            f"give one of up to {LONGEST} frames, or a smaller --fps",
+        )
+    return rate, first + np.arange(int(np.ceil(steps - ON_FRAME)) + 1) / rate
+
+
+def _channel(gltf: Gltf, where: str, sampler: dict[str, Any], path: str) -> Channel:
+    times = decoded(gltf, sampler.get("input"))[:, 0]
+    values = decoded(gltf, sampler.get("output"))
+    mode = sampler.get("interpolation", LINEAR)
+    if mode not in (STEP, LINEAR, CUBIC):
+        raise InputError(f"{where}: there is no interpolation {mode}", REPAIR)
+    if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
+        raise InputError(f"{where}: its {len(times)} times do not increase, or are not finite",
+                         REPAIR)  # fmt: skip
+    each = 3 if mode == CUBIC else 1
+    width = WIDTHS[path]
+    if values.shape != (each * len(times), width) or not np.isfinite(values).all():
+        raise InputError(
+            f"{where}: {path} holds {len(values)} rows of {values.shape[1]} for {len(times)} keys"
+            f" ({mode}), or numbers that are not finite",
+            REPAIR,
+        )
+    tangents = None
+    if mode == CUBIC:
+        values = values.reshape(-1, 3, width)
+        tangents, values = values[:, [0, 2]], values[:, 1]
+    turns = path == "rotation"
+    if turns and (np.linalg.norm(values, axis=1) == 0.0).any():
+        raise InputError(f"{where}: a rotation is a quaternion of length 0", REPAIR)
+    return Channel(
+        times=times, values=_unit(values) if turns else values, tangents=tangents, mode=mode,
+        turns=turns,
+    )  # fmt: skip
+
+
+def _unit(q: Floats) -> NDArray[np.float64]:
+    length = np.linalg.norm(q, axis=1, keepdims=True)
+    return np.asarray(q / np.where(length > 0.0, length, 1.0))
+
+
+def _arc(a: Floats, b: Floats, s: Floats) -> NDArray[np.float64]:
+    """(F, 4) at shares s (F, 1) of the shorter arcs between unit quaternions (F, 4)."""
+    dot = (a * b).sum(1, keepdims=True)
+    b = np.where(dot < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    near = angle < 1e-6  # there the chord is the arc, to rounding
+    sine = np.where(near, 1.0, np.sin(angle))
+    from_a = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / sine)
+    from_b = np.where(near, s, np.sin(s * angle) / sine)
+    return _unit(from_a * a + from_b * b)

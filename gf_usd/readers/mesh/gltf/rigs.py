@@ -1,0 +1,236 @@
+"""The skeletons of a glTF file: its joints, their bind pose and their motion, for UsdSkel.
+
+A skin of glTF has a matrix M_j from the points of a mesh to each joint, its inverse bind matrix,
+and a vertex stands at x(t) = sum_j w_j x M_j L_j(t) with L_j the joint's transform to the scene
+(row vectors).  UsdSkel has x G B_j^-1 J_j(t) W with a bind transform B_j in the skeleton's space, G
+of the mesh and W of the skeleton.  They are the same for
+
+    L_j(t) = J_j(t) W        W of the nodes above all joints, as far as nothing moves them
+    G = M_0 L_0(0) W^-1      0 the topmost joint: the bind pose stands where this joint is first
+    B_j = M_j^-1 G
+
+so that joints keep the translation, rotation and scale of their nodes.  Nodes between W and the
+joints are joints without weights.  Skins on one tree of joints whose M_j differ by one matrix in
+all that they share are one skeleton, and that matrix is a part of G.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import InputError
+from gf_usd.readers.mesh.data import REPAIR, FileMesh, FileSkeleton, FileSkin
+from gf_usd.readers.mesh.gltf.animation import frame_times, read_animation
+from gf_usd.readers.mesh.gltf.container import Gltf
+from gf_usd.readers.mesh.gltf.nodes import Nodes, Parts, local_matrix
+from gf_usd.readers.mesh.gltf.primitives import Primitive
+from gf_usd.readers.mesh.gltf.skins import Skins
+from gf_usd.readers.notes import Notes
+
+ALIKE = 1e-4  # relative: matrices of single precision that mean the same
+FLAT = 1e-12  # determinant of a matrix without an inverse
+HALF = 1e-6  # relative: a scale that changes by more in half precision is worth a note
+
+
+@dataclass(kw_only=True)
+class _Tree:
+    """Skins that are one skeleton."""
+
+    inverse: dict[int, Floats] = field(default_factory=dict)  # M_j by node
+    order: list[int] = field(default_factory=list)  # nodes of the skeleton, parents first
+    bind: Floats = field(default_factory=lambda: np.zeros((0, 4, 4)))  # B_j
+    matrix: Floats = field(default_factory=lambda: np.eye(4))  # G
+
+
+class Rigs:
+    """The skeletons of a file, and what hangs on them.
+
+    used : numbers of the skins that pose a mesh; fps : of the frames, None: of the keys.
+    """
+
+    def __init__(
+        self,
+        gltf: Gltf,
+        nodes: Nodes,
+        skins: Skins,
+        used: list[int],
+        fps: float | None,
+        notes: Notes,
+    ) -> None:
+        self._gltf, self._nodes, self._skins, self._notes = gltf, nodes, skins, notes
+        self._trees: list[_Tree] = []
+        self._of: dict[int, tuple[int, Floats]] = {}  # tree and matrix of each skin
+        self._animation = read_animation(gltf, notes)
+        self.fps, self._times = frame_times(self._animation, fps, str(gltf.path))
+        for number in used:
+            self._add(number)
+        self.skeletons = tuple(self._skeleton(k, tree) for k, tree in enumerate(self._trees))
+
+    def skinned(
+        self, number: int, name: str, mesh: FileMesh, primitives: list[Primitive]
+    ) -> FileMesh:
+        """A mesh on the skeleton of a skin."""
+        found = self._skins.influences(number, primitives)
+        if found is None:
+            raise InputError(
+                f"{self._gltf.path}: mesh '{name}' has a skin and no weights",
+                "bind it again in the program that made it",
+            )
+        at, matrix = self._of[number]
+        tree = self._trees[at]
+        rows = {node: row for row, node in enumerate(tree.order)}
+        index, weights = found
+        weights = weights.copy()
+        if free := int((weights.sum(1) == 0.0).sum()):
+            self._notes.add(f"{free} points without weights follow its first joint", name)
+            weights[weights.sum(1) == 0.0, 0] = 1.0
+        joints = np.array([rows[node] for node in self._skins.joints(number)])
+        skin = FileSkin(
+            skeleton=at, joints=joints[index], weights=weights, matrix=matrix @ tree.matrix
+        )
+        return replace(mesh, skin=skin)
+
+    def carried(self, node: int, mesh: FileMesh) -> FileMesh | None:
+        """A mesh that a joint above its node carries along; None where none does."""
+        chain = self._nodes.chain(node)
+        for above, joint in enumerate(chain):
+            for at, tree in enumerate(self._trees):
+                if joint not in tree.inverse:
+                    continue
+                if self._animation.nodes & set(chain[:above]):
+                    self._notes.add(
+                        "moves on the joint that it hangs on: that motion is not read", mesh.name
+                    )
+                matrix = np.eye(4)
+                for between in chain[:above]:
+                    matrix = matrix @ self._nodes.local(between)
+                row = tree.order.index(joint)
+                ones = np.ones((len(mesh.points), 1))
+                skin = FileSkin(
+                    skeleton=at, joints=np.full((len(ones), 1), row), weights=ones,
+                    matrix=matrix @ tree.bind[row],
+                )  # fmt: skip
+                return replace(mesh, skin=skin)
+        return None
+
+    def _add(self, number: int) -> None:
+        """Find the tree of a skin, or begin one."""
+        joints, inverse = self._skins.joints(number), self._skins.inverse_bind(number)
+        where = f"{self._gltf.path}: skin {number}"
+        if not joints or inverse is None:
+            raise InputError(
+                f"{where} has {len(joints)} joints and no inverse bind matrices",
+                "export it with its bind pose, which is the rest shape",
+            )
+        finite = np.where(np.isfinite(inverse).all((1, 2), keepdims=True), inverse, 0.0)
+        flat = np.abs(np.linalg.det(finite)) <= FLAT
+        if flat.any():
+            raise InputError(
+                f"{where}: the inverse bind matrices of {int(flat.sum())} of {len(joints)} joints"
+                f" have no inverse, the first is {self._nodes.name(joints[int(flat.argmax())])}",
+                REPAIR,
+            )
+        mine = dict(zip(joints, inverse))
+        for at, tree in enumerate(self._trees):
+            matrix = self._difference(tree, mine)
+            if matrix is not None:
+                back = np.linalg.inv(matrix)
+                tree.inverse = {k: back @ M for k, M in mine.items()} | tree.inverse
+                self._of[number] = at, matrix
+                return
+        self._trees.append(_Tree(inverse=mine))
+        self._of[number] = len(self._trees) - 1, np.eye(4)
+
+    def _difference(self, tree: _Tree, mine: dict[int, Floats]) -> Floats | None:
+        """(4, 4) between the points of a skin and those of a tree; None: it is another one."""
+        both = sorted(mine.keys() & tree.inverse.keys())
+        common = [mine[node] @ np.linalg.inv(tree.inverse[node]) for node in both]
+        if common:
+            first = common[0]
+            alike = all(np.abs(D - first).max() <= ALIKE * np.abs(first).max() for D in common)
+            return first if alike else None
+        below = {above for node in mine for above in self._nodes.chain(node)}
+        above = {above for node in tree.inverse for above in self._nodes.chain(node)}
+        return np.eye(4) if below & tree.inverse.keys() or above & mine.keys() else None
+
+    def _skeleton(self, number: int, tree: _Tree) -> FileSkeleton:
+        wanted = {above for node in tree.inverse for above in self._nodes.chain(node)}
+        below = {
+            node: [c for c in self._nodes.row(node).get("children", []) if c in wanted]
+            for node in wanted
+        }
+        tops = sorted(node for node in wanted if self._nodes.parents.get(node) is None)
+        world = np.eye(4)
+        fixed = tree.inverse.keys() | self._animation.nodes
+        while len(tops) == 1 and tops[0] not in fixed:
+            world = self._nodes.local(tops[0]) @ world
+            tops = below[tops[0]]
+        parents: list[int] = []
+        waiting = [(node, -1) for node in reversed(tops)]
+        while waiting:
+            node, parent = waiting.pop()
+            row = len(tree.order)
+            tree.order.append(node)
+            parents.append(parent)
+            waiting += [(child, row) for child in reversed(below[node])]
+        parts = [self._nodes.parts(node) for node in tree.order]
+        moving = bool(self._animation.nodes & set(tree.order))
+        motion = [self._motion(node, part) for node, part in zip(tree.order, parts)]
+        T, Q, S = (np.stack(column, 1) for column in zip(*motion))
+        local = [
+            np.asarray(local_matrix({"translation": t, "rotation": q, "scale": s}))
+            for t, q, s in zip(T[0], Q[0], S[0])
+        ]
+        self._bind(tree, parents, local)
+        if np.abs(np.float16(S).astype(float) - S).max() > HALF * np.abs(S).max():
+            self._notes.add("scales of its joints are rounded to half precision, as UsdSkel has it")
+        rest = [self._nodes.local(node) for node in tree.order]
+        top = self._nodes.name(tree.order[0])
+        return FileSkeleton(
+            name=f"{top} skeleton" if number else "Skeleton",
+            joints=tuple(self._nodes.name(node) for node in tree.order),
+            parents=np.array(parents),
+            bind=tree.bind,
+            rest=np.stack(rest),
+            matrix=world,
+            translations=T if moving else None,
+            rotations=Q[..., [3, 0, 1, 2]] if moving else None,
+            scales=S if moving else None,
+        )
+
+    def _motion(self, node: int, part: Parts) -> tuple[Floats, Floats, Floats]:
+        """Translations (F, 3), rotations (F, 4) (x, y, z, w) and scales (F, 3) of a node."""
+        out = []
+        for path, still in vars(part).items():
+            channel = self._animation.channels.get((node, path))
+            if channel is None:
+                out.append(np.repeat(np.asarray(still)[None], len(self._times), axis=0))
+            else:
+                out.append(channel.at(self._times, 0.01 / self.fps))
+        length = np.linalg.norm(out[1], axis=1, keepdims=True)
+        turn = np.where(length > 0.0, out[1] / np.where(length > 0.0, length, 1.0), (0, 0, 0, 1))
+        # neighbors of one sign: USD goes the shorter way between samples, and others need not
+        same = np.concatenate([[1.0], np.where((turn[1:] * turn[:-1]).sum(1) < 0.0, -1.0, 1.0)])
+        return out[0], turn * np.cumprod(same)[:, None], out[2]
+
+    def _bind(self, tree: _Tree, parents: list[int], local: list[NDArray[np.float64]]) -> None:
+        """Fill in G, and B_j of all joints; those without a matrix stand as in the first frame."""
+        posed: list[NDArray[np.float64]] = []
+        for row, parent in enumerate(parents):
+            posed.append(local[row] @ posed[parent] if parent >= 0 else local[row])
+        first = next(row for row, node in enumerate(tree.order) if node in tree.inverse)
+        tree.matrix = tree.inverse[tree.order[first]] @ posed[first]
+        known = {
+            row: np.linalg.inv(tree.inverse[node]) @ tree.matrix
+            for row, node in enumerate(tree.order)
+            if node in tree.inverse
+        }
+        for row in reversed(range(len(parents))):  # from below, where the joint above has none
+            above = parents[row]
+            if row in known and above >= 0 and abs(np.linalg.det(local[row])) > FLAT:
+                known.setdefault(above, np.linalg.inv(local[row]) @ known[row])
+        tree.bind = np.stack([known.get(row, M) for row, M in enumerate(posed)])

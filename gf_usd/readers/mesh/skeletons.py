@@ -1,0 +1,105 @@
+"""Skeletons of a mesh file as UsdSkel: a Skeleton each, its SkelAnimation, and what it poses.
+
+/hero (SkelRoot)
+    /hero/Skeleton (Skeleton)
+        /hero/Skeleton/Animation (SkelAnimation)
+    /hero/body (Mesh, SkelBindingAPI)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
+
+from gf_usd.core.arrays import Floats
+from gf_usd.readers.mesh.data import FileSkeleton, FileSkin
+
+FIRST = 1.0  # time code of the first frame
+ANIMATION = "Animation"
+
+
+def write_skeletons(
+    stage: Usd.Stage,
+    root: Usd.Prim,
+    skeletons: Sequence[FileSkeleton],
+    fps: float | None,
+    identifier: Callable[[str, set[str]], str],
+) -> list[UsdSkel.Skeleton]:
+    """Define the skeletons under a SkelRoot, and the range of their frames.
+
+    identifier : makes a name for a prim of one of a file, and of those that are taken.
+    """
+    made: list[UsdSkel.Skeleton] = []
+    for one in skeletons:
+        taken = {child.GetName() for child in root.GetAllChildren()}
+        path = root.GetPath().AppendChild(identifier(one.name, taken))
+        skeleton = UsdSkel.Skeleton.Define(stage, path)
+        skeleton.AddTransformOp().Set(_matrix(one.matrix))
+        joints = _tokens(one, identifier)
+        skeleton.CreateJointsAttr(joints)
+        skeleton.CreateBindTransformsAttr([_matrix(M) for M in one.bind])
+        skeleton.CreateRestTransformsAttr([_matrix(M) for M in one.rest])
+        binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+        if one.translations is not None:
+            animation = UsdSkel.Animation.Define(stage, path.AppendChild(ANIMATION))
+            animation.CreateJointsAttr(joints)
+            _write_motion(animation, one)
+            binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+        made.append(skeleton)
+    frames = [len(one.translations) for one in skeletons if one.translations is not None]
+    if frames and fps is not None:
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetFramesPerSecond(fps)
+        stage.SetStartTimeCode(FIRST)
+        stage.SetEndTimeCode(FIRST + max(frames) - 1)
+    return made
+
+
+def bind_to_skeleton(mesh: UsdGeom.Mesh, skin: FileSkin, skeleton: UsdSkel.Skeleton) -> None:
+    """Bind a mesh to the joints that pose it."""
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    binding.CreateGeomBindTransformAttr(_matrix(skin.matrix))
+    width = skin.joints.shape[1]
+    joints = np.ascontiguousarray(skin.joints.ravel(), np.int32)
+    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints))
+    weights = np.ascontiguousarray(skin.weights.ravel(), np.float32)
+    binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights))
+
+
+def _tokens(one: FileSkeleton, identifier: Callable[[str, set[str]], str]) -> list[str]:
+    """The joints by the paths that UsdSkel calls them by."""
+    out: list[str] = []
+    below: dict[int, set[str]] = {}
+    for name, parent in zip(one.joints, one.parents.tolist()):
+        taken = below.setdefault(parent, set())
+        last = identifier(name, taken)
+        taken.add(last)
+        out.append(f"{out[parent]}/{last}" if parent >= 0 else last)
+    return out
+
+
+def _write_motion(animation: UsdSkel.Animation, one: FileSkeleton) -> None:
+    assert one.translations is not None
+    assert one.rotations is not None
+    assert one.scales is not None
+    moves, turns, scales = (
+        animation.CreateTranslationsAttr(),
+        animation.CreateRotationsAttr(),
+        animation.CreateScalesAttr(),
+    )
+    for frame in range(len(one.translations)):
+        code = FIRST + frame
+        moves.Set(_vectors(one.translations[frame]), code)
+        turns.Set(Vt.QuatfArray([Gf.Quatf(*q) for q in one.rotations[frame].tolist()]), code)
+        scales.Set(Vt.Vec3hArray([Gf.Vec3h(*s) for s in one.scales[frame].tolist()]), code)
+
+
+def _vectors(values: Floats) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
+
+
+def _matrix(rows: Floats) -> Gf.Matrix4d:
+    return Gf.Matrix4d(*np.asarray(rows, float).ravel().tolist())
