@@ -1,0 +1,1 @@
+"""Estimates material values from what was observed: least squares over simulations."""
