@@ -7,7 +7,9 @@ has words for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
@@ -16,7 +18,9 @@ from gf_usd.core.arrays import Ints
 from gf_usd.core.materials import Material, law_parameters
 from gf_usd.core.stage import NEWTONS
 from gf_usd.core.units import StageUnits
+from gf_usd.layers.stage import new_layer, refresh, save, to_metadata
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
+from gf_usd.system.atomic_files import publish
 
 Types = Sdf.ValueTypeNames
 
@@ -53,6 +57,29 @@ def write_materials(
         _write(stage, path, material, look, units)
         paths.append(path)
     return paths
+
+
+def write_material_file(path: Path, material: Material, about: Mapping[str, Any]) -> Path:
+    """Write a layer with one material, in SI, that ``--material FILE`` takes; returns path.
+
+    about : metadata of the material prim, under the key gaussianFlesh of its customData.
+
+    Raises BakeError where the disk refuses.
+    """
+    layer = new_layer(path, path)
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    (written,) = write_materials(
+        stage, Sdf.Path("/Materials"), [material], material.name, StageUnits()
+    )
+    stage.SetDefaultPrim(stage.GetPrimAtPath("/Materials"))
+    stage.GetPrimAtPath(written).SetCustomDataByKey("gaussianFlesh", to_metadata(about))
+    save(layer)
+    del stage, layer
+    publish(path)
+    refresh(path)
+    return path
 
 
 def bind(prim: Usd.Prim, material: Sdf.Path) -> None:

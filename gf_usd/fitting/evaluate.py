@@ -1,0 +1,163 @@
+"""Simulations of one asset with other material values: it is read and filled once.
+
+The process of `workers`: a request and its reply are lines of JSON over a socket; what is large
+goes through files.
+"""
+
+from __future__ import annotations
+
+import gc
+import hashlib
+import json
+import os
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.errors import GfUsdError, InputError, SolverError
+from gf_usd.core.materials import Material
+from gf_usd.fitting.observation import Followed, Observation, Scene, rest_points, save
+from gf_usd.fitting.unknowns import with_values
+from gf_usd.pipeline.checkpoint import identity
+from gf_usd.pipeline.run import prepare, solver_of
+from gf_usd.system import exchange
+from gf_usd.system.processes import end_with_parent
+from gf_usd.system.warm.workers import receive, send
+from gf_usd.view.figures import Recorder
+
+NO_POINTS = np.zeros((0, 3))
+
+
+class Simulator:
+    """Simulates an asset, each time with other values of its material.
+
+    asset, options : of ``gf-usd bake``.
+
+    Raises what preparing a bake raises, and InputError where bodies differ in their material.
+    """
+
+    def __init__(self, asset: Path, options: Mapping[str, Any]) -> None:
+        plan = prepare(asset, **options).plan
+        if plan.particles.own is not None:
+            raise InputError(
+                f"{asset}: particles have material values of their own, which are painted or"
+                " blended",
+                "fit an asset without painted values: one material is sought for all bodies",
+            )
+        table = plan.variants[0].table
+        if len(table) > 1 and options.get("material") is None:
+            raise InputError(
+                f"{asset} has {len(table)} materials: {', '.join(m.name for m in table)}",
+                "give the one that all bodies get at first: --material NAME",
+            )
+        material = plan.materials[0]
+        self._plan = replace(
+            plan,
+            particles=replace(plan.particles, material=np.zeros(len(plan.particles), np.int64)),
+            tables=((material,),),
+        )
+        self._notes = plan.notes
+        if len(table) > 1:
+            said = f"all bodies get one material; {material.name} makes {len(table)} of them"
+            self._notes = (*plan.notes, said)
+
+    def scene(self) -> Scene:
+        """What all its simulations have in common."""
+        plan = self._plan
+        settings, lift = plan.settings, np.array(plan.settings.lift)
+        moving = [s for s in plan.asset.surfaces if s.path in plan.points]
+        variant = plan.variants[0]
+        same = identity(
+            settings, variant.table, plan.choices, plan.particles,
+            plan.contact_setup.colliders if plan.contact_setup else (),
+            asset=plan.asset.facts.path, command=plan.command,
+        )  # fmt: skip
+        return Scene(
+            material=plan.materials[0],
+            radius=float(plan.bodies.radius.max()) if plan.bodies else plan.particles.radius,
+            particles=len(plan.particles),
+            fps=settings.fps,
+            frames=settings.frames,
+            start=settings.start,
+            time_codes_per_second=settings.time_codes_per_second,
+            unit=plan.asset.facts.units.length,
+            up=np.array(settings.up),
+            floor=settings.floor if settings.floor_normal is None else None,
+            surfaces={s.path: rest_points(s) + lift for s in moving},
+            triangles={s.path: np.asarray(s.triangles) for s in moving},
+            lift=lift,
+            notes=self._notes,
+            identity=hashlib.sha256(json.dumps(same, sort_keys=True).encode()).hexdigest(),
+        )
+
+    def run(self, values: Mapping[str, float], followed: Sequence[Followed]) -> Observation:
+        """Simulate with these values [SI].  Raises SolverError where it fails."""
+        plan = self._plan
+        material: Material = with_values(plan.materials[0], values)
+        plan = replace(plan, materials=(material,), tables=((material,),))
+        solver = solver_of(plan, plan.variants[0])
+        settings = plan.settings
+        recorder = Recorder(settings.normal, settings.floor, np.array(settings.gravity))
+        paths = [s.path for s in plan.asset.surfaces if s.path in plan.points]
+        seconds: list[float] = []
+        x: list[Floats] = []
+        v: list[Floats] = []
+        for frame in solver.frames():
+            health, poses = frame.health, frame.embedded
+            recorder.add(
+                frame.time,
+                np.concatenate([poses[path].x for path in paths]),
+                np.concatenate([poses[path].v for path in paths]),
+                center=health.center,
+                velocity=tuple(p / health.mass for p in health.momentum),
+                strain=max(health.max_stretch - 1.0, 1.0 - health.min_stretch),
+                kinetic=health.kinetic,
+                touching=health.penetration > 0.0 or health.overlap > 0.0,
+                inverted=health.inverted,
+            )
+            seconds.append(frame.index / settings.fps)
+            x.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].x) for f in followed)]))
+            v.append(np.concatenate([NO_POINTS, *(f.of(poses[f.path].v) for f in followed)]))
+        return Observation(
+            seconds=np.array(seconds),
+            x=np.array(x),
+            v=np.array(v) * settings.time_scale,
+            series=recorder.series(),
+        )
+
+
+def serve(descriptor: str) -> NoReturn:
+    """The process: answer requests until the other end is closed."""
+    end_with_parent()
+    os.dup2(2, 1)  # what libraries print is no part of an answer
+    gc.set_threshold(100_000, 20, 20)  # as the command line has it
+    simulator: Simulator | None = None
+    followed: Sequence[Followed] = ()
+    with socket.socket(fileno=int(descriptor)) as end:
+        while (asked := receive(end)) is not None:
+            request = asked[0]
+            answer: dict[str, Any] = {"error": None}
+            try:
+                if request["task"] == "prepare":
+                    told = exchange.read(Path(request["file"]).read_bytes())
+                    simulator = Simulator(told["asset"], told["options"])
+                    followed = told["followed"]
+                    with Path(request["reply"]).open("wb") as file:
+                        exchange.write(simulator.scene(), file)
+                else:
+                    assert simulator is not None
+                    save(Path(request["reply"]), simulator.run(request["values"], followed))
+            except GfUsdError as error:
+                more = {k: v for k, v in vars(error).items() if k not in ("message", "hint")}
+                answer["error"] = [type(error).__name__, error.message, error.hint, more]
+                answer["failed"] = isinstance(error, SolverError)
+            gc.collect()  # the solver's arrays
+            send(end, answer)
+    sys.stderr.flush()
+    os._exit(0)

@@ -1,0 +1,127 @@
+"""Targets out of files: meshes that move as the asset's do, and tracked points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.scene import Recording
+from gf_usd.fitting.observation import Scene, corner
+from gf_usd.fitting.targets import Asked, Motion, points_sigma
+from gf_usd.readers.pictures.recording import BakedMotion
+from gf_usd.view.compare import TO_Z
+
+MOST = 100  # points of a mesh that are compared: they are spread, and more tell little more
+Z_UP = 0.5  # of the component along z of a unit vector
+
+
+def read_motion(asked: Asked, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
+    """The points of a file over time, and notes on what was assumed.
+
+    Points of meshes are those of the asset's meshes of the same path, else name, else number of
+    points.  Times are those of the file's samples; what is before the first frame is left out.
+
+    Raises InputError where the file cannot be read, shows nothing of the asset, or no time of it
+    lies after the first frame.
+    """
+    assert asked.file is not None
+    motion = BakedMotion(asked.file)
+    recording = motion.recording()
+    pairs = _pairs(recording, scene)
+    if not pairs:
+        ours = ", ".join(f"<{path}> of {len(x)} points" for path, x in scene.surfaces.items())
+        theirs = ", ".join(f"<{m.name}> of {len(m.points)}" for m in recording.meshes) or "none"
+        raise InputError(
+            f"{asked.file} has no mesh of the asset: it has {theirs}, and the asset {ours}",
+            "export the same mesh, or points that were tracked: see docs/fit.md",
+        )
+    rate = recording.time_codes_per_second
+    begin = scene.start / scene.time_codes_per_second
+    codes = [c for c in recording.time_codes if c / rate - begin > -1e-6]
+    seconds = np.array([code / rate - begin for code in codes])
+    require_times(asked.file, seconds, recording.time_codes, scene)
+    chosen = {path: spread(scene.surfaces[path], MOST) for path in pairs}
+    turn = _turn(recording, scene)
+    rows = [
+        np.concatenate([frame.meshes[k][chosen[path]] @ turn.T for path, k in pairs.items()])
+        for frame in motion.frames(codes)
+    ]
+    notes = [
+        f"{asked.file.name}: <{recording.meshes[k].name}> is compared with <{path}>"
+        for path, k in pairs.items()
+        if recording.meshes[k].name != path
+    ]
+    if not np.array_equal(turn, np.eye(3)):
+        notes.append(f"{asked.file.name} has another up axis and is turned to that of the asset")
+    found = Motion(
+        name=asked.file.name,
+        followed=tuple(corner(path, chosen[path]) for path in pairs),
+        seconds=seconds,
+        x=np.array(rows),
+        sigma=points_sigma(asked, scene),
+        stated=asked.sigma is not None,
+    )
+    return found, tuple(notes)
+
+
+def require_times(file: Path, seconds: Floats, codes: Sequence[float], scene: Scene) -> None:
+    """Raise InputError where no time [s] after the first frame is there to be compared."""
+    if not (seconds > 1e-6).any():
+        raise InputError(
+            f"{file}: its time codes {min(codes):g} to {max(codes):g} are not after the first"
+            f" frame, at {scene.start / scene.time_codes_per_second:.4g} s",
+            "--start says which time code the first frame has",
+        )
+
+
+def _pairs(recording: Recording, scene: Scene) -> dict[str, int]:
+    """Which mesh of the file is which of the asset, by the asset's prim path."""
+    left = list(range(len(recording.meshes)))
+    pairs: dict[str, int] = {}
+    for same in (_path, _name):
+        for path, x in scene.surfaces.items():
+            mine = [
+                k for k in left
+                if same(recording.meshes[k].name) == same(path)
+                and len(recording.meshes[k].points) == len(x)
+            ]  # fmt: skip
+            if path not in pairs and len(mine) == 1:
+                pairs[path] = mine[0]
+                left.remove(mine[0])
+    for path, x in scene.surfaces.items():
+        mine = [k for k in left if len(recording.meshes[k].points) == len(x)]
+        if not pairs and len(scene.surfaces) == 1 and len(mine) == 1:
+            pairs[path] = mine[0]
+    return pairs
+
+
+def _path(name: str) -> str:
+    return name
+
+
+def _name(name: str) -> str:
+    return name.rsplit("/", 1)[-1]
+
+
+def _turn(recording: Recording, scene: Scene) -> Floats:
+    """(3, 3) rotation from the file's up axis to the asset's."""
+    theirs, ours = recording.up[2] > Z_UP, scene.up[2] > Z_UP
+    if theirs == ours:
+        return np.eye(3)
+    return TO_Z if ours else TO_Z.T
+
+
+def spread(points: Floats, most: int) -> Ints:
+    """Up to so many of the points (n, 3), each the farthest from those before it."""
+    if len(points) <= most:
+        return np.arange(len(points))
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(0), axis=1)))]
+    away = np.full(len(points), np.inf)
+    while len(chosen) < most:
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(away)))
+    return np.array(sorted(chosen))
