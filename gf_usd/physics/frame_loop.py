@@ -44,6 +44,11 @@ class FrameStats:
     plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
     substeps: int | None = None  # that there were; None: as many as were asked for
 
+    @property
+    def rested(self) -> bool:
+        """Whether there were no substeps."""
+        return self.flying + self.sleeping > 0
+
 
 class Solver(ABC):
     """The protocol of a solver: construct it, then iterate `frames()`.
@@ -78,6 +83,10 @@ class Solver(ABC):
     def frame_time(self) -> float:
         """[s] of simulated time between frames."""
         return self.settings.frame_time
+
+    @abstractmethod
+    def pressed(self, depth: float) -> int:
+        """Substeps a frame that the floor's springs ask for where the deepest is so deep [m]."""
 
     @property
     def substeps(self) -> int:
@@ -132,15 +141,27 @@ class Solver(ABC):
         return "lower the impact (--drop), use a stiffer material or --law neoHookean"
 
     def next(self, index: int, last: Health) -> Frame:
-        """Move by a frame; where it fails, roll back and redo it with half the step."""
+        """Move by a frame; where it fails, roll back and redo it with half the step.
+
+        Where it pressed the floor's springs harder than its step allows, it is redone with theirs.
+        """
         saved = self.state.save()
         for attempt in range(RETRIES + 1):
             substeps = self.substeps
             stats = self.advance(index, substeps)
             particle, fault = self.not_finite()
+            # How deep a frame presses its samples is known at its end.
+            while (
+                not (fault or stats.rested)
+                and (asked := self.pressed(stats.penetration) << self.guard.halvings) > substeps
+            ):
+                self.state.load(saved)
+                substeps = asked
+                stats = self.advance(index, substeps)
+                particle, fault = self.not_finite()
             if not fault:
                 frame = self.read(index)
-                done = 0 if stats.flying or stats.sleeping else substeps
+                done = 0 if stats.rested else substeps
                 seen = {name: value for name, value in vars(stats).items() if value is not None}
                 health = replace(
                     frame.health, **{"substeps": done, "rollbacks": attempt, **seen}

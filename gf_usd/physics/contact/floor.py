@@ -25,6 +25,7 @@ from gf_usd.physics.grid import spectrum
 from gf_usd.physics.grid.mass import NodalMass, lumped_mass
 from gf_usd.physics.grid.reference import Rows, Stencil
 from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.time_step import StableStep
 
 # Of E* / (rho s^2).  A rigid sample on a grid of quadratic splines sinks in by less than on a half
 # space: with stiffer springs an impact is too short, by 7 % at an approach of .05 R and 13 % at .01
@@ -36,12 +37,16 @@ STOPPING_DISTANCE = 0.25  # of s
 # twice as fast as one body alone: twice the stiffness for a mass of half.  Balls of jelly overlap
 # by .41 spacings with it, by .54 without (measured, at 3 m/s each).
 PAIR_STIFFNESS = 2.0
+# [spacings] a: as deep under where it begins to harden, a spring is stronger by k a.  The springs
+# between bodies harden from their surface on, by the same term.
+HARD = 0.2
 REST_DEPTH = 0.045  # of s; jelly, whose strain Hertz's theory is too small for, sinks twice as deep
 
 
 # A kernel takes few arrays: what is constant of a sample stands in one row of `sample_constants`.
-FLOOR_ROW = 5
-K, C, K_T, MU, M_S = range(FLOOR_ROW)  # [N/m], [N s/m], [N/m] along the floor, friction, [kg]
+FLOOR_ROW = 7
+# [N/m], [N s/m], [N/m] along the floor, friction, [kg], d0 [m] and 1 / a^2 [1/m^2] of hardening
+K, C, K_T, MU, M_S, LINEAR, HARDENING = range(FLOOR_ROW)
 # What pins give a sample: its height [m] over the floor without u and the offset, its velocity
 # [m/s], and the work [J] that they did on it.
 GIVEN_ROW = 5
@@ -64,15 +69,36 @@ class FloorContact:
     tangential: Floats  # (n,) [N/m] of the springs by which friction sticks; 0: none
     friction: Floats  # (n,)
     restitution: Floats  # (n,)
+    linear: float  # [m] the depth down to which springs are linear
+    hardening: float  # [1/m^2] 1 / a^2 beyond it
     omega2: float  # [1/s^2] largest eigenvalue of M^-1 W^T K W: the contact's stiffest vibration
     damping_rate: float  # [1/s] the same bound for M^-1 W^T C W
 
     @property
     def law(self) -> Floats:
         """(n, FLOOR_ROW) of the kernels."""
+        alike = np.ones_like(self.mass)
         return np.stack(
-            [self.stiffness, self.damping, self.tangential, self.friction, self.mass], 1
-        )
+            [
+                self.stiffness, self.damping, self.tangential, self.friction, self.mass,
+                self.linear * alike, self.hardening * alike,
+            ], 1
+        )  # fmt: skip
+
+    def normal_energy(self, depth: Floats) -> float:
+        """sum_s k (d^2 / 2 + e^4 / (4 a^2)) [J] of depths (n,) [m]."""
+        deeper = np.maximum(0.0, depth - self.linear)
+        square = 0.5 * depth**2 + 0.25 * self.hardening * deeper**4
+        return float(self.stiffness @ square)
+
+    def stiffer(self, depth: float) -> float:
+        """1 + 3 e^2 / a^2: how many times as stiff as at first a spring is at a depth [m]."""
+        return 1.0 + 3.0 * self.hardening * max(0.0, depth - self.linear) ** 2
+
+
+def pressed_step(contact: FloorContact | None, step: StableStep, depth: float) -> StableStep:
+    """The step at rest with the floor's springs as hard as where the deepest is so deep [m]."""
+    return step if contact is None else step.hardened(contact.stiffer(depth))
 
 
 def stiffness_per_mass(
@@ -127,8 +153,8 @@ def build_contact(
 ) -> FloorContact:
     """Contact samples with their rows; material values are per sample (n,).
 
-    rate : [1/s^2] stiffness per mass in place of the formula.  Then friction has no springs, as the
-    paper's: it only slows down.
+    rate : [1/s^2] stiffness per mass in place of the formula.  Then the floor does not harden and
+    friction has no springs, as the paper's: it only slows down.
     mass : of the free nodes; None: lumped.
     """
     # The floor acts along what a pin lets slide: a sample has one row for all axes.
@@ -173,6 +199,8 @@ def build_contact(
         tangential=k.copy() if rate is None else np.zeros_like(k),
         friction=np.broadcast_to(friction, m.shape).astype(float),
         restitution=np.broadcast_to(restitution, m.shape).astype(float),
+        linear=STOPPING_DISTANCE * spacing,
+        hardening=(HARD * spacing) ** -2 if rate is None else 0.0,
         omega2=contact_eigenvalue(rows.W, k, mass),
         damping_rate=contact_eigenvalue(rows.W, c, mass),
     )

@@ -2,7 +2,8 @@
 
 A sample of mass m_s at depth d > 0 below the floor, moving along the floor's normal n with v_n:
 
-    f_n = max(0, k d - c v_n),   c = -2 sqrt(k m_s) ln r / sqrt(pi^2 + ln^2 r)   (section 3.4)
+    f_n = max(0, k (d + e^3 / a^2) - c v_n),   e = max(0, d - d0)                (see `floor`)
+    c = -2 sqrt(k m_s) ln r / sqrt(pi^2 + ln^2 r)                                (section 3.4)
     xi' = v_t,   |k_t xi| <= mu f_n             the spring by which the sample sticks, or slips
     f_t = -(k_t xi + c v_t),   |f_t| <= mu f_n   (Cundall and Strack 1979; Coulomb)
 
@@ -35,7 +36,7 @@ import taichi as ti
 
 from gf_usd.physics.contact import floor
 from gf_usd.physics.contact.carriers import FLAT
-from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, M_S, MU, C, K
+from gf_usd.physics.contact.floor import FLOOR_ROW, GIVEN_ROW, HEIGHT, K_T, LINEAR, M_S, MU, C, K
 from gf_usd.physics.contact.narrow_phase import (
     DAMPING,
     DEPTH,
@@ -127,9 +128,11 @@ def floor_force(body: ti.template(), s, d, v, up, dt):
     xi = up * 0.0
     if d > 0.0:
         vn = v.dot(up)
+        e = ti.max(0.0, d - body.sample_constants[FLOOR_ROW * s + LINEAR])
+        harder = body.sample_constants[FLOOR_ROW * s + floor.HARDENING] * e * e * e
         fn = ti.max(
             0.0,
-            body.sample_constants[FLOOR_ROW * s + K] * d
+            body.sample_constants[FLOOR_ROW * s + K] * (d + harder)
             - body.sample_constants[FLOOR_ROW * s + C] * vn,
         )
         vt = v - vn * up

@@ -22,7 +22,7 @@ from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.distance import closest
-from gf_usd.physics.contact.floor import damping_coefficient
+from gf_usd.physics.contact.floor import HARD, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
@@ -51,9 +51,6 @@ COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest 
 # Springs that a sample may feel, over the one on the floor: its own, those of planes it carries,
 # and each of the two strained by both bodies.
 CROWD = 4.0
-# [spacings] a: at this depth a spring is twice as strong as without its second term.  Bodies that
-# are pressed together by more than they are stiff overlap by less so.
-HARD = 0.2
 SPARE = 1.5  # of CROWD: few samples are deep
 # Of m g r in T: what planes may give to a pair so that its samples come to be as deep as they truly
 # are, which lifts what rests on them.  In a whole bake of ten T it is a thousandth.

@@ -29,6 +29,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import AT_REST
 from gf_usd.core.materials import G0, time_scale
 from gf_usd.physics.bodies import bodies_of
+from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
@@ -136,10 +137,11 @@ class Shortcuts:
         return out
 
 
-def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView) -> int:
+def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView, depth: float) -> int:
     """Substeps a frame that a body as strained at a time [s] asks for; 1 where they are given.
 
     Contact between samples takes shorter ones: see `BodyContact.detect`.
+    depth : [m] of the deepest sample in the floor.
     stretch, J : of F_e.  Where a law flows, F changes by n (x) N, F_e by n (x) F_p^-T N, and so the
     stiffness in the grid's frame is that of F_e times |F_p^-1|^2: cells that are pressed flat for
     good are crossed sooner.
@@ -149,5 +151,6 @@ def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView) ->
     k = stiffness(body.law, stretch, J) * now.plastic_factor
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
-    dt = strained_step(body.step, speed, body.h, per_cell(body.particles, body.h), body.frequency)
+    rest = pressed_step(body.contact, body.step, depth)
+    dt = strained_step(rest, speed, body.h, per_cell(body.particles, body.h), body.frequency)
     return int(np.ceil(body.settings.frame_time / dt))

@@ -20,6 +20,7 @@ from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
+from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.embedding import pose
@@ -108,6 +109,13 @@ class TotalLagrangian(Solver):
     def damping_ratio(self) -> float:
         """See `Solver`."""
         return 0.5 * self.body.step.viscous_time * self.body.step.elastic
+
+    def pressed(self, depth: float) -> int:
+        """See `Solver`."""
+        if self.settings.substeps:
+            return 1
+        step = pressed_step(self.body.contact, self.body.step, depth)
+        return int(np.ceil(self.frame_time / step.dt))
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
@@ -204,7 +212,9 @@ class TotalLagrangian(Solver):
         particles = now.pose(index)
         now.strains(index, particles.F)
         stretch, J = now.elastic_strains(index)
-        self.strained = strained_substeps(body, stretch, J, now)
+        depth = float(state.get("sample_depth").max())
+        strained = strained_substeps(body, stretch, J, now, depth)
+        self.strained = max(strained, self.pressed(depth))
         return Frame(
             index=index,
             time=time,

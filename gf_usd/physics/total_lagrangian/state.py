@@ -382,7 +382,7 @@ class StateView:
 
     @cached_property
     def contact(self) -> float:
-        """sum_s (k d^2 + k_t xi^2) / 2 [J] stored in the floor's springs."""
+        """[J] stored in the floor's springs: see `floor`, and k_t xi^2 / 2 of friction."""
         contact, s = self._body.contact, self._body.settings
         if contact is None or s.floor is None:
             return 0.0
@@ -393,4 +393,4 @@ class StateView:
         depth = np.maximum(0.0, -(x @ s.normal - s.floor))
         xi = self._given[-3 if self._body.law.set.flows else -2].astype(float).reshape(-1, 3)
         held = spring_energy(contact.tangential, xi)
-        return held + float(0.5 * contact.stiffness @ depth**2)
+        return held + contact.normal_energy(depth)

@@ -22,6 +22,7 @@ from gf_usd.core.frames import Frame, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics import taichi_arrays
+from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.time_step import per_cell, strained_step
 from gf_usd.physics.updated_lagrangian.energies import measure, strained_speed, world_stiffness
@@ -74,6 +75,13 @@ class UpdatedLagrangian(Solver):
     def damping_ratio(self) -> float:
         """See `Solver`."""
         return 0.5 * self.body.step.viscous_time * self.body.step.elastic
+
+    def pressed(self, depth: float) -> int:
+        """See `Solver`."""
+        if self.settings.substeps:
+            return 1
+        step = pressed_step(self.body.contact, self.body.step, depth)
+        return int(np.ceil(self.frame_time / step.dt))
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
@@ -169,8 +177,10 @@ class UpdatedLagrangian(Solver):
         body = self.body
         k = world_stiffness(body.law, stretch, J)
         speed = strained_speed(k, body.per["density"], cells)
-        dt = strained_step(body.step, speed, body.h, per_cell(self.particles, body.h))
-        return int(np.ceil(self.frame_time / dt))
+        depth = float(self.state.get("sample_depth").max())
+        step = pressed_step(body.contact, body.step, depth)
+        dt = strained_step(step, speed, body.h, per_cell(self.particles, body.h))
+        return max(int(np.ceil(self.frame_time / dt)), self.pressed(depth))
 
     def von_mises(self) -> Floats:
         """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""

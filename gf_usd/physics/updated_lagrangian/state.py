@@ -131,11 +131,11 @@ class State(DeviceState):
             )
 
     def contact_energy(self) -> float:
-        """sum_s (k d^2 + k_t xi^2) / 2 [J] stored in the floor's springs."""
+        """[J] stored in the floor's springs: see `floor`, and k_t xi^2 / 2 of friction."""
         s, embedding, contact = self._body.settings, self._body.embedding, self._body.contact
         if embedding is None or contact is None:
             return 0.0
         x = embedding.pose(*self.motion()).x + self.offset
         height = x @ s.normal - (s.floor or 0.0)
         held = spring_energy(contact.tangential, self.rows("sample_spring"))
-        return held + float(0.5 * contact.stiffness @ np.maximum(0.0, -height) ** 2)
+        return held + contact.normal_energy(np.maximum(0.0, -height))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from solids import ball, look, settings
 
+from gf_usd.physics.contact.floor import HARD, STOPPING_DISTANCE
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
@@ -113,4 +114,8 @@ def test_a_body_in_the_floor_holds_the_energy_of_its_springs(body):
     )
     depth = np.maximum(0.0, -(samples.X[:, 1] + 0.9))
     assert (depth > 0.0).sum() >= 3
-    assert health.contact == pytest.approx(0.5 * solver.body.contact.stiffness @ depth**2, rel=1e-9)
+    spacing = solver.particles.spacing
+    deeper = np.maximum(0.0, depth - STOPPING_DISTANCE * spacing)
+    assert deeper.any()
+    held = 0.5 * depth**2 + 0.25 * deeper**4 / (HARD * spacing) ** 2
+    assert health.contact == pytest.approx(solver.body.contact.stiffness @ held, rel=1e-9)
