@@ -247,32 +247,39 @@ class SelfContact:
         degree = (mesh.around[corners[np.arange(len(s)), weights.argmax(1)]] >= 0).sum(1)
         ends = seen < np.select([free == 3, free == 2], [1, 2], degree)
         rim |= ends & (now < 0.0)
-        came, height = self._came(before, s, corners, weights)
-        # Who is inside one place and behind another is not inside that one, too.
-        same = (gap[s] < 0.0) & (height >= gap[s] - SAME * self._spacing)
-        outer = (gap[s] >= 0.0) & (height >= 0.0)
-        was = np.where(same, gap[s], np.where(outer, came, np.inf))
-        believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
-        keep = (least < reach) & ~rim & believed
         pseudo /= np.maximum(np.linalg.norm(pseudo, axis=1, keepdims=True), 1e-30)
         on = least <= 1e-6 * self._spacing
         n = np.where(
             on[:, None], pseudo, away * (side / np.where(least > 0.0, least, 1.0))[:, None]
         )
+        came, height, along = self._came(before, s, corners, weights, n)
+        # Who is inside one place and behind another is not inside that one, too.
+        same = (gap[s] < 0.0) & (height >= gap[s] - SAME * self._spacing)
+        # At a sharp fold a place is on the outer side of one triangle and inside by the others: who
+        # was as far behind it before did not come through.
+        outer = (gap[s] >= 0.0) & (height >= 0.0) & (along >= 0.0)
+        was = np.where(same, gap[s], np.where(outer, came, np.inf))
+        believed = (now >= 0.0) | (now >= was - STEP * self._spacing) & (was < STEP * self._spacing)
+        keep = (least < reach) & ~rim & believed
         return Facing(
             rows=s[keep], gap=now[keep], normal=n[keep], point=q[keep],
             carriers=corners[keep], weights=weights[keep],
         )  # fmt: skip
 
     @staticmethod
-    def _came(x: Floats, s: Ints, corners: Ints, weights: Floats) -> tuple[Floats, Floats]:
-        """[m] from samples s to places of triangles (k, 3), and how high they are above these."""
+    def _came(
+        x: Floats, s: Ints, corners: Ints, weights: Floats, normal: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """[m] from samples s to places of triangles (k, 3).
+
+        And how high above these, and along normals (k, 3).
+        """
         a, b, c = np.moveaxis(x[corners], 1, 0)
         n = np.cross(b - a, c - a)
         length = np.linalg.norm(n, axis=1)
         away = x[s] - np.einsum("nk,nka->na", weights, x[corners])
         height = (away * n).sum(1) / np.where(length > 0.0, length, 1.0)
-        return np.linalg.norm(away, axis=1), height
+        return np.linalg.norm(away, axis=1), height, (away * normal).sum(1)
 
 
 def _nothing() -> Facing:

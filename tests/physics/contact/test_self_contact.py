@@ -136,6 +136,18 @@ def test_a_sample_is_inside_where_it_came_through():
     np.testing.assert_array_equal(again.rows[again.gap < 0.0], came.rows[came.gap < 0.0])
 
 
+@pytest.mark.parametrize("gap", [0.05, GAP])
+def test_what_did_not_move_did_not_come_through_a_crumpled_surface(gap):
+    # Sharp folds have places on the outer side of one triangle and inside by those beside it.
+    own, samples = made(gap)
+    random = np.random.default_rng(4)
+    for _ in range(3):
+        x = samples.X * [1.0, 0.3, 1.0] + 0.7 * SPACING * random.normal(size=samples.X.shape)
+        found = own.find(x, np.zeros_like(x), REACH, x, np.full(len(x), REACH))
+        assert len(found.rows) > 0
+        assert found.gap.min() >= 0.0
+
+
 def test_a_sample_inside_one_place_is_not_inside_what_it_lies_deeper_behind():
     own, samples = made()
     x, still = closed(samples.X, -0.03), np.zeros_like(samples.X)
