@@ -203,6 +203,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "inside": ("inside_at_end_share", "inside_at_end_m"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),
     "free-flight": ("momentum_drift", "angular_momentum_drift"),
+    "loop": ("loop_cycles", "loop_difference_m", "loop_difference_share"),
 }
 
 SETTINGS: dict[str, tuple[str, str]] = {
