@@ -206,6 +206,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "loop": ("loop_cycles", "loop_difference_m", "loop_difference_share"),
 }
 
+FIELDS = "fields"
 SETTINGS: dict[str, tuple[str, str]] = {
     "frames": ("Frames simulated", ""),
     "first": ("First frame written, from 0", ""),
@@ -308,14 +309,40 @@ def health_rows(health: Mapping[str, Any], warned: Collection[str] = ()) -> list
 def named_rows(
     values: Mapping[str, Any], names: Mapping[str, tuple[str, str]]
 ) -> list[tuple[str, str]]:
-    """(label, value with its unit), in the order of the names, others last."""
+    """(label, value with its unit), in the order of the names, others last.
+
+    Each of several fields is a row.
+    """
     keys = [k for k in names if k in values] + [k for k in values if k not in names]
     out = []
     for key in keys:
         label, unit = names.get(key, (_plain(key), ""))
+        if key == FIELDS and values[key]:
+            out += [(f"Field: {field.get('kind')}", _field(field)) for field in values[key]]
+            continue
         shown = number(values[key])
         out.append((label, f"{shown} {unit}" if unit and values[key] is not None else shown))
     return out
+
+
+def _field(field: Mapping[str, Any]) -> str:
+    """What a field of the settings pushes, in words; see `gf_usd.core.frames.Field`."""
+    if field.get("kind") == "gravity":
+        times = field.get("times") or [0.0]
+        span = f"time codes {number(times[0])} to {number(times[-1])}"
+        return f"{len(times)} keys, {span}: " + "; ".join(
+            number(value) for value in field.get("values", [])
+        )
+    push = field.get("vector") if field.get("kind") == "wind" else field.get("strength")
+    words = [f"{number(push)} m/s²"]
+    if field.get("kind") == "noise":
+        words.append(f"length {number(field.get('length'))} m")
+        words.append(f"rate {number(field.get('rate'))} 1/s")
+    if field.get("radius") is not None or field.get("kind") == "radial":
+        words.append(f"around {number(field.get('center'))} m")
+    if field.get("radius") is not None:
+        words.append(f"radius {number(field['radius'])} m")
+    return "; ".join(words)
 
 
 def _plain(key: str) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields
+from dataclasses import asdict, fields
 
 import pytest
 from recordings import FallingBox, report_of
 
-from gf_usd.core.frames import Health, Settings
+from gf_usd.core.frames import Field, Health, Settings
 from gf_usd.core.materials import Material
 from gf_usd.pipeline.health import RULES, HealthLog
 from gf_usd.view.report.labels import (
@@ -149,3 +149,31 @@ def test_warnings_of_this_look_are_taken():
     record = make_record(FallingBox(about={**ABOUT, "looks": looks}).recording(), {}, "gone")
     assert [w.message for w in record.warnings] == ["bad"]
     assert record.failure == "gave up"
+
+
+@pytest.mark.parametrize(
+    ("field", "label", "shown"),
+    [
+        (Field(kind="wind", vector=(3.0, 0.0, 0.5)), "wind", "3, 0, 0.5 m/s²"),
+        (
+            Field(kind="radial", strength=-20.0, center=(0.0, 0.3, 0.0), radius=0.5),
+            "radial", "-20 m/s²; around 0, 0.3, 0 m; radius 0.5 m",
+        ),
+        (
+            Field(kind="noise", strength=4.0, length=0.3, rate=1.5),
+            "noise", "4 m/s²; length 0.3 m; rate 1.5 1/s",
+        ),
+        (
+            Field(kind="gravity", times=(1.0, 25.0), values=((0, -9.81, 0), (0, 0, 0))),
+            "gravity", "2 keys, time codes 1 to 25: 0, -9.81, 0; 0, 0, 0",
+        ),
+    ],
+)  # fmt: skip
+def test_a_field_is_a_row_in_words(field, label, shown):
+    values = {"fields": [asdict(field), asdict(field)], "seed": 0}
+    row = (f"Field: {label}", shown)
+    assert named_rows(values, SETTINGS) == [row, row, ("Seed", "0")]
+
+
+def test_without_fields_the_row_says_so():
+    assert named_rows({"fields": []}, SETTINGS) == [("Fields besides gravity", "none")]
