@@ -19,7 +19,8 @@ PARTICLES_API = "GaussianFleshParticlesAPI"
 MATERIAL_API = "GaussianFleshMaterialAPI"
 BAKE_API = "GaussianFleshBakeAPI"
 HEALTH_API = "GaussianFleshHealthAPI"
-APIS = (PARTICLES_API, MATERIAL_API, BAKE_API, HEALTH_API)
+SCENE_API = "GaussianFleshSceneAPI"
+APIS = (PARTICLES_API, MATERIAL_API, BAKE_API, HEALTH_API, SCENE_API)
 
 DEFINITIONS = "generatedSchema.usda"
 

@@ -212,7 +212,7 @@ def test_registration_after_the_first_use_of_schemas_says_what_to_do() -> None:
     assert message == (
         "the schema library gaussianFlesh was registered too late: USD had already read its schema "
         "definitions and has none for GaussianFleshParticlesAPI, GaussianFleshMaterialAPI, "
-        "GaussianFleshBakeAPI, GaussianFleshHealthAPI"
+        "GaussianFleshBakeAPI, GaussianFleshHealthAPI, GaussianFleshSceneAPI"
     )
     assert hint == (
         "hint: import gf_usd.system.usd_schema before anything opens a stage, or start the program"
@@ -272,5 +272,5 @@ def test_the_reference_names_every_property() -> None:
         "import gf_usd.system.usd_schema as schema\n"
         "print(*[name for api in schema.APIS for name in schema.property_names(api)])\n"
     ).split()
-    assert len(names) == 80 + 2 * len(law_parameters()) + len(law_internals())
+    assert len(names) == 86 + 2 * len(law_parameters()) + len(law_internals())
     assert [name for name in names if f"| `{name}` |" not in text] == []
