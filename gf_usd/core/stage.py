@@ -6,28 +6,19 @@ value comes from; None: the stage says nothing.
 What the bodies of a bake may meet besides the floor: obstacles, each other, themselves.
 
 Regions of the rest body, and pins: regions whose motion is given.  SI, world, as `model`.
-
-What a physics material says, by the names that the field uses, in SI.
-
-Moduli, density and friction are read in this order: UsdPhysics and the AOUSD proposal for
-deformables (``physics:``), Newton (``newton:mpm:``), Omniverse (``omniphysics:``).  All are in the
-stage's own units: E[Pa] = E * kilogramsPerUnit / metersPerUnit.  Only what is authored counts: a
-schema's fallback is nobody's word.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAWS, Material, flowing_law, law_parameters
-from gf_usd.core.units import StageUnits
+from gf_usd.core.materials import Material, flowing_law
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -38,6 +29,11 @@ RIGID = 1e-5  # how far a motion may stretch space and still count as rigid: flo
 
 
 WATER = 1000.0  # [kg/m^3] what UsdPhysics assumes where no density is given
+DEFAULT_LAW = "neoHookean"
+# Newton bounds sqrt(J2), the stress of pure shear, and ours sqrt(3 J2), the equivalent one; its
+# viscosity is that of shear, and ours goes with the equivalent rate: three times it.
+NEWTONS = {"yield_stress": ("yieldStress", 3.0**0.5), "flow_viscosity": ("viscosity", 3.0)}
+FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -403,183 +399,6 @@ class StageSpec:
             for body in self.physics.bodies
         )
         return named or bound or bool(self.painted)
-
-
-PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
-OURS = "gaussianFlesh:"
-DEFAULT_LAW = "neoHookean"
-FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of them
-POISSON = 0.3  # the fallback of our schema, of Newton's and of the AOUSD proposal
-INCOMPRESSIBLE = 0.47  # what a displacement method carries without locking
-
-
-Authored = Callable[[str], Any]  # attribute name -> its authored value, None where there is none
-Assume = Callable[[str], None]  # told, in words, what had to be assumed
-
-
-def read_material_spec(
-    authored: Authored,
-    path: str,
-    units: StageUnits,
-    *,
-    where: str,
-    assume: Assume | None = None,
-    say: Assume | None = None,
-) -> PhysicsMaterialSpec:
-    """What the Material prim at `path` says.
-
-    where : file and prim, for messages.
-    assume : without it a Young's modulus needs a Poisson's ratio next to it, and both values that
-        the vocabularies give a meaning of their own (0 or -inf: not stated; 0.5: incompressible)
-        and missing ones are refused.  With it they are settled, and it is told how.
-    say : is told how Newton's words on flow are read; None: `assume` is.
-
-    Raises InputError for a value that is not a number in its range, or a law that is none.
-    """
-    lenient = assume is not None
-    young = _number(authored, "youngsModulus", where, unstated=lenient)
-    nu = None
-    if young is not None:
-        young = _within(where, "Young's modulus [Pa]", young * units.pressure, 0.0, 1e13)
-        nu = _poissons_ratio(authored, where, assume)
-    density = _number(authored, "density", where, unstated=lenient)
-    if density is not None:
-        density = _within(where, "density [kg/m^3]", density * units.density, 0.0, 1e6)
-    law = authored(OURS + "law")
-    if law is not None and law not in LAWS:
-        raise InputError(f"{where}: {OURS}law is {law!r}", f"choose one of {', '.join(LAWS)}")
-    return PhysicsMaterialSpec(
-        path=path,
-        density=density,
-        youngs_modulus=young,
-        poissons_ratio=nu,
-        static_friction=_up_to(authored, "staticFriction", where, "static friction", 100.0),
-        dynamic_friction=_up_to(authored, "dynamicFriction", where, "friction", 100.0),
-        restitution=_up_to(authored, "restitution", where, "restitution", 1.0),
-        law=law,
-        damping_time=_damping_time(authored, where, units, young),
-        parameters=_parameters(authored, where, units)
-        or _newtons(authored, where, units, law, say or assume),
-    )
-
-
-def states_modulus(authored: Authored) -> bool:
-    """Whether a Young's modulus is authored, whatever its value."""
-    return any(authored(prefix + "youngsModulus") is not None for prefix in PREFIXES)
-
-
-def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> float | None:
-    nu = _number(authored, "poissonsRatio", where)
-    if assume is None:
-        return None if nu is None else _within(where, "Poisson's ratio", nu, -1.0, 0.5)
-    if nu is None:
-        assume(f"no Poisson's ratio is stated: {POISSON:g} is assumed")
-        return POISSON
-    if nu == 0.5:
-        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} stands for it")
-        return INCOMPRESSIBLE
-    return _within(where, "Poisson's ratio", nu, -1.0, 0.5)
-
-
-def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, float]:
-    """What is authored of any law's own parameters, in SI."""
-    out = {}
-    for one in law_parameters():
-        value = _float(authored(OURS + one.attribute), OURS + one.attribute, where)
-        if value is not None:
-            out[one.name] = _closed(
-                where, one.name, value * units.factor(one.unit), one.high, one.low
-            )
-    return out
-
-
-# Newton bounds sqrt(J2), the stress of pure shear, and ours sqrt(3 J2), the equivalent one; its
-# viscosity is that of shear, and ours goes with the equivalent rate: three times it.
-NEWTONS = {"yield_stress": ("yieldStress", 3.0**0.5), "flow_viscosity": ("viscosity", 3.0)}
-# What has no counterpart here, with the value at which it changes nothing.
-NOT_OURS = {"internalFriction": 0.0, "tensileYieldRatio": 1.0, "yieldPressure": float("inf")}
-
-
-def _newtons(
-    authored: Authored, where: str, units: StageUnits, law: str | None, say: Assume | None
-) -> dict[str, float]:
-    """Newton's words on flow as parameters of ours, in SI; none without a yield stress above 0."""
-
-    def stated(name: str) -> float | None:
-        value = _float(authored(PREFIXES[1] + name), PREFIXES[1] + name, where)
-        return None if value is None or value == float("-inf") else value
-
-    out = {}
-    for one in law_parameters():
-        if one.name in NEWTONS:
-            name, factor = NEWTONS[one.name]
-            value = stated(name)
-            if value:
-                SI = value * factor * units.factor(one.unit)
-                out[one.name] = _closed(where, PREFIXES[1] + name, SI, one.high, one.low)
-    if "yield_stress" not in out:
-        return {}
-    left = [name for name, nothing in NOT_OURS.items() if stated(name) not in (None, nothing)]
-    hardening = stated("hardening")
-    if hardening and law == "crushable":
-        # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
-        out["hardening"] = _closed(
-            where, PREFIXES[1] + "hardening", hardening * out["yield_stress"], float("inf")
-        )
-    elif hardening:
-        left.append("hardening")
-    if say and left:
-        say(
-            "the yield stress is read in Newton's words, but not "
-            + ", ".join(PREFIXES[1] + name for name in left)
-            + ": it is the same in tension and under any pressure"
-        )
-    return out
-
-
-def _damping_time(
-    authored: Authored, where: str, units: StageUnits, young: float | None
-) -> float | None:
-    """Ours [s], else Newton's viscosity [pressure time] over Young's modulus."""
-    tau = _float(authored(OURS + "dampingTime"), OURS + "dampingTime", where)
-    viscosity = _float(authored(PREFIXES[1] + "elasticDamping"), "elasticDamping", where)
-    if tau is None and viscosity is not None and young is not None:
-        tau = viscosity * units.pressure / young
-    return None if tau is None else _closed(where, "damping time [s]", tau, 1e6)
-
-
-def _number(authored: Authored, name: str, where: str, *, unstated: bool = False) -> float | None:
-    """The first vocabulary's value; unstated: 0 and -inf leave the word to the next one."""
-    for prefix in PREFIXES:
-        value = _float(authored(prefix + name), prefix + name, where)
-        if value is not None and not (unstated and value in (0.0, float("-inf"))):
-            return value
-    return None
-
-
-def _float(value: Any, name: str, where: str) -> float | None:
-    if value is None or isinstance(value, float | int):
-        return None if value is None else float(value)
-    raise InputError(f"{where}: {name} is {value!r}, which is no number", "author it as a float")
-
-
-def _within(where: str, name: str, value: float, low: float, high: float) -> float:
-    if not low < value < high:
-        raise InputError(
-            f"{where}: {name} is {value:g}", f"give a value between {low:g} and {high:g}"
-        )
-    return value
-
-
-def _up_to(authored: Authored, name: str, where: str, shown: str, high: float) -> float | None:
-    value = _number(authored, name, where)
-    return None if value is None else _closed(where, shown, value, high)
-
-
-def _closed(where: str, name: str, value: float, high: float, low: float = 0.0) -> float:
-    if not low <= value <= high:
-        raise InputError(f"{where}: {name} is {value:g}", f"give a value from {low:g} to {high:g}")
-    return value
 
 
 def _or(value: float | None, otherwise: float) -> float:

@@ -12,8 +12,13 @@ from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import LAWS, Material
-from gf_usd.core.stage import Assume, Authored, read_material_spec, states_modulus
 from gf_usd.core.units import StageUnits
+from gf_usd.readers.usd_physics.materials import (
+    Assume,
+    Authored,
+    read_material_spec,
+    states_modulus,
+)
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before a stage is opened)
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")

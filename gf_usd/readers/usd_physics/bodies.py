@@ -22,7 +22,6 @@ from gf_usd.core.stage import (
     PhysicsMaterialSpec,
     SubsetMaterial,
     Triple,
-    read_material_spec,
 )
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.notes import Notes
@@ -40,6 +39,7 @@ from gf_usd.readers.usd_physics.attributes import (
     switch,
     vector,
 )
+from gf_usd.readers.usd_physics.materials import read_material_spec
 from gf_usd.readers.usd_physics.motion import Readings, matrix, velocity_at_rest
 
 MASS = "PhysicsMassAPI"
