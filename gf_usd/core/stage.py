@@ -10,7 +10,7 @@ Regions of the rest body, and pins: regions whose motion is given.  SI, world, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -318,11 +318,21 @@ class Bone:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SampledSkin:
+    """The skin of a character at the samples of its surface."""
+
+    weights: csr_matrix  # (n, bones) rows sum to 1
+    offsets: Sequence[Floats]  # (n, 3) [m] at each frame, besides the skinning
+
+
+@dataclass(frozen=True, kw_only=True)
 class Skeleton:
     """The bones of a character, and the skin that they pose."""
 
     bones: tuple[Bone, ...]
-    weights: Mapping[str, csr_matrix]  # (V, bones) of each posed surface, by path; rows sum to 1
+    # (V, bones) of each posed surface, by path; rows sum to 1
+    weights: Mapping[str, csr_matrix] = field(default_factory=dict)
+    samples: SampledSkin | None = None  # in place of the weights
 
 
 @dataclass(frozen=True, kw_only=True)

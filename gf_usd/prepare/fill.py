@@ -161,7 +161,7 @@ def fill(
     if animation and file is not None:
         cycle = animation.cycle(written(settings)) if request.loop else 0
         flesh = flesh_of(
-            asset, solid, samples, sampled(settings), animation, file,
+            asset, solid, particles.X, samples, sampled(settings), animation, file,
             share=request.bone_radius, frequency=request.goal_frequency,
             damping=request.goal_damping, squish=request.squish, stretch=request.stretch,
             lattice=particles.lattice, spacing=particles.spacing,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
@@ -118,14 +119,24 @@ JUMP = 2.0  # times the longest way between two frames: a cycle whose end is far
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     """The animation of the skeletons that pose an asset; start : its first time code, as asked for.
 
-    Raises InputError where no skeleton poses any of it, and for a broken one.
+    Where no skeleton poses any of it, that of its points.  Raises InputError where there is none,
+    and for a broken skeleton.
     """
-    from gf_usd.readers.usd.bones import animation_range, read_skeleton
+    from gf_usd.readers.usd.bones import animation_range, has_skeleton, read_skeleton
+    from gf_usd.readers.usd_bake.caches import cache_range, read_cache
 
     paths = [s.path for s in asset.surfaces]
-    first, last = animation_range(file, paths, asset.facts)
+    cached = not has_skeleton(file, paths, asset.facts)
+    first, last = (cache_range if cached else animation_range)(file, paths, asset.facts)
     if start is not None:
         first, last = first_time_code(asset.facts, start), max(start, last)
+    if cached:
+        ends = read_cache(file, paths, asset.facts, first=first, times=[first, last])
+        start_points, end_points = (np.concatenate([x[p] for p in paths]) for x in ends)
+        extent = float(np.linalg.norm(np.ptp(start_points, axis=0)))
+        away = float(np.linalg.norm(end_points - start_points, axis=1).max())
+        closed = last > first and away < SAME_POSE * extent
+        return Animation(first=first, last=last, reach=0.0, closed=closed, cached=True)
     bones = read_skeleton(file, paths, asset.facts, first=first, times=[first, last]).bones
     reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
     steps = [float(np.linalg.norm(b.path[1] - b.path[0], axis=1).max()) for b in bones]
@@ -146,6 +157,7 @@ class Flesh:
 def flesh_of(
     asset: Asset,
     solid: Solid,
+    X: Floats,
     samples: SurfaceSamples,
     settings: Settings,
     animation: Animation,
@@ -163,16 +175,19 @@ def flesh_of(
 ) -> Flesh:
     """The cores of the bones, and the springs that are asked for.
 
-    settings : as `sampled`.  share, frequency [Hz], damping, squish, stretch : of --bone-radius,
-    --goal-frequency, --goal-damping, --squish and --stretch; None: not said.  lattice : [m] half
-    the edge of a cell; spacing : [m] of the samples.  cycle : samples of a period, which comes
+    X : (n, 3) [m] of the particles.  settings : as `sampled`.  share, frequency [Hz], damping,
+    squish, stretch : of --bone-radius, --goal-frequency, --goal-damping, --squish and --stretch;
+    None: not said.  lattice : [m] half the edge of a cell; spacing : [m] of the samples.  cycle :
+    samples of a period, which comes
     `repeats` times before it is written; 0: the animation is none.  Raises InputError as
     `read_animation`, where no bone lies in the flesh, and for a cycle that does not close.
     """
     from gf_usd.geometry.flesh.cores import bone_cores, bone_pins
     from gf_usd.geometry.flesh.goals import flesh_goals
     from gf_usd.geometry.flesh.limits import flesh_limits
+    from gf_usd.geometry.flesh.medial import medial_skeleton
     from gf_usd.readers.usd.bones import read_skeleton
+    from gf_usd.readers.usd_bake.caches import read_cache
     from gf_usd.readers.usd_bake.settings import read_goals
 
     step = settings.time_codes_per_second / settings.fps
@@ -182,14 +197,26 @@ def flesh_of(
     times = animation.first + frame * step
     paths = [s.path for s in asset.surfaces]
     different, again = np.unique(times, return_inverse=True)
-    skeleton = read_skeleton(
-        file, paths, asset.facts, first=animation.first, times=different.tolist()
-    )
-    bones = tuple(replace(bone, path=bone.path[again]) for bone in skeleton.bones)
-    skeleton = replace(skeleton, bones=bones)
+    when = {"first": animation.first, "times": different.tolist()}
+    cores, notes = None, ()
+    if animation.cached:
+        skeleton, cores = medial_skeleton(
+            solid, X, samples, read_cache(file, paths, asset.facts, **when),
+            share=share or BONE_RADIUS, cell=2.0 * lattice, spacing=spacing,
+            where=str(asset.facts.path),
+        )  # fmt: skip
+        notes = (
+            f"no skeleton poses it: {len(skeleton.bones)} pieces around its middle follow its"
+            " animated points as bones",
+        )
+    else:
+        skeleton = read_skeleton(file, paths, asset.facts, **when)
+    skeleton = _at_frames(skeleton, again.tolist())
+    bones = skeleton.bones
     if cycle and repeats:
         _require_closed(asset, skeleton, lead, cycle)
-    cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
+    if cores is None:
+        cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
     pins = bone_pins(bones, cores)
     if not pins:
         raise InputError(
@@ -214,6 +241,15 @@ def flesh_of(
         limits=limits,
     )  # fmt: skip
     return Flesh(pins=pins, goals=goals, notes=notes)
+
+
+def _at_frames(skeleton: Skeleton, rows: list[int]) -> Skeleton:
+    """A skeleton whose frames are these of its own."""
+    bones = tuple(replace(bone, path=bone.path[rows]) for bone in skeleton.bones)
+    skin = skeleton.samples
+    if skin is not None:
+        skin = replace(skin, offsets=[skin.offsets[row] for row in rows])
+    return replace(skeleton, bones=bones, samples=skin)
 
 
 def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) -> None:

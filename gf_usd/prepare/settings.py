@@ -164,6 +164,7 @@ class Animation:
     last: float
     reach: float  # [m] from the bind pose to the first pose, of the part that goes the farthest
     closed: bool = False  # whether the last pose is the first one
+    cached: bool = False  # of points; False: of a skeleton
 
     def cycle(self, frames: int) -> int:
         """Frames of a period, of so many from the first to the last."""

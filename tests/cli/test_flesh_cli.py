@@ -7,7 +7,7 @@ from pathlib import Path
 import gltf_arm
 import numpy as np
 import pytest
-from arm import FIRST, LAST, WIDTH, arm, drawn, points, skinned, swinging, write
+from arm import FIRST, LAST, WIDTH, arm, cached, drawn, points, skinned, swinging, write
 from pxr import Usd
 from small_bakes import BLOCK
 
@@ -117,6 +117,23 @@ def test_an_asset_without_a_skeleton_is_refused(tmp_path: Path) -> None:
             gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda")
         assert words in caught.value.message
         assert str(path) in caught.value.message
+
+
+@pytest.mark.slow
+def test_flesh_follows_a_cache_of_points(tmp_path: Path) -> None:
+    """As it follows the skeleton that the points were made by."""
+    source = write(tmp_path, arm())
+    path, out = tmp_path / "cache.usda", tmp_path / "out.usda"
+    path.write_text(cached(source), encoding="utf-8")
+    result = gf_usd.bake(path, flesh=True, output=out, material="rubber", **FEW)
+    assert (result.frames, result.health["rollbacks"]) == (LAST - FIRST + 1, 0)
+    assert not result.findings
+    assert any("pieces around its middle follow" in note for note in result.notes)
+    stage = Usd.Stage.Open(str(out))
+    for code in (FIRST, LAST):
+        away = drawn(stage, code) - skinned(source, code)
+        assert np.linalg.norm(away, axis=1).max() < 0.25 * WIDTH  # as of the arm with a skeleton
+        assert np.sqrt((away**2).sum(1).mean()) < 0.1 * WIDTH
 
 
 def paint(goal: float) -> str:

@@ -117,6 +117,38 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+def cached(path: Path, *, every: int = 1, range_said: bool = True, more: str = "") -> str:
+    """The arm of a file as a usda file without its skeleton: its points at each frame.
+
+    every : frames between the samples; more : of the prim above the mesh.
+    """
+    codes = range(FIRST, LAST + 1, every)
+    samples = ", ".join(
+        f"{code}: [{', '.join(str(tuple(p)) for p in skinned(path, code).tolist())}]"
+        for code in codes
+    )
+    corners = [c for face in faces() for c in face]
+    said = f"startTimeCode = {FIRST}\n  endTimeCode = {LAST}" if range_said else ""
+    return f"""#usda 1.0
+( metersPerUnit = 1
+  upAxis = "Y"
+  defaultPrim = "Arm"
+  {said}
+  timeCodesPerSecond = 24 )
+def Xform "Arm"
+{{
+    {more}
+    def Mesh "Skin"
+    {{
+        uniform token subdivisionScheme = "none"
+        point3f[] points.timeSamples = {{ {samples} }}
+        int[] faceVertexCounts = {[4] * len(faces())}
+        int[] faceVertexIndices = {corners}
+    }}
+}}
+"""
+
+
 def skinned(path: Path, code: float) -> NDArray[np.float64]:
     """(V, 3) [m] world points as UsdSkel poses them."""
     stage = Usd.Stage.Open(str(path))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.neighbors import nearest
 from gf_usd.core.stage import FleshLimits, Goals, Skeleton
@@ -72,8 +72,12 @@ def flesh_goals(
     linear, offset = affine(skeleton)
     moving = bool((linear != np.eye(3)).any() or offset.any())
 
+    offsets = skeleton.samples.offsets if skeleton.samples else ()
+    moving = moving or any(one.any() for one in offsets)
+
     def pose(X: Floats) -> Callable[[float], Floats]:
-        weights = drawn.around(X) @ drawn.weights
+        around = drawn.around(X)
+        weights = around @ drawn.weights
         known = np.asarray(weights.sum(1)).ravel()
         weights = sparse.csr_matrix(sparse.diags_array(1.0 / np.where(known, known, 1.0)) @ weights)
 
@@ -81,6 +85,8 @@ def flesh_goals(
             k = int(np.clip(round(frame), 0, len(linear) - 1))
             A = (weights @ linear[k].reshape(-1, 9)).reshape(-1, 3, 3)
             moved = np.einsum("nab,nb->na", A, X) + weights @ offset[k]
+            if len(offsets):
+                moved += around @ offsets[k]
             return np.where(known[:, None] > 0.0, moved, X)
 
         return at
@@ -116,35 +122,62 @@ def _drawn(
 ) -> Drawn:
     """The samples, each with what the skin has at the point nearest to it."""
     bones, count = len(skeleton.bones), len(samples.X)
-    best = np.full(count, np.inf)
-    weights: list[sparse.csr_matrix] = []
-    goal, of = np.zeros(count), np.zeros(count, np.int64)
-    for s, surface in enumerate(solid.surfaces):
-        triangles = solid.triangles[s]
-        points = np.ascontiguousarray(surface.points, dtype=float)
-        squared, face, at = igl.point_mesh_squared_distance(samples.X, points, triangles)
-        face = np.asarray(face).reshape(-1)
-        corner = triangles[face]
-        share = _barycentric(np.asarray(at), points[corner])
-        rows = np.repeat(np.arange(count), 3)
-        to_points = sparse.csr_matrix(
-            (share.ravel(), (rows, corner.ravel())), shape=(count, len(points))
-        )
+    total = sparse.csr_matrix((count, bones))
+    goal = np.full(count, UNPAINTED)
+    for surface, near in zip(solid.surfaces, on_skin(solid, samples.X)):
         known = skeleton.weights.get(surface.path)
-        weights.append(sparse.csr_matrix((count, bones)) if known is None else to_points @ known)
-        closer = np.asarray(squared).reshape(-1) < best
-        best[closer], of[closer] = np.asarray(squared).reshape(-1)[closer], s
-        values = painted.get(surface.path)
-        if values is None:
-            goal[closer] = UNPAINTED
-        else:
-            corners = surface.triangle_corners[solid.sources[s][face]]
-            said = np.asarray(values)[corners]
+        if known is not None:
+            total += near.to_points(len(surface.points)) @ known
+        if (values := painted.get(surface.path)) is not None:
+            said = np.asarray(values)[surface.triangle_corners[near.source]]
             said = np.where(np.isnan(said), UNPAINTED, said)
-            goal[closer] = (share * said).sum(1)[closer]
-    mine = [sparse.diags_array((of == s).astype(float)) @ w for s, w in enumerate(weights)]
-    total = sparse.csr_matrix(sum(mine[1:], mine[0]))
-    return Drawn(X=samples.X, weights=total, goal=goal, spacing=spacing)
+            goal[near.rows] = (near.share * said).sum(1)
+    if skeleton.samples is not None:
+        total = skeleton.samples.weights
+    return Drawn(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnSkin:
+    """Those of some points that are nearest to one surface, and where on it they are."""
+
+    rows: Ints  # (k,) of the points
+    count: int  # of all points
+    corners: Ints  # (k, 3) points of the triangle
+    share: Floats  # (k, 3) of its corners
+    source: Ints  # (k,) row of it in Surface.triangles
+
+    def to_points(self, points: int) -> sparse.csr_matrix:
+        """(count, points) shares of the points of the surface; empty rows for other points."""
+        rows = np.repeat(self.rows, 3)
+        values = (self.share.ravel(), (rows, self.corners.ravel()))
+        return sparse.csr_matrix(values, shape=(self.count, points))
+
+
+def on_skin(solid: Solid, X: Floats) -> list[OnSkin]:
+    """Where on the nearest of the surfaces points X (n, 3) [m] are; a part for each surface."""
+    best, of = np.full(len(X), np.inf), np.zeros(len(X), np.int64)
+    found = []
+    for s, (surface, triangles) in enumerate(zip(solid.surfaces, solid.triangles)):
+        points = np.ascontiguousarray(surface.points, dtype=float)
+        squared, face, at = igl.point_mesh_squared_distance(X, points, triangles)
+        squared, face = np.asarray(squared).reshape(-1), np.asarray(face).reshape(-1)
+        closer = squared < best
+        best[closer], of[closer] = squared[closer], s
+        found.append((triangles[face], _barycentric(np.asarray(at), points[triangles[face]]), face))
+    out = []
+    for s, (corners, share, face) in enumerate(found):
+        rows = np.flatnonzero(of == s)
+        out.append(
+            OnSkin(
+                rows=rows,
+                count=len(X),
+                corners=corners[rows],
+                share=share[rows],
+                source=solid.sources[s][face[rows]],
+            )
+        )
+    return out
 
 
 def _barycentric(at: Floats, corners: Floats) -> NDArray[np.float64]:

@@ -178,9 +178,9 @@ class RequestOptions:
         shown="nothing", write=values.pins,
     )] = ()
     flesh: Annotated[bool, Option(
-        SCENE, "Make a character soft around its skeleton (UsdSkel, or a skin of glTF): the bind"
-        " pose is the rest shape, a core around each bone moves with its joint, and the rest is"
-        " free.",
+        SCENE, "Make a character soft around its skeleton (UsdSkel, a skin of glTF; else the"
+        " middle of animated points): the bind pose is the rest shape, a core around each bone"
+        " moves with its joint, and the rest is free.",
         commands=INSPECT,
     )] = False
     bone_radius: Annotated[float | None, Option(

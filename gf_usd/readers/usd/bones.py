@@ -89,6 +89,15 @@ def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tupl
     return first, max(first, last)
 
 
+def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
+    """Whether a skeleton poses any of some meshes."""
+    with reading(file):
+        stage, time = open_stage(file), Usd.TimeCode.EarliestTime()
+        skins = Skins(time, UsdGeom.XformCache(time), Notes(), bind=True)
+        found = (skins.skeleton(named_prim(stage, facts.path, path)) for path in paths)
+        return any(one is not None and one[1].HasJointInfluences() for one in found)
+
+
 def read_skeleton(
     file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
 ) -> Skeleton:
@@ -333,7 +342,7 @@ def _motion(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray
     )
     lead = [
         _joined(above, rest.toward(start.toward(after, back), s).matrices)
-        for s, back in _lead_in(before, first, step)
+        for s, back in lead_in(before, first, step)
     ]
     return np.stack([*lead, *out])
 
@@ -344,13 +353,15 @@ def _worlds(rig: Rig, facts: StageFacts, first: float, times: Floats) -> NDArray
     before = times[times < first]
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
     change = _world(rig, first + step, facts) - rest if len(before) else 0.0
-    lead = [rest + back * s * change for s, back in _lead_in(before, first, step)]
+    lead = [rest + back * s * change for s, back in lead_in(before, first, step)]
     return np.stack([*lead, *(_world(rig, code, facts) for code in times if code >= first)])
 
 
-def _lead_in(before: Floats, first: float, step: float) -> list[tuple[float, float]]:
+def lead_in(before: Floats, first: float, step: float) -> list[tuple[float, float]]:
     """(s, frames) of times before the first frame: the weight of the animation, and how far back of
     its first frame it is followed, with slope 1 at the end.
+
+    before : (B,) time codes; first : of the first frame; step : between frames.
     """
     out = []
     for code in before:

@@ -1,0 +1,199 @@
+"""Bones of a body that has none: its medial part in pieces, each of which follows the skin.
+
+Let d be the distance to the skin.  A point of the body is medial where d grows nowhere near as fast
+as away from the skin, and which does not lie on the way from there into an edge:
+
+    (d(Z) - d(Y)) / |Z - Y| < STEEP      for all neighbors Z of Y
+    d(Y) >= SHALLOW d(Z)                 for all medial Z with |Z - Y| < d(Z)
+
+Medial points, deepest first, begin pieces that are as far apart as they are deep.  A sample of the
+skin follows the pieces by weights w ~ sum over their points Y of (u + e)^-4 with u = |x - Y| - d(Y)
+the distance to the ball that fits around Y, and e that between samples.  A piece moves as the rigid
+motion that fits its samples best (Kabsch).  What the skin does besides is an offset of its samples,
+so that the skinned pose is the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial.distance import cdist
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.matrices import signed_polar
+from gf_usd.core.neighbors import nearest
+from gf_usd.core.stage import Bone, SampledSkin, Skeleton
+from gf_usd.geometry.flesh.cores import WIDER, Core, Cores
+from gf_usd.geometry.flesh.goals import affine, on_skin
+from gf_usd.geometry.regions import Shape
+from gf_usd.geometry.solid import Solid
+
+STEEP, SHALLOW = 0.8, 0.75
+NEIGHBORS = 27  # of a lattice point, with itself
+MOST = 8000  # points of the body that are looked at
+PIECES = 48
+BALLS = 6  # of a piece's core
+BETWEEN = 0.4  # share of the way to the next piece at which a core ends: the rest bends
+FEW = 24  # samples that a motion is fitted to at least
+LEAST = 1e-3  # weight that counts
+
+
+def medial_skeleton(
+    solid: Solid,
+    X: Floats,
+    samples: SurfaceSamples,
+    frames: Iterable[Mapping[str, Floats]],
+    *,
+    share: float,
+    cell: float,
+    spacing: float,
+    where: str,
+) -> tuple[Skeleton, Cores]:
+    """The bones of a body whose skin is animated, and their cores.
+
+    X : (n, 3) [m] points of the body on a lattice; frames : points (V, 3) [m] of the surfaces at
+    each frame, by prim path; share : radius of a core over the distance to the skin; cell : [m]
+    edge of a cell, see `bone_cores`; spacing : [m] of the samples; where : the file, for messages.
+
+    Raises InputError where the points are not those of the surfaces.
+    """
+    points, depth = medial_points(solid, X[:: max(1, len(X) // MOST)])
+    piece, count = _pieces(points, depth, cell)
+    weights = _weights(samples.X, points, depth, piece, count, spacing)
+    path = _paths(solid, samples.X, frames, where)
+    bones = tuple(
+        _bone(k, points[piece == k], np.asarray(weights[:, [k]].todense()).ravel(), samples.X, path)
+        for k in range(count)
+    )
+    linear, offset = affine(Skeleton(bones=bones))
+    offsets = []
+    for frame, now in enumerate(path):
+        A = (weights @ linear[frame].reshape(-1, 9)).reshape(-1, 3, 3)
+        skinned = np.einsum("nab,nb->na", A, samples.X) + weights @ offset[frame]
+        offsets.append(now - skinned)
+    skin = SampledSkin(weights=weights, offsets=offsets)
+    return Skeleton(bones=bones, samples=skin), _cores(points, depth, piece, count, share, cell)
+
+
+def medial_points(solid: Solid, X: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(m, 3) [m] the medial ones of points X (n, 3) of a lattice, and their depth (m,) [m].
+
+    The deepest come first.
+    """
+    skins = [Shape(s.points, t) for s, t in zip(solid.surfaces, solid.triangles, strict=True)]
+    depth = np.min([skin.closest(X)[0] for skin in skins], axis=0)
+    distance, near = nearest(X, X, min(NEIGHBORS, len(X)))
+    rise = depth[near] - depth[:, None]
+    slope = np.max(rise / np.where(distance > 0.0, distance, np.inf), axis=1)
+    medial = np.flatnonzero((slope < STEEP) | (depth == depth.max()))
+    order = medial[np.argsort(-depth[medial], kind="stable")]
+    points, deep = np.asarray(X[order], float), np.asarray(depth[order], float)
+    most = np.concatenate(
+        [
+            np.where(cdist(part, points) < deep, deep, 0.0).max(1)
+            for part in np.array_split(points, len(points) // 1000 + 1)
+        ]
+    )
+    kept = deep >= SHALLOW * most
+    return points[kept], deep[kept]
+
+
+def _pieces(points: Floats, depth: Floats, cell: float) -> tuple[Ints, int]:
+    """(m,) the piece of each medial point, deepest first, and how many there are."""
+    centers: list[int] = []
+    apart = 1.5 * cell
+    while True:
+        for k in range(len(points)):
+            away = np.linalg.norm(points[centers] - points[k], axis=1)
+            if (away > np.maximum(depth[centers], apart)).all():
+                centers.append(k)
+        if len(centers) <= PIECES:
+            return cdist(points, points[centers]).argmin(1), len(centers)
+        centers, apart = [], 1.5 * apart
+
+
+def _weights(
+    x: Floats, points: Floats, depth: Floats, piece: Ints, count: int, spacing: float
+) -> sparse.csr_matrix:
+    """(n, pieces) by which samples x (n, 3) follow the pieces."""
+    member = sparse.csr_matrix((np.ones(len(piece)), (np.arange(len(piece)), piece)),
+                               shape=(len(piece), count))  # fmt: skip
+    rows = []
+    for part in np.array_split(x, max(1, len(x) * len(points) // 4_000_000)):
+        away = np.maximum(cdist(part, points) - depth, 0.0)
+        w = (away + spacing) ** -4.0 @ member
+        w /= w.sum(1, keepdims=True)
+        w[w < LEAST] = 0.0
+        rows.append(sparse.csr_matrix(w / w.sum(1, keepdims=True)))
+    return sparse.csr_matrix(sparse.vstack(rows))
+
+
+def _paths(
+    solid: Solid, x: Floats, frames: Iterable[Mapping[str, Floats]], where: str
+) -> NDArray[np.float64]:
+    """(F, n, 3) [m] of samples x (n, 3) of the skin at each frame."""
+    parts = [
+        (surface, near.to_points(len(surface.points)))
+        for surface, near in zip(solid.surfaces, on_skin(solid, x))
+    ]
+    rest = sum(to_points @ surface.points for surface, to_points in parts)
+    out = []
+    for frame in frames:
+        now = np.zeros_like(x)
+        for surface, to_points in parts:
+            points = frame[surface.path]
+            if len(points) != len(surface.points):
+                raise InputError(
+                    f"{where}: --flesh: <{surface.path}> has {len(points)} points, and"
+                    f" {len(surface.points)} of its surface are to follow them",
+                    "bake it without --repair, or give a cache of a mesh",
+                )
+            now += to_points @ points
+        out.append(x + now - rest)
+    return np.stack(out)
+
+
+def _bone(number: int, at: Floats, weight: Floats, x: Floats, path: Floats) -> Bone:
+    """The piece of medial points at (k, 3), by the weights (n,) of samples x (n, 3)."""
+    near = nearest(x, at.mean(0, keepdims=True), min(FEW, len(x)))[1].ravel()
+    w = weight**2
+    if (weight > 0.5).sum() < FEW:
+        w[near] += 1.0
+    w = w / w.sum()
+    P, Q = w @ x, np.einsum("n,fna->fa", w, path)
+    R = signed_polar(np.einsum("n,fna,nb->fab", w, path - Q[:, None], x - P))
+    size = float(np.linalg.norm(np.ptp(x, axis=0)))
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    anchors = at.mean(0) + 0.25 * size * corners
+    return Bone(
+        name=f"medial:{number}",
+        segments=np.zeros((0, 2, 3)),
+        free=(),
+        anchors=anchors,
+        path=np.einsum("fab,kb->fka", R, anchors - P) + Q[:, None],
+    )
+
+
+def _cores(
+    points: Floats, depth: Floats, piece: Ints, count: int, share: float, cell: float
+) -> Cores:
+    """Balls around medial points of each piece, away from the next piece."""
+    centers = np.stack([points[piece == k][0] for k in range(count)])
+    way = np.sort(cdist(points, centers), axis=1)
+    inner = np.ones(len(points), bool)
+    if count > 1:
+        inner = way[:, 0] <= BETWEEN * (way[:, 0] + way[:, 1])
+    cores = []
+    for k in range(count):
+        mine = np.flatnonzero((piece == k) & inner)
+        chosen = mine[np.unique(np.linspace(0, len(mine) - 1, BALLS).astype(int))]
+        cores += [
+            Core(bone=k, points=points[[i]], radius=share * depth[[i]] + WIDER * cell)
+            for i in chosen
+        ]
+    return Cores(cores=tuple(cores))

@@ -1,0 +1,97 @@
+"""Animated points of meshes, such as those of a simulation cache: where each is at each frame.
+
+Times before the first frame lead from the first pose, at rest, into the motion: as those of a
+skeleton (`readers.usd.bones`), x = x_0 + n s (x_1 - x_0) with n the frames back and s from 0 to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import StageFacts
+from gf_usd.core.errors import InputError
+from gf_usd.readers.usd.bones import lead_in
+from gf_usd.readers.usd.mesh import posed_points
+from gf_usd.readers.usd.select import named_prim
+from gf_usd.readers.usd.stage import open_stage, reading
+from gf_usd.readers.usd_physics.motion import bare_reading
+
+
+def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
+    """First and last time code of the animation of some meshes that no skeleton poses.
+
+    Where the stage says both, they are its own, else those of the time samples of their points and
+    of the transforms above.  Raises InputError where nothing of them is animated.
+    """
+    codes: set[float] = set()
+    with reading(file):
+        stage = open_stage(file)
+        for path in paths:
+            prim = named_prim(stage, facts.path, path)
+            if points := UsdGeom.PointBased(prim):
+                codes.update(points.GetPointsAttr().GetTimeSamples())
+            while prim and not prim.IsPseudoRoot():
+                if placed := UsdGeom.Xformable(prim):
+                    codes.update(placed.GetTimeSamples())
+                prim = prim.GetParent()
+    if len(codes) < 2:
+        here = f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
+        raise InputError(
+            f"{facts.path}: --flesh: no skeleton poses {here}, and its points have no animation",
+            "bind the mesh to a Skeleton under a SkelRoot (UsdSkel), with joint indices and"
+            " weights, give it time samples, or bake it without --flesh",
+        )
+    first = min(codes) if facts.start_time_code is None else facts.start_time_code
+    last = max(codes) if facts.end_time_code is None else facts.end_time_code
+    return first, max(first, last)
+
+
+def read_cache(
+    file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
+) -> Iterator[dict[str, Floats]]:
+    """Points (V, 3) [m] of meshes in the world at each time, by prim path; one time after another.
+
+    first : time code of the first frame; times : time codes, which increase, and begin at the rest
+    shape where they begin before it.
+
+    Raises InputError where the number of points changes, or they are not finite.
+    """
+    codes = np.asarray(times, float)
+    before = codes[codes < first]
+    step = float(codes[1] - codes[0]) if len(codes) > 1 else 1.0
+    with reading(file):
+        stage = open_stage(file)
+        start = _posed(stage, paths, facts, first)
+        if len(before):
+            change = {p: x - start[p] for p, x in _posed(stage, paths, facts, first + step).items()}
+            _require_same(start, change, facts, first + step)
+            for s, back in lead_in(before, first, step):
+                yield {p: start[p] + back * s * change[p] for p in paths}
+        for code in codes[codes >= first].tolist():
+            now = _posed(stage, paths, facts, code)
+            _require_same(start, now, facts, code)
+            yield now
+
+
+def _posed(
+    stage: Usd.Stage, paths: Sequence[str], facts: StageFacts, code: float
+) -> dict[str, Floats]:
+    now = bare_reading(facts, Usd.TimeCode(code))
+    return {path: posed_points(named_prim(stage, facts.path, path), now) for path in paths}
+
+
+def _require_same(
+    start: dict[str, Floats], now: dict[str, Floats], facts: StageFacts, code: float
+) -> None:
+    for path, points in start.items():
+        if now[path].shape != points.shape:
+            raise InputError(
+                f"{facts.path}: --flesh: <{path}> has {len(points)} points at the first frame and"
+                f" {len(now[path])} at time code {code:g}",
+                "give a cache whose points stay the same from frame to frame",
+            )
