@@ -235,9 +235,7 @@ def figures(
     if begin is None:
         return found
     part = slice(max(0, begin - 1), end + 1)
-    top, rate = series.high, series.high_rate
-    if not series.grounded:
-        top, rate = top - series.low, rate - series.low_rate
+    top, rate = _top(series)
     squash = least(series.times[part], top[part], rate[part])[1]
     found["least_height"] = np.array([squash])
     found["squash"] = np.array([1.0 - squash / series.height])
@@ -281,15 +279,23 @@ def first_contact(series: Series) -> tuple[int | None, int]:
     return begin, next(after, len(series) - 1)
 
 
+def _top(series: Series) -> tuple[Floats, Floats]:
+    """(T,) [m] height over the floor, or extent where there is none, and its rate (T,) [m/s]."""
+    if series.grounded:
+        return series.high, series.high_rate
+    return series.high - series.low, series.high_rate - series.low_rate
+
+
 def reached(series: Series, name: str) -> int:
     """The frame by which a figure of `figures` is decided; what comes after does not change it."""
     last = len(series) - 1
     begin, end = first_contact(series)
+    squashed = (begin or 0) + int(_top(series)[0][begin or 0 : end + 1].argmin())
     frames = {
         "first_contact_time": begin or 0,
         "first_contact_place": begin or 0,
-        "least_height": end,
-        "squash": end,
+        "least_height": min(last, squashed + 1),
+        "squash": min(last, squashed + 1),
         "rebound": end,
         "sag": min(last, int(series.low.argmin()) + 1),
         "peak_strain": int(series.strains.argmax()),

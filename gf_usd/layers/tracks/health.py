@@ -82,6 +82,16 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
 }
 
 
+# attribute -> type, of the figures that have intervals
+CERTIFIED: dict[str, Any] = {
+    "figures": Types.TokenArray,
+    "values": Types.DoubleArray,
+    "halfWidths": Types.DoubleArray,
+    "unknown": Types.StringArray,
+    "frames": Types.Int,
+}
+
+
 def bake_root(asset: Asset, home: Home) -> Sdf.Path:
     """The prim that carries the health: the home's root, or the scope where that has no switch."""
     return home.root if home.root in roots_of(asset, home) else home.scope
@@ -169,12 +179,15 @@ def author_certificate(
             names.append(_camel(name) + (axis if several else ""))
             values.append(value / size)
             halves.append(one["half_width"] / size)
-    _author(spec, "certified:figures", Types.TokenArray, Vt.TokenArray(names))
-    _author(spec, "certified:values", Types.DoubleArray, Vt.DoubleArray(values))
-    _author(spec, "certified:halfWidths", Types.DoubleArray, Vt.DoubleArray(halves))
-    _author(spec, "certified:unknown", Types.StringArray, Vt.StringArray(unknown))
-    frames = certificate.get("center", {}).get("frames", 0)
-    _author(spec, "certified:frames", Types.Int, frames)
+    found = {
+        "figures": Vt.TokenArray(names),
+        "values": Vt.DoubleArray(values),
+        "halfWidths": Vt.DoubleArray(halves),
+        "unknown": Vt.StringArray(unknown),
+        "frames": certificate.get("center", {}).get("frames", 0),
+    }
+    for name, kind in CERTIFIED.items():
+        _author(spec, f"certified:{name}", kind, found[name])
 
 
 def _camel(name: str) -> str:

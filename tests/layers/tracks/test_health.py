@@ -17,7 +17,15 @@ from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.layers.check.run import review
 from gf_usd.layers.root import write_root
-from gf_usd.layers.tracks.health import FLOW, FRAME, PREFIX, TOTAL, author_totals
+from gf_usd.layers.tracks.health import (
+    CERTIFIED,
+    FLOW,
+    FRAME,
+    PREFIX,
+    TOTAL,
+    author_certificate,
+    author_totals,
+)
 from gf_usd.layers.variants import BakedVariant
 from gf_usd.pipeline.health import HealthLog
 from gf_usd.system import usd_schema
@@ -87,6 +95,8 @@ def test_tables_and_schema_say_the_same() -> None:
     ours = {name: (kind, Sdf.VariabilityVarying) for name, (kind, _, _) in frame.items()}
     for name, (kind, _, _) in TOTAL.items():
         ours[f"total:{name}"] = (kind, Sdf.VariabilityUniform)
+    for name, kind in CERTIFIED.items():
+        ours[f"certified:{name}"] = (kind, Sdf.VariabilityUniform)
     ours["warnings"] = (Sdf.ValueTypeNames.StringArray, Sdf.VariabilityUniform)
     ours["failure"] = (Sdf.ValueTypeNames.String, Sdf.VariabilityUniform)
     assert declared == ours
@@ -142,6 +152,25 @@ def test_totals_follow_the_variant(tmp_path: Path) -> None:
     assert list(jelly["warnings"]) == ["it sank", "it rose"]
     assert jelly["failure"] == "it burst"
     assert not {"warnings", "failure", "total:restitution"} & set(rubber), "nothing to say"
+
+
+def test_intervals_are_in_stage_units() -> None:
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    spec = Sdf.CreatePrimInLayer(layer, "/body")
+    one = {"unit": "m", "value": [0.02], "half_width": 0.001, "reason": ""}
+    place = {"unit": "m", "value": [0.01, 0.02, 0.03], "half_width": 0.002, "reason": ""}
+    lost = {"unit": "", "value": None, "half_width": None, "reason": "it differs"}
+    share = {"unit": "", "value": [0.2], "half_width": 0.01, "reason": ""}
+    figures = {"rebound": one, "settled_center": place, "peak_strain": lost, "squash": share}
+    certificate = {"figures": figures, "center": {"frames": 7}}
+    author_certificate(spec, certificate, UNITS)
+    said = {name: spec.attributes[f"{PREFIX}certified:{name}"].default for name in CERTIFIED}
+    names = ["rebound", "settledCenterX", "settledCenterY", "settledCenterZ", "squash"]
+    assert list(said["figures"]) == names
+    np.testing.assert_allclose(said["values"], [2.0, 1.0, 2.0, 3.0, 0.2])
+    np.testing.assert_allclose(said["halfWidths"], [0.1, 0.2, 0.2, 0.2, 0.01])
+    assert list(said["unknown"]) == ["peakStrain: it differs"]
+    assert said["frames"] == 7
 
 
 def test_without_a_bake_nothing_is_said(tmp_path: Path) -> None:
