@@ -98,4 +98,10 @@ def prepare_and_run(
     """See `bake`; in this process."""
     from gf_usd.pipeline.run import prepare, run
 
-    return run(prepare(path, **options), progress, max_hours=max_hours, slice=slice)
+    prepared = prepare(path, **options)
+    result = run(prepared, progress, max_hours=max_hours, slice=slice)
+    if prepared.plan.outputs.sheet:
+        from gf_usd.api.drawing.sweep import draw_sweep
+
+        draw_sweep(result, prepared.plan.outputs.sheet)
+    return result

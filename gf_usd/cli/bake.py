@@ -106,6 +106,12 @@ def bake(
             result = run(
                 prepared, on_frame, max_hours=max_hours, slice=slice, remark=remark, watch=show
             )
+            if plan.outputs.sheet:
+                from gf_usd.api.drawing.sweep import draw_sweep
+                from gf_usd.pipeline.forecast import DRAWING, Activity
+
+                show(Activity(stage=DRAWING, what=plan.outputs.sheet.name))
+                draw_sweep(result, plan.outputs.sheet)
         for note in result.notes[len(plan.notes) :]:
             if note not in told:
                 emit("note", message=note)

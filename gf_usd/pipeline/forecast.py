@@ -31,7 +31,7 @@ FEW = 3  # samples with substeps that say more than the estimate
 
 READING, FILLING, COMPILING = "reading", "filling", "compiling kernels"
 SIMULATING, WRITING, CHECKING = "simulating", "writing", "checking"
-CERTIFYING = "simulating coarsely"
+CERTIFYING, DRAWING = "simulating coarsely", "drawing"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from gf_usd.readers.splats.write import WRITERS
 from gf_usd.system.atomic_files import partial_path, publish
 
 REPORT = ".report.json"
+SHEET = ".sheet.png"
 USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -31,13 +32,15 @@ class Outputs:
     source: Path | None = None  # USD layer of an asset that is not USD
     textures: tuple[Path, ...] = ()  # pictures that were inside it
     flat: bool = False  # the root holds everything; the caches are there while it is made
+    sheet: Path | None = None  # pictures of all variants
 
     @property
     def own(self) -> tuple[Path, ...]:
         """The files that no other bake has a part in."""
         if self.flat:
             return (self.root, *self.textures, self.report)
-        return (self.root, *self.caches, self.report)
+        sheet = (self.sheet,) if self.sheet else ()
+        return (self.root, *self.caches, self.report, *sheet)
 
     @property
     def checkpoints(self) -> tuple[Path, ...]:
@@ -63,7 +66,11 @@ class Outputs:
 
 
 def outputs(
-    source: Path, variants: Sequence[str], output: str | None, flatten: bool = False
+    source: Path,
+    variants: Sequence[str],
+    output: str | None,
+    flatten: bool = False,
+    sweep: str | None = None,
 ) -> Outputs:
     """Names of the results; variants are their names.
 
@@ -71,13 +78,14 @@ def outputs(
     One variant: duck.rubber.usda and duck.rubber.cache.usdc.  Several: duck.rubber-jelly.usda with
     duck.rubber-jelly.rubber.cache.usdc and so on.  A mesh file duck.obj also gives
     duck.source.usdc, which all bakes of it share.  Flattened, or named .usdz, a bake is one file.
+    A sweep has a name for all variants together, and duck.NAME.sheet.png.
 
     Raises UsageError for names that collide, with each other or with the asset.
     """
     _require_names(variants)
     if output is not None and "\0" in output:
         raise UsageError("-o holds a null character, which no path has", "choose another -o")
-    name = f"{source.stem}.{'-'.join(variants)}.{'usdc' if flatten else 'usda'}"
+    name = f"{source.stem}.{sweep or '-'.join(variants)}.{'usdc' if flatten else 'usda'}"
     if output is None:
         root = Path(name)
     elif output.endswith("/") or Path(output).is_dir():
@@ -104,6 +112,7 @@ def outputs(
         report=root.with_name(f"{stem}{REPORT}"),
         source=None if is_usd or flat else root.with_name(f"{source.stem}.source.usdc"),
         flat=flat,
+        sheet=root.with_name(f"{stem}{SHEET}") if sweep else None,
     )
     for path in files.all:
         if path.resolve() == source.resolve():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gf_usd.core import materials
 from gf_usd.core.asset import ASSUMED, Asset
-from gf_usd.core.errors import InputError
+from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
@@ -19,6 +19,7 @@ from gf_usd.prepare.bodies import file_obstacles
 from gf_usd.prepare.fill import fill, implausible_size
 from gf_usd.prepare.materials import Authored, variant_name
 from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.options.sweep import Swept, swept
 from gf_usd.prepare.options.table import PLANNED
 from gf_usd.prepare.outputs import (
     Outputs,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from gf_usd.readers.mesh.to_usd import MeshSource
 
 
+DEFAULT_MATERIAL = "rubber"  # where nobody says anything
 # Fills an asset that was read once more, with particles at another spacing [m].
 Refill = Callable[[float], Plan]
 
@@ -145,7 +147,8 @@ def _targets(
 ) -> Targets:
     """The targets of a bake.  Raises UsageError where something is in their way."""
     names = [preset.name for preset in presets]
-    files = outputs(source, names, target, request.flatten)
+    sweep = presets[0].swept if isinstance(presets[0], Swept) else None
+    files = outputs(source, names, target, request.flatten, sweep)
     seen = stamps(files)
     # what it wrote before it ended was free to be written
     overwrite = overwrite or (resume and interrupted(files))
@@ -213,7 +216,7 @@ def read_stage(
         spec = advise(asset, source, spec, presets[0], usd=usd, rest=request.start, draw=draw)
         presets = [Authored(presets[0].name)]
     elif not presets:
-        named = variant_name(spec, asset.surfaces) if spec.says_material else "rubber"
+        named = variant_name(spec, asset.surfaces) if spec.says_material else DEFAULT_MATERIAL
         presets = [Authored(named)]
     of_files, said = file_obstacles(request.listed("colliders"), asset.facts, limits)
     physics = replace(spec.physics, of_files=of_files, notes=(*spec.physics.notes, *said))
@@ -282,10 +285,24 @@ def parse_request(
     if material is None and request.preset == "paper":
         material = "rubber"
     auto = parse_auto(names_of(material), request.preset)
+    if auto is not None and request.material_sweep:
+        raise UsageError(
+            "--material-sweep does not go with --material auto", "name the material to vary"
+        )
     if auto is not None:
         return request, [auto]
     named = material.split(",") if isinstance(material, str) and material else material
-    return request, [_find(one, request) for one in named or ()]
+    sweep = request.parsed["material_sweep"]
+    if sweep is not None:
+        named = named or (DEFAULT_MATERIAL,)
+    found = [_find(one, request) for one in named or ()]
+    if sweep is None:
+        return request, found
+    if len(found) > 1:
+        raise UsageError(
+            f"--material-sweep varies one material, and {len(found)} were given", "give one"
+        )
+    return request, swept(found[0], sweep)
 
 
 def names_of(material: str | tuple[str | Material, ...] | None) -> str | None:

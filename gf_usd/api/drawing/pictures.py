@@ -30,6 +30,7 @@ class Drawing:
     ----------
     size : (width, height) [pixels].
     limits : range of the colors; None: from the motion.
+    fitted : camera where the stage has none; None: one that has the whole motion.
     """
 
     def __init__(
@@ -37,11 +38,12 @@ class Drawing:
         source: PictureStage,
         size: tuple[int, int],
         limits: tuple[float, float] | None = None,
+        fitted: Camera | None = None,
     ) -> None:
         self._source, self._size = source, size
         self._quantity = _quantity(source, limits)
         self._legend = Legend(self._quantity, size) if self._quantity else None
-        self._fitted = self._fit()
+        self._fitted = fitted or self._fit()
         self._lights = self._studio()
         self.notes: dict[str, None] = {}  # what was assumed in any frame, once each
 

@@ -108,6 +108,7 @@ class Request(RequestOptions):
             )
         self._check_settling()
         self._check_certify()
+        self._check_sweep()
         if self.self_contact and self.preset:
             raise UsageError(
                 f"--preset {self.preset} does not know --self-contact",
@@ -158,6 +159,22 @@ class Request(RequestOptions):
             if self.certify and given:
                 raise UsageError(
                     f"--certify does not go with {option}: {why}", "leave one of the two out"
+                )
+
+    def _check_sweep(self) -> None:
+        """Raise UsageError for options that give what --material-sweep gives."""
+        sweep = self.parsed["material_sweep"]
+        for option, given, name in (
+            ("--friction", self.friction, "friction"),
+            ("--restitution", self.restitution, "restitution"),
+            ("--damping-time", self.damping_time, "damping"),
+            ("--preset paper", self.preset, None),
+            ("--flatten", self.flatten or None, None),
+        ):
+            if sweep and given is not None and name in (None, sweep.name):
+                raise UsageError(
+                    f"--material-sweep {self.material_sweep} does not go with {option}",
+                    f"leave {option} out",
                 )
 
     def _check_flesh(self) -> None:

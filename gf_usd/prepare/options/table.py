@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import texts, values
 from gf_usd.prepare.options.option import BAKE, INSPECT, Option, rows, spelled, table
+from gf_usd.prepare.options.sweep import parse_sweep
 from gf_usd.prepare.options.values import Corners, Vector
 
 if TYPE_CHECKING:
@@ -245,6 +246,12 @@ class RequestOptions:
     blend_width: Annotated[float | None, Option(
         MATERIAL, "Width of the transition between materials of one body [stage units].",
         shown="0", low=0.0, high=1e6,
+    )] = None
+    material_sweep: Annotated[str | None, Option(
+        MATERIAL, "NAME=LOW:HIGH:COUNT, such as youngs=1e4:1e6:5: bake variants of the material"
+        " with these values, and write a contact sheet. NAME: youngs [Pa], poisson, density"
+        " [kg/m^3], damping [s], friction or restitution.",
+        shown="none", parse=parse_sweep,
     )] = None
     mass_scaling: Annotated[float | None, Option(
         MATERIAL, "Divide the elastic moduli of materials that flow by this: steps grow by its"

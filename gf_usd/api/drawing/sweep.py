@@ -1,0 +1,37 @@
+"""The contact sheet of a sweep: a row of pictures for each variant of a bake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gf_usd.api.drawing.pictures import Drawing
+from gf_usd.pipeline.result import BakeResult
+from gf_usd.readers.pictures.scene import PictureStage
+from gf_usd.view.film import contact_sheet
+from gf_usd.view.legend import label
+from gf_usd.view.render.camera import fit_camera
+from gf_usd.view.render.render import write_png
+
+TILE = (320, 240)  # pixels
+COLUMNS = 6
+
+
+def draw_sweep(result: BakeResult, target: Path) -> None:
+    """Write the sheet: all variants at the same times, seen by the same camera."""
+    sources = [PictureStage(result.root, None, variant=bake.look) for bake in result.bakes]
+    motion = sources[0].motion
+    bounds = [one.motion.bounds for one in sources if one.motion.bounds is not None]
+    camera = None
+    if bounds:
+        corners = np.concatenate([one.corners for one in bounds])
+        camera = fit_camera(corners, motion.up, TILE[0] / TILE[1])
+    spread = np.linspace(0, len(motion.time_codes) - 1, min(COLUMNS, len(motion.time_codes)))
+    codes = [motion.time_codes[i] for i in np.round(spread).astype(int)]
+    tiles = []
+    for bake, source in zip(result.bakes, sources):
+        draw = Drawing(source, TILE, fitted=camera)
+        words = [bake.look, *(f"time code {code:g}" for code in codes[1:])]
+        tiles += [label(draw(code), text) for code, text in zip(codes, words)]
+    write_png(target, contact_sheet(tiles, len(codes)))
