@@ -22,6 +22,7 @@ def bake(
     strict: bool = False,
     max_hours: float = MAX_HOURS,
     slice: int | None = None,
+    until: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> BakeResult:
@@ -60,6 +61,8 @@ def bake(
     strict : raise UnhealthyError where the finished bake has warnings, too.
     max_hours : refuse a bake whose estimate is longer [h], and end one that takes twice as long.
     slice : full value clips after which it ends, to be resumed.
+    until : bake again, more finely each time, until the figures of certify are this certain: "2%",
+        or "rebound,squash:2%"; within max_hours.
     progress : called after each frame with (frames done, frames in all).
     options : all others; docs/guide.md describes each of them.
 
@@ -79,7 +82,7 @@ def bake(
     """
     from gf_usd.pipeline.result import require_healthy
 
-    asked = {"path": path, "max_hours": max_hours, "slice": slice, **options}
+    asked = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:
         result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
@@ -92,14 +95,21 @@ def prepare_and_run(
     *,
     max_hours: float,
     slice: int | None,
+    until: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> BakeResult:
     """See `bake`; in this process."""
+    from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.run import prepare, run
 
-    prepared = prepare(path, **options)
-    result = run(prepared, progress, max_hours=max_hours, slice=slice)
+    refining = Refining(until, max_hours, options)
+    while True:
+        prepared = prepare(path, **refining.options)
+        result = run(prepared, progress, max_hours=refining.hours, slice=slice)
+        if not refining.again(result, prepared.plan.asset.facts.units.length):
+            break
+    result = replace(result, notes=(*result.notes, *refining.notes))
     if prepared.plan.outputs.sheet:
         from gf_usd.api.drawing.sweep import draw_sweep
 

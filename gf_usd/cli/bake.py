@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,47 +68,56 @@ def bake(
         bake_by_server(asset, options, as_json=as_json, quiet=quiet, events=events)
         return
     from gf_usd.cli.console import announce, progress, show_plan, summarize
+    from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import prepare, run
     from gf_usd.prepare.plan import describe
     from gf_usd.system.sandbox import parse_limits
 
-    strict, max_hours, slice = (options.pop(name) for name in ("strict", "max_hours", "slice"))
+    taken = ("strict", "max_hours", "slice", "until")
+    strict, max_hours, slice, until = (options.pop(name) for name in taken)
     options["limits"] = parse_limits(options["limits"])
     options["overwrite"] |= dry_run  # which replaces nothing
+    refining = Refining(until, max_hours, options)
     shown = not quiet and not dry_run
     with event_stream(events) as emit:
         emit("started", asset=str(asset), version=__version__, pid=os.getpid())
         told: list[str] = []
-        with progress(shown=shown) as show:
-            prepared = prepare(asset, watch=show, **options)
-            plan = prepared.plan
-            exit.watch(plan.outputs.checkpoints)
-            if events is not None:
-                emit("plan", **describe(plan), **prepared.cost)
-            for note in plan.notes:
-                emit("note", message=note)
-            if dry_run:
-                if as_json or events != STDOUT:
-                    show_plan(prepared, as_json=as_json, max_hours=max_hours)
-                return
-            if verbose:
-                show_plan(prepared, err=True, max_hours=max_hours)
+
+        def remark(text: str) -> None:
+            told.append(text)
+            emit("note", message=text)
             if not quiet:
-                announce(prepared)
+                typer.echo(f"note: {text}", err=True)
 
-            def on_frame(done: int, total: int) -> None:
-                emit("frame", done=done, total=total, particles=len(plan.particles))
-
-            def remark(text: str) -> None:
-                told.append(text)
-                emit("note", message=text)
+        with progress(shown=shown) as show:
+            while True:
+                prepared = prepare(asset, watch=show, **refining.options)
+                plan = prepared.plan
+                exit.watch(plan.outputs.checkpoints)
+                if events is not None:
+                    emit("plan", **describe(plan), **prepared.cost)
+                for note in plan.notes:
+                    emit("note", message=note)
+                if dry_run:
+                    if as_json or events != STDOUT:
+                        show_plan(prepared, as_json=as_json, max_hours=max_hours)
+                    return
+                if verbose:
+                    show_plan(prepared, err=True, max_hours=max_hours)
                 if not quiet:
-                    typer.echo(f"note: {text}", err=True)
-
-            result = run(
-                prepared, on_frame, max_hours=max_hours, slice=slice, remark=remark, watch=show
-            )
+                    announce(prepared)
+                on_frame = partial(_emit_frame, emit, len(plan.particles))
+                result = run(
+                    prepared, on_frame, max_hours=refining.hours, slice=slice, remark=remark,
+                    watch=show,
+                )  # fmt: skip
+                again = refining.again(result, plan.asset.facts.units.length)
+                for text in refining.notes[-1:]:
+                    remark(text)
+                if not again:
+                    break
+            result = replace(result, notes=(*result.notes, *refining.notes))
             if plan.outputs.sheet:
                 from gf_usd.api.drawing.sweep import draw_sweep
                 from gf_usd.pipeline.forecast import DRAWING, Activity
@@ -123,3 +135,7 @@ def bake(
         elif not quiet and events != STDOUT:
             summarize(result, plan, show.words())
         require_healthy(result, strict=strict)
+
+
+def _emit_frame(emit: Callable[..., None], particles: int, done: int, total: int) -> None:
+    emit("frame", done=done, total=total, particles=particles)

@@ -350,6 +350,11 @@ class BakeOptions(RequestOptions, AssetOptions):
         WRITE, "End after this many full clips (status 5), to continue with --resume.",
         shown="never", low=1, commands=BAKE,
     )] = None
+    until: Annotated[str | None, Option(
+        WRITE, "Bake again, more finely each time, until the figures of --certify are this certain:"
+        " 2%, or rebound,squash:2%; within --max-hours.",
+        shown="never", commands=BAKE,
+    )] = None
     overwrite: Annotated[bool, Option(
         ASSET, "Replace results that are there already.", commands=BAKE,
     )] = False

@@ -1,0 +1,155 @@
+"""``--until``: how finely to bake next, so that figures become as certain as asked.
+
+An interval of order p shrinks as h^p, so that h (tolerance / width)^(1/p) is fine enough.  The work
+of a bake grows as h^-4: particles as h^-3, and steps as h^-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.core.errors import UsageError
+from gf_usd.pipeline.budget import duration
+from gf_usd.pipeline.measures.certify import Certificate
+from gf_usd.view.convergence import HIGHEST, LOWEST
+from gf_usd.view.figures import FIGURES
+
+if TYPE_CHECKING:
+    from gf_usd.pipeline.result import BakeResult
+
+# What is asked for where nobody names figures: those that are one number of the motion as a whole.
+USUAL = ("least_height", "squash", "rebound", "sag", "settled_height", "settled_sag")
+MARGIN = 0.9  # of the spacing that would just do
+FINEST, COARSEST = 0.5, 0.85  # spacing of the next bake over that of this one
+WORK = 4.0  # power of 1 / h
+HINT = "give a share such as 2%, or figures and a share: rebound,squash:2%"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Until:
+    """What is asked for."""
+
+    names: tuple[str, ...]  # of FIGURES; (): the usual ones
+    share: float  # half width over magnitude
+
+    @classmethod
+    def of(cls, text: str) -> Until:
+        """ "2%" or "rebound,squash:2%".  Raises UsageError for anything else."""
+        named, colon, share = text.rpartition(":")
+        names = tuple(name.strip().replace("-", "_") for name in named.split(",")) if colon else ()
+        unknown = [name for name in names if name not in FIGURES]
+        if unknown:
+            raise UsageError(
+                f"--until {text}: there is no figure {unknown[0]!r}",
+                f"choose of {', '.join(FIGURES)}",
+            )
+        try:
+            value = float(share.strip().removesuffix("%")) / 100.0
+        except ValueError:
+            value = 0.0
+        if not (share.strip().endswith("%") and 0.0 < value < 1.0):
+            raise UsageError(f"--until is {text}", HINT)
+        return cls(names=names, share=value)
+
+    def of_certificates(self, found: Sequence[Certificate]) -> tuple[float, float, str]:
+        """The widest asked interval over its magnitude, its order, and its name in words.
+
+        A figure without an interval is infinitely wide, where it is asked for by its name.
+        Raises UsageError where no bake has any of the figures.
+        """
+        rows = []
+        for one in found:
+            for name in self.names or USUAL:
+                interval = one.figures.get(name)
+                if interval is None or not (interval.known or self.names or one.reason):
+                    continue
+                width = interval.relative if interval.known else float("inf")
+                rows.append((width, interval.order or LOWEST, FIGURES[name].words))
+        if not rows:
+            asked = ", ".join(self.names or USUAL)
+            raise UsageError(
+                f"--until: the bake has none of the figures {asked}",
+                "the summary of --certify lists those that it has",
+            )
+        return max(rows, key=lambda row: row[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What to do next."""
+
+    spacing: float | None  # [m] to bake with; None: it is done
+    said: str  # why, in words
+
+
+def next_step(
+    until: Until, found: Sequence[Certificate], *, seconds: float, spent: float, budget: float
+) -> Step:
+    """How finely to bake next.
+
+    Parameters
+    ----------
+    found : of each variant of the last bake.
+    seconds : [s] that it took; spent : [s] by all so far; budget : [s] for all.
+    """
+    width, order, words = until.of_certificates(found)
+    edge = found[0].runs[0][1]
+    asked = f"{100.0 * until.share:g} %"
+    if width <= until.share:
+        return Step(spacing=None, said=f"--until {asked}: {words} +- {100.0 * width:.2g} %")
+    p = min(max(order, LOWEST), HIGHEST)
+    ratio = min(max(MARGIN * (until.share / width) ** (1.0 / p), FINEST), COARSEST)
+    needed = seconds * ratio**-WORK
+    known = f"+- {100.0 * width:.2g} %" if width < float("inf") else "without an interval"
+    if spent + needed > budget:
+        return Step(
+            spacing=None,
+            said=f"--until {asked} was not reached: {words} is {known}, and the next bake would"
+            f" take about {duration(needed)} where --max-hours leaves"
+            f" {duration(max(0.0, budget - spent))}",
+        )
+    return Step(
+        spacing=ratio * edge,
+        said=f"{words} is {known}: baking again with particles {ratio * edge:.3g} m apart",
+    )
+
+
+class Refining:
+    """Bakes of one asset, each more finely than the last.
+
+    until : as asked for; None: one bake.  max_hours : [h] for all of them.  options : of the first.
+    Raises UsageError for an `until` that says nothing, or with options that it does not go with.
+    """
+
+    def __init__(self, until: str | None, max_hours: float, options: Mapping[str, Any]) -> None:
+        self._until = None if until is None else Until.of(until)
+        self._budget, self._spent = 3600.0 * max_hours, 0.0
+        self.options = dict(options)
+        self.notes: list[str] = []
+        if self._until is not None:
+            self.options["certify"] = True
+
+    @property
+    def hours(self) -> float:
+        """[h] that are left."""
+        return (self._budget - self._spent) / 3600.0
+
+    def again(self, result: BakeResult, unit: float) -> bool:
+        """Whether to bake again, with `options`; a note says why.
+
+        unit : [m] of the stage.
+        """
+        if self._until is None:
+            return False
+        self._spent += result.seconds
+        found = [bake.certificate for bake in result.bakes if bake.certificate is not None]
+        step = next_step(
+            self._until, found, seconds=result.seconds, spent=self._spent, budget=self._budget
+        )
+        self.notes.append(step.said)
+        if step.spacing is None:
+            return False
+        self.options |= {"particles": None, "spacing": step.spacing / unit, "overwrite": True}
+        return True
