@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gf_usd.api.drawing.compare import compare
     from gf_usd.api.drawing.preview import Preview, preview
     from gf_usd.api.inspect import inspect
-    from gf_usd.api.materials import materials
+    from gf_usd.api.materials import fit, materials
     from gf_usd.api.read import Bake, BakeFrame, read
     from gf_usd.api.report import report
     from gf_usd.api.scene import Scene
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from gf_usd.core.materials import Material
     from gf_usd.delivery.deliver import Delivered, DeliveredBody
     from gf_usd.delivery.retime import Retimed
+    from gf_usd.fitting.result import Estimate, FitResult, Reproduced
     from gf_usd.layers.check.run import CheckResult
     from gf_usd.pipeline.inspect import Inspection
     from gf_usd.pipeline.result import BakeResult, VariantResult
@@ -50,6 +51,7 @@ _HOMES = {
     "check": "gf_usd.api.check",
     "compare": "gf_usd.api.drawing.compare",
     "deliver": "gf_usd.api.deliver",
+    "fit": "gf_usd.api.materials",
     "inspect": "gf_usd.api.inspect",
     "materials": "gf_usd.api.materials",
     "preview": "gf_usd.api.drawing.preview",
@@ -64,10 +66,13 @@ _HOMES = {
     "Comparison": "gf_usd.view.compare",
     "Delivered": "gf_usd.delivery.deliver",
     "DeliveredBody": "gf_usd.delivery.deliver",
+    "Estimate": "gf_usd.fitting.result",
+    "FitResult": "gf_usd.fitting.result",
     "Health": "gf_usd.core.frames",
     "Inspection": "gf_usd.pipeline.inspect",
     "Material": "gf_usd.core.materials",
     "Preview": "gf_usd.api.drawing.preview",
+    "Reproduced": "gf_usd.fitting.result",
     "Retimed": "gf_usd.delivery.retime",
     "Scene": "gf_usd.api.scene",
     "Settings": "gf_usd.core.frames",
@@ -92,12 +97,15 @@ __all__ = [
     "Comparison",
     "Delivered",
     "DeliveredBody",
+    "Estimate",
+    "FitResult",
     "GfUsdError",
     "Health",
     "InputError",
     "Inspection",
     "Material",
     "Preview",
+    "Reproduced",
     "Retimed",
     "Scene",
     "Settings",
@@ -113,6 +121,7 @@ __all__ = [
     "check",
     "compare",
     "deliver",
+    "fit",
     "inspect",
     "materials",
     "preview",

@@ -33,6 +33,7 @@ GROUPS = {
     "Show": ("preview", "Preview", "report"),
     "Compare": ("compare", "Comparison"),
     "Deliver": ("deliver", "Delivered", "DeliveredBody", "retime", "Retimed"),
+    "Fit a material": ("fit", "FitResult", "Estimate", "Reproduced"),
     "Simulate without a file": ("Scene", "simulate", "Simulation", "SimulationFrame"),
     "Errors": ("GfUsdError", "UsageError", "InputError", "BakeError", "SolverError", "Unfinished",
                "UnhealthyError"),

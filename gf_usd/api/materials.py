@@ -1,13 +1,25 @@
-"""`gf_usd.materials`: the presets."""
+"""`gf_usd.materials`: the presets.  `gf_usd.fit`: the material of what was observed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.api.call import asset_path, keywords
+from gf_usd.api.host.guest import here_or_away
+from gf_usd.core.errors import UsageError
+from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
     from gf_usd.core.materials import Preset
+    from gf_usd.fitting.fit import Wanted
+    from gf_usd.fitting.result import FitResult
+
+PICTURES = (".png",)
+LAYERS = (".usd", ".usda", ".usdc")
 
 
 def materials() -> Mapping[str, Preset]:
@@ -26,3 +38,128 @@ def materials() -> Mapping[str, Preset]:
     from gf_usd.core.materials import presets
 
     return MappingProxyType(presets())
+
+
+def fit(
+    path: str | os.PathLike[str],
+    targets: str | os.PathLike[str] | Mapping[str, float] | Sequence[str | os.PathLike[str]],
+    *,
+    unknowns: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    output: str | os.PathLike[str] | None = None,
+    picture: str | os.PathLike[str] | None = None,
+    evaluations: str | os.PathLike[str] | None = None,
+    max_minutes: float = 10.0,
+    jobs: int | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> FitResult:
+    """Find the material values with which an asset does what was observed.
+
+    Nonlinear least squares over simulations: see docs/fit.md for what can be a target, and for how
+    intervals are computed.
+
+    Parameters
+    ----------
+    path : the asset.
+    targets : USD files in which its meshes move or points were tracked, and texts such as
+        "rebound=0.6+-0.02"; or a mapping of figures to numbers [stage units].
+    unknowns : names of the values to find: fields of `Material`, parameters of its law, or E, nu,
+        tau and rho; none: E, nu and the damping time, and the yield stress where the law flows.
+    bounds : {name: (low, high)} [SI] in place of the usual ones.
+    output : layer for the material; picture : .png; None: not written.
+    evaluations : folder in which simulations are kept; None: they are dropped.
+    max_minutes : the search ends after this time [min], with the best so far.
+    jobs : simulations at once; None: as many as there are cores.
+    overwrite : replace a layer and a picture that are there.
+    progress : called with (simulations so far, about how many are usual).
+    options : those of `gf_usd.bake` that decide the motion: material, particles, drop, ...
+
+    Returns
+    -------
+    FitResult : the `Material`, each value with its interval, sensitivities, and what the targets do
+        not tell.
+
+    Raises
+    ------
+    UsageError : targets, unknowns or options that make no sense, or an output that exists.
+    InputError : the asset or a target cannot be used.
+    BakeError : no simulation runs through.
+    """
+    from gf_usd.prepare.options.table import FITTED, taken
+
+    with keywords("bounds", "unknowns", "evaluations", "overwrite", "jobs", target="targets"):
+        if isinstance(targets, Mapping):
+            texts = [f"{name}={values.real(name, value):g}" for name, value in targets.items()]
+        else:
+            single = isinstance(targets, str | os.PathLike)
+            texts = [os.fspath(one) for one in ([targets] if single else targets)]
+        for name in options:
+            if name not in FITTED:
+                raise UsageError(
+                    f"fit() has no option {name!r}", f"its options are {', '.join(sorted(FITTED))}"
+                )
+        pairs = [f"{name}={low!r}:{high!r}" for name, (low, high) in (bounds or {}).items()]
+        wanted = prepared_fit(
+            asset_path(path),
+            texts,
+            unknowns=list(unknowns),
+            bounds=pairs,
+            output=None if output is None else Path(values.path("output", output)),
+            picture=None if picture is None else Path(values.path("picture", picture)),
+            evaluations=None if evaluations is None else Path(os.fspath(evaluations)),
+            max_minutes=values.real("max_minutes", max_minutes),
+            jobs=jobs,
+            overwrite=overwrite,
+            options=taken(options, "fit"),
+        )
+        asked = {"wanted": wanted}
+        return here_or_away("gf_usd.fitting.fit:fit_counted", asked, progress)[0]
+
+
+def prepared_fit(
+    asset: Path,
+    targets: Sequence[str],
+    *,
+    unknowns: Sequence[str],
+    bounds: Sequence[str],
+    output: Path | None,
+    picture: Path | None,
+    evaluations: Path | None,
+    max_minutes: float,
+    jobs: int | None,
+    overwrite: bool,
+    options: Mapping[str, Any],
+) -> Wanted:
+    """A fit with its texts taken apart.  Raises UsageError where they make no sense."""
+    from gf_usd.core.units import number
+    from gf_usd.fitting.fit import Wanted
+    from gf_usd.system.taichi_runtime import cores
+
+    form = "NAME=LOW:HIGH [SI], such as E=1e4:1e6"
+    limits = {}
+    for text in bounds:
+        name, _, pair = text.partition("=")
+        low, _, high = pair.partition(":")
+        if not (name and low and high):
+            raise UsageError(f"--bounds {text!r} are none", f"give {form}")
+        where = f"--bounds {text}"
+        limits[name.strip()] = (number(where, low, form), number(where, high, form))
+    for file, kinds, option in ((output, LAYERS, "-o"), (picture, PICTURES, "--picture")):
+        if file is None:
+            continue
+        if file.suffix.lower() not in kinds:
+            raise UsageError(f"{option} {file} does not end in {' or '.join(kinds)}", "rename it")
+        if file.exists() and not overwrite:
+            raise UsageError(f"{file} exists", f"add --overwrite, or give another {option}")
+        if not file.absolute().parent.is_dir():
+            raise UsageError(f"the folder of {file} does not exist", "make it first")
+    known = {name: value for name, value in options.items() if value not in (None, [], ())}
+    one = known.get("device") == "cuda"
+    limited = {**known, "limits": options.get("limits")}
+    return Wanted(
+        asset=asset, targets=list(targets), unknowns=list(unknowns), bounds=limits, layer=output,
+        picture=picture, evaluations=evaluations, max_minutes=max_minutes,
+        processes=jobs or (1 if one else cores()), options=limited,
+    )  # fmt: skip

@@ -48,6 +48,11 @@ EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
         ("gf-usd bake duck.usda --drop 5r --frames 60 -o out/", "higher, longer, elsewhere"),
         ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "a mesh with holes, in cm"),
     ),
+    "fit": (
+        ("gf-usd fit ball.usda --target rebound=0.6", "the stiffness and damping of a bounce"),
+        ("gf-usd fit bar.usda --target film.usda --drop 0", "points that were tracked"),
+        ("gf-usd bake ball.usda --material ball.fit.usda", "bake with what was found"),
+    ),
     "preview": (
         ("gf-usd preview duck.rubber.usda -o duck.mp4", "a film"),
         ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "nine frames on a page"),

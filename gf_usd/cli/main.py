@@ -24,6 +24,7 @@ from gf_usd.cli.check import check
 from gf_usd.cli.compare import compare
 from gf_usd.cli.deliver import deliver
 from gf_usd.cli.exit import leave, prepare_to_leave
+from gf_usd.cli.fit import fit
 from gf_usd.cli.help import HelpfulCommand
 from gf_usd.cli.info import inputs, materials, schema_path
 from gf_usd.cli.inspect import inspect
@@ -55,6 +56,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "view": (view, {}),
     "check": (check, {}),
     "compare": (compare, {}),
+    "fit": (fit, {}),
     "verify": (verify, {}),
     "materials": (materials, {}),
     "schema-path": (schema_path, {}),

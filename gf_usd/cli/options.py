@@ -10,7 +10,7 @@ import typer
 
 from gf_usd.cli.help import metavar
 from gf_usd.prepare.options.option import Option
-from gf_usd.prepare.options.table import OPTIONS, PLANNED
+from gf_usd.prepare.options.table import OPTIONS, PLANNED, options_of
 
 
 def _completion(option: Option) -> Callable[[str], list[str]] | None:
@@ -64,7 +64,7 @@ def signed(command: str, function: Callable[..., None]) -> Callable[..., None]:
         return function
     own = inspect.signature(function, eval_str=True)
     asset, *others = (p for p in own.parameters.values() if p.kind != p.VAR_KEYWORD)
-    asked = [_parameter(o) for o in OPTIONS.values() if command in o.commands]
+    asked = [_parameter(o) for o in options_of(command)]
     function.__signature__ = own.replace(  # type: ignore[attr-defined]
         parameters=[asset, *asked, *others]
     )

@@ -19,19 +19,29 @@ from gf_usd.fitting.observation import Observation, Scene
 from gf_usd.fitting.read_targets import read_motion
 from gf_usd.fitting.result import (
     FitResult,
+    Reproduced,
     about,
     at_bounds,
     estimates,
     not_identifiable,
     reproduced,
 )
-from gf_usd.fitting.search import PRIOR, Minimum, NothingRuns, search
+from gf_usd.fitting.search import DESIGN, PRIOR, Minimum, NothingRuns, search
 from gf_usd.fitting.targets import Asked, Motion, Target, clusters, parse, residuals
 from gf_usd.fitting.uncertainty import uncertainty
-from gf_usd.fitting.unknowns import SHORT, Unknown, starts, unknowns, values_at, with_values
+from gf_usd.fitting.unknowns import (
+    ELASTIC,
+    SHORT,
+    Unknown,
+    starts,
+    unknowns,
+    values_at,
+    with_values,
+)
 from gf_usd.fitting.workers import Simulations, simulations
 from gf_usd.layers.materials import write_material_file
 
+USUAL_STEPS = 14  # of a search, with a Jacobian each
 MISFIT = 2.0  # times their standard deviations: targets that are not reproduced
 HELD = ("damping_time", "friction", "restitution")  # options that give a value
 
@@ -92,6 +102,15 @@ def fit(wanted: Wanted, progress: Progress | None = None) -> FitResult:
         return _searched(
             wanted, processes, scene, free, targets, (*scene.notes, *notes, *cut), began, progress
         )
+
+
+def fit_counted(wanted: Wanted, progress: Callable[[int, int], None] | None = None) -> FitResult:
+    """See `fit`; progress : is told how many simulations there were, and how many are usual."""
+    if progress is None:
+        return fit(wanted)
+    count = len(wanted.unknowns) or len(ELASTIC)
+    usual = DESIGN * count + USUAL_STEPS * (count + 1)
+    return fit(wanted, lambda done, best: progress(done, max(done, usual)))
 
 
 def read_targets(asked: Sequence[Asked], scene: Scene) -> tuple[list[Target], tuple[str, ...]]:
@@ -186,11 +205,12 @@ def _searched(
     points = [values_at(rows, z) for z in (minimum.z, starts(rows))]
     seen, start = processes.run(points, late=True)
     assert seen is not None
+    shown = reproduced(targets, rows, minimum.jacobian, seen, start)
     name = f"{scene.material.name}_fit"
     result = FitResult(
         material=replace(with_values(scene.material, points[0]), name=name),
         estimates=estimates(rows, minimum, told),
-        targets=reproduced(targets, rows, minimum.jacobian, seen, start),
+        targets=shown,
         not_identifiable=not_identifiable(rows, told),
         correlation=tuple(tuple(map(float, row)) for row in told.correlation),
         noise=float(np.sqrt(np.mean(minimum.residual**2))),
@@ -202,13 +222,17 @@ def _searched(
         frames=scene.frames,
         layer=wanted.layer,
         picture=wanted.picture,
-        notes=(*notes, *_remarks(wanted, targets, rows, minimum)),
+        notes=(*notes, *_remarks(wanted, targets, shown, rows, minimum)),
     )
     return _written(wanted, result, targets, seen, start)
 
 
 def _remarks(
-    wanted: Wanted, targets: Sequence[Target], rows: Sequence[Unknown], minimum: Minimum
+    wanted: Wanted,
+    targets: Sequence[Target],
+    found: Sequence[Reproduced],
+    rows: Sequence[Unknown],
+    minimum: Minimum,
 ) -> list[str]:
     said = list(at_bounds(rows, minimum.z))
     assumed = [target.name for target in targets if not target.stated]
@@ -217,6 +241,13 @@ def _remarks(
             f"no standard deviation is stated of {', '.join(assumed)}: 1 % was taken as their"
             " relative weight, and intervals are by what is left"
         )
+    said += [
+        f"{one.name} is {abs(away):.3g} standard deviations off: it contradicts the other targets,"
+        " or no material between the bounds does it"
+        for one, target in zip(found, targets)
+        if isinstance(target, Number)
+        and abs(away := (one.fitted - one.target) / one.sigma) > MISFIT
+    ]
     scatter = float(np.sqrt(np.mean(minimum.residual**2)))
     if all(target.stated for target in targets) and scatter > MISFIT:
         said.append(
@@ -240,7 +271,8 @@ def _written(
     start: Observation | None,
 ) -> FitResult:
     if wanted.layer is not None:
-        write_material_file(wanted.layer, result.material, about(result, command_of(wanted)))
+        said = about(result, command_of(wanted))
+        write_material_file(wanted.layer, result.material, said, source=wanted.asset)
     if wanted.picture is not None:
         from gf_usd.fitting.picture import draw
 

@@ -145,33 +145,32 @@ def _rms(values: Floats) -> float:
 def not_identifiable(rows: Sequence[Unknown], found: Uncertainty) -> tuple[str, ...]:
     """What the targets do not tell, in sentences."""
     said: list[str] = []
-    named: set[int] = set()
-    for members in found.undetermined:
+    groups: dict[tuple[int, ...], list[Floats]] = {}
+    for members, direction in found.undetermined:
+        groups.setdefault(members, []).append(direction)
+    for members, directions in groups.items():
         names = [rows[k].name for k in members]
-        named |= set(members)
-        if len(names) == 1:
-            said.append(f"{names[0]} is not identifiable from these targets")
+        told = len(members) - len(directions)
+        if told <= 0:
+            said += [f"{name} is not identifiable from these targets" for name in names]
             continue
-        listed = f"{', '.join(names[:-1])} and {names[-1]}"
-        said.append(
-            f"{listed} are not identifiable from these targets apart from each other:"
-            f" {_balance(rows, found, members)}"
-        )
-    for k, one in enumerate(found.identifiable):
-        if not one and k not in named:
-            said.append(f"{rows[k].name} is not identifiable from these targets")
-    return tuple(said)
+        listed = f"{', '.join(names[:-1])} and {names[-1]} are not identifiable from these targets"
+        if len(directions) == 1:
+            said.append(f"{listed} apart from each other: {_balance(rows, directions[0], members)}")
+        else:
+            said.append(f"{listed} apart from each other: they tell {told} combination of them")
+    named = {k for members in groups for k in members}
+    said += [
+        f"{rows[k].name} is not identifiable from these targets"
+        for k, one in enumerate(found.identifiable)
+        if not one and k not in named
+    ]
+    return tuple(dict.fromkeys(said))
 
 
-def _balance(rows: Sequence[Unknown], found: Uncertainty, members: Sequence[int]) -> str:
-    """The changes that cancel, in words: those along the direction that is not determined."""
-    direction = next(
-        row
-        for row, mine in zip(found.directions[::-1], found.undetermined[::-1])
-        if mine == tuple(members)
-    )
-    first = members[0]
-    share = 0.1 / direction[first] if direction[first] else 0.0
+def _balance(rows: Sequence[Unknown], direction: Floats, members: Sequence[int]) -> str:
+    """The changes along a direction that is not determined, in words."""
+    share = 0.1 / max(direction[list(members)], key=abs)
     words = []
     for k in members:
         change, row = share * float(direction[k]), rows[k]

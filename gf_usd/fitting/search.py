@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
@@ -30,7 +31,8 @@ APART = 0.1  # points to begin from that are nearer to each other lead to the sa
 LOCAL = 2  # points to begin from
 BATCH = 8  # points of the design between two looks at the clock
 MOST = 30  # steps from each of them
-TOLERANCE = 2e-4  # of z, where a search has converged: 0.1 % of a modulus
+TOLERANCE = 1e-3  # of z, where a search has converged: 0.7 % of a modulus, before the last step
+ENOUGH = 0.01  # standard deviations left in the mean: nothing better can be told from it
 FAILED = 1e3  # of each residual where a simulation fails: worse than any that does not
 
 # Residuals (m,) at each of several points (n,); None where a simulation failed.  It raises
@@ -50,6 +52,10 @@ class Minimum:
     residual: Floats  # (m,) whitened, there
     jacobian: Floats  # (m, n) of the residuals, by central differences
     converged: bool  # False: the time was over first
+
+
+class _Enough(Exception):
+    """What is left is far below the standard deviations."""
 
 
 class NothingRuns(Exception):
@@ -133,11 +139,18 @@ def _halton(dimensions: int, count: int) -> list[Floats]:
 def _descend(known: _Known, start: Floats) -> None:
     from scipy.optimize import least_squares
 
+    def left(z: Floats) -> Floats:
+        row = known.whole([z])[0]
+        if np.mean(row[: -len(z)] ** 2) < ENOUGH**2:
+            raise _Enough
+        return row
+
     differences: Any = partial(_one_sided, known)  # scipy's types know its own only
-    least_squares(
-        lambda z: known.whole([z])[0], start, jac=differences, bounds=(0.0, 1.0), method="trf",
-        xtol=TOLERANCE, ftol=1e-7, gtol=1e-12, max_nfev=MOST,
-    )  # fmt: skip
+    with suppress(_Enough):
+        least_squares(
+            left, start, jac=differences, bounds=(0.0, 1.0), method="trf", xtol=TOLERANCE,
+            ftol=1e-5, gtol=1e-12, max_nfev=MOST,
+        )  # fmt: skip
 
 
 def _one_sided(known: _Known, z: Floats) -> Floats:

@@ -28,6 +28,12 @@ from gf_usd.core.arrays import Floats, Ints
 LEVEL = 0.95  # of the intervals
 # Half an interval, of what lies between the bounds: what is wider tells little more than they do.
 USELESS = 0.25
+# Noise over what was assumed: no simulation is right to 0.1 % of a number or of the radius, and
+# differences of single precision over a step show no more.
+LEAST = 0.1
+# Of the largest singular value: the error of differences over steps, of which smaller ones consist.
+# Where two unknowns act as one the rest was 5e-4 of it (a ball, its density and its modulus).
+ERROR = 1e-3
 PART = 0.3  # of a unit vector: unknowns that take part in a direction
 
 
@@ -43,10 +49,10 @@ class Uncertainty:
     correlation: Floats  # (n, n) of the estimates
 
     @property
-    def undetermined(self) -> tuple[tuple[int, ...], ...]:
-        """The unknowns of each direction that is not determined, by their numbers."""
+    def undetermined(self) -> tuple[tuple[tuple[int, ...], Floats], ...]:
+        """Directions (n,) that are not determined, each with the numbers of its unknowns."""
         return tuple(
-            tuple(np.flatnonzero(np.abs(row) > PART).tolist())
+            (tuple(np.flatnonzero(np.abs(row) > PART).tolist()), row)
             for s, row in zip(self.singular, self.directions)
             if _quantile(np.inf) > USELESS * s
         )
@@ -71,13 +77,13 @@ def uncertainty(
     stated : somebody stated the standard deviations: less scatter is luck, and more is not.
     """
     m, n = jacobian.shape
-    plain = np.linalg.svd(jacobian, full_matrices=False)[1]
+    u, plain, v = np.linalg.svd(jacobian, full_matrices=False)
+    plain = np.where(plain < ERROR * plain.max(initial=0.0), 0.0, plain)
+    jacobian = u * plain @ v
     ranks = int((plain * USELESS > 1.0).sum())
     left = m - min(ranks, n)
     q = float(residual @ residual) / left if left > 0 else 1.0
-    if stated or left <= 0:
-        q = max(q, 1.0)
-    q = max(q, np.finfo(float).tiny)
+    q = max(q, 1.0 if stated or left <= 0 else LEAST**2)
     weak = np.eye(n) / prior**2
     covariance = np.linalg.inv(jacobian.T @ jacobian / q + weak)
     variance = np.diag(covariance).copy()

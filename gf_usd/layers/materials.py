@@ -59,14 +59,17 @@ def write_materials(
     return paths
 
 
-def write_material_file(path: Path, material: Material, about: Mapping[str, Any]) -> Path:
+def write_material_file(
+    path: Path, material: Material, about: Mapping[str, Any], *, source: Path
+) -> Path:
     """Write a layer with one material, in SI, that ``--material FILE`` takes; returns path.
 
+    source : the asset that it was found for, which is never written to.
     about : metadata of the material prim, under the key gaussianFlesh of its customData.
 
-    Raises BakeError where the disk refuses.
+    Raises UsageError where path is the asset, and BakeError where the disk refuses.
     """
-    layer = new_layer(path, path)
+    layer = new_layer(path, source)
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)

@@ -377,6 +377,20 @@ class BakeOptions(RequestOptions, AssetOptions):
 OPTIONS = rows(BakeOptions)
 PROGRESS = "progress"  # of Python alone
 PLANNED = {name: row for name, row in OPTIONS.items() if hasattr(RequestOptions, name)}
+# Options of `gf-usd fit`: what decides the motion of a body of one material.
+FITTED = (
+    "material", "law", "prims", "meters_per_unit", "up_axis", "repair", "particles", "spacing",
+    "frames", "fps", "start", "time_scale", "drop", "gravity", "fields", "floor", "velocity",
+    "spin", "colliders", "drag", "device", "pins", "rigid", "combine", "self_contact",
+    "damping_time", "friction", "restitution", "filter_rate", "solver", "no_shortcuts", "limits",
+)  # fmt: skip
+
+
+def options_of(command: str) -> tuple[Option, ...]:
+    """The options of a command, in the order of the table."""
+    if command == "fit":
+        return tuple(row for row in OPTIONS.values() if row.name in FITTED)
+    return tuple(row for row in OPTIONS.values() if command in row.commands)
 
 
 def taken(asked: Mapping[str, Any], function: str) -> dict[str, Any]:

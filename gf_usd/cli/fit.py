@@ -1,0 +1,228 @@
+"""gf-usd fit: material values from what was observed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from gf_usd.fitting.result import Estimate, FitResult, Reproduced
+
+EVERY = 10  # simulations between two lines where stderr is no terminal
+
+
+def fit(
+    asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
+    *,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--target",
+            "-t",
+            metavar="FILE|NAME=VALUE",
+            help="What was observed; repeatable. A USD file in which the asset's meshes move or in"
+            " which points were tracked, or a number: rebound=0.6, height=0.15@12 (at a time"
+            " code), deflection=0.02:at=1,0,0 (of a point [stage units]). +-0.01 or +-2% after a"
+            " value or a file is its standard deviation.",
+        ),
+    ] = None,
+    unknowns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Values to find, separated by commas: E, nu, damping_time, density, friction,"
+            " restitution, yield_stress, hardening.",
+            show_default="E,nu,damping_time, and yield_stress where the law flows",
+        ),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW:HIGH",
+            help="Look for a value between these [SI]; repeatable.",
+            show_default="1.5 decades of a modulus to either side of the material",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Layer with the material, for bake --material.",
+            show_default="NAME.fit.usda in this folder",
+        ),
+    ] = None,
+    picture: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATH|none",
+            help="Picture (.png) of the targets and the fit.",
+            show_default="beside the layer",
+        ),
+    ] = None,
+    evaluations: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER|none",
+            help="Keep simulations here; a fit that is repeated reads them.",
+            show_default="NAME.fit.runs beside the layer",
+        ),
+    ] = None,
+    max_minutes: Annotated[
+        float, typer.Option(min=0.0, help="End the search after this time [min].")
+    ] = 10.0,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, show_default="the cores, 1 on a GPU", help="Run so many simulations at once."
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a layer and a picture that are there.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
+    **options: Any,
+) -> None:
+    """Find the material values with which an asset does what was observed.
+
+    Simulates the asset with other values until the targets are met, by least squares, and writes
+    the values with their intervals as a layer. What the targets do not tell is said.
+    """
+    from gf_usd.api.materials import prepared_fit
+    from gf_usd.fitting.fit import fit as run
+    from gf_usd.system.sandbox import parse_limits
+
+    options["limits"] = parse_limits(options["limits"])
+    layer = output or Path(f"{asset.stem}.fit.usda")
+    wanted = prepared_fit(
+        asset,
+        target or [],
+        unknowns=[name.strip() for name in unknowns.split(",")] if unknowns else [],
+        bounds=bounds or [],
+        output=layer,
+        picture=beside(layer, picture, ".png"),
+        evaluations=beside(layer, evaluations, ".runs"),
+        max_minutes=max_minutes,
+        jobs=jobs,
+        overwrite=overwrite,
+        options=options,
+    )
+    with progress(shown=not quiet) as show:
+        result = run(wanted, show)
+    if as_json:
+        typer.echo(json.dumps(result.as_json(), indent=1))
+    if quiet:
+        return
+    for note in result.notes:
+        typer.echo(f"note: {note}", err=True)
+    if not as_json:
+        show_result(result)
+
+
+def beside(layer: Path, asked: str | None, suffix: str) -> Path | None:
+    """The path that was asked for, None for "none", or that of the layer with another suffix."""
+    if asked is None:
+        return layer.with_suffix(suffix)
+    return None if asked == "none" else Path(asked)
+
+
+@contextmanager
+def progress(*, shown: bool) -> Iterator[Callable[[int, float], None]]:
+    """Shows how many simulations there were and how good the best is, on stderr."""
+    if not shown:
+        yield lambda count, best: None
+        return
+    if not sys.stderr.isatty():
+        last = 0
+
+        def plain(count: int, best: float) -> None:
+            nonlocal last
+            if count >= last + EVERY:
+                last = count
+                typer.echo(described(count, best), err=True)
+
+        yield plain
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading the asset", total=None)
+        yield lambda count, best: bar.update(task, description=described(count, best))
+
+
+def described(count: int, best: float) -> str:
+    """How far a fit is, in words."""
+    return f"{count} simulations, best misfit {best:.3g} standard deviations"
+
+
+def show_result(result: FitResult) -> None:
+    """Tables of the values, of the targets and of sensitivities."""
+    from rich.console import Console
+
+    # rich leaves colors out of a pipe; without a width it would also fold the rows there.
+    console = Console(markup=False, highlight=False, width=None if sys.stdout.isatty() else 200)
+    console.print(_table(("value", "unit", "found", "95 %", "started at"), _values(result)))
+    console.print()
+    console.print(_table(("target", "unit", "observed", "fitted", "started at"), _targets(result)))
+    console.print()
+    names = [one.name for one in result.estimates]
+    head = ("change of", "unit", *(f"{name} {change(name)}" for name in names))
+    console.print(_table(head, [_sensitivity(one, names) for one in result.targets]))
+    console.print()
+    for sentence in result.not_identifiable:
+        console.print(sentence, style="yellow")
+    console.print(
+        f"{result.simulations} simulations of {result.particles} particles and {result.frames}"
+        f" frames ({result.read} more were kept) in {result.seconds:.0f} s"
+    )
+    for path in (result.layer, result.picture):
+        if path is not None:
+            console.print(str(path))
+
+
+def change(name: str) -> str:
+    """The change that a sensitivity is given for."""
+    from gf_usd.fitting.unknowns import LITTLE
+
+    ratio = name in ("poissons_ratio", "friction", "restitution")
+    return f"+{LITTLE:g}" if ratio else "+10 %"
+
+
+def _values(result: FitResult) -> list[list[str]]:
+    return [_value(one) for one in result.estimates]
+
+
+def _value(one: Estimate) -> list[str]:
+    interval = f"{one.low:.4g} to {one.high:.4g}" if one.identifiable else "not identifiable"
+    return [one.name, one.unit, f"{one.value:.4g}", interval, f"{one.start:.4g}"]
+
+
+def _targets(result: FitResult) -> list[list[str]]:
+    return [
+        [one.name, one.unit, f"{one.target:.4g}", f"{one.fitted:.4g}", f"{one.start:.4g}"]
+        for one in result.targets
+    ]
+
+
+def _sensitivity(one: Reproduced, names: Sequence[str]) -> list[str]:
+    return [one.name, one.unit, *(f"{one.sensitivity[name]:.3g}" for name in names)]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for k, name in enumerate(head):
+        table.add_column(name, no_wrap=True, justify="left" if k < 2 else "right")
+    for row in rows:
+        table.add_row(*row)
+    return table
