@@ -33,6 +33,8 @@ BATCH = 8  # points of the design between two looks at the clock
 MOST = 30  # steps from each of them
 TOLERANCE = 1e-3  # of z, where a search has converged: 0.7 % of a modulus, before the last step
 ENOUGH = 0.01  # standard deviations left in the mean: nothing better can be told from it
+POLISH = 4  # last steps at most, a simulation each
+SMALL = 0.01  # of a standard deviation: such a last step is not taken
 FAILED = 1e3  # of each residual where a simulation fails: worse than any that does not
 
 # Residuals (m,) at each of several points (n,); None where a simulation failed.  It raises
@@ -166,7 +168,7 @@ def _central(known: _Known, z: Floats) -> Floats:
     ends = [np.where(np.arange(len(z)) == k, e, z) for k in range(len(z)) for e in (up, down)]
     rows = known.at([z, *ends], late=True)
     here, columns = rows[0], []
-    assert here is not None  # a minimum is a point that ran
+    assert here is not None
     for k in range(len(z)):
         above, below = rows[1 + 2 * k], rows[2 + 2 * k]
         high, low = (up[k], above), (down[k], below)
@@ -182,16 +184,25 @@ def _central(known: _Known, z: Floats) -> Floats:
 
 
 def _polished(known: _Known, *, converged: bool) -> Minimum:
-    """The best point, after a Gauss-Newton step with the central Jacobian where that helps."""
+    """The best point, after Gauss-Newton steps with the central Jacobian as long as they help.
+
+    Intervals may be narrower than TOLERANCE: the steps end where they are a small part of those.
+    """
     (z,) = known.best(1)
     jacobian = _central(known, z)
+    normal = jacobian.T @ jacobian + np.eye(len(z)) / PRIOR**2
+    for _ in range(POLISH):
+        (residual,) = known.at([z])
+        assert residual is not None  # a minimum is a point that ran
+        gradient = jacobian.T @ residual + (z - known.start) / PRIOR**2
+        step = np.linalg.solve(normal, gradient)
+        if step @ normal @ step < SMALL**2 * max(1.0, float(np.mean(residual**2))):
+            break
+        known.at([np.clip(z - step, 0.0, 1.0)], late=True)
+        (better,) = known.best(1)
+        if np.array_equal(better, z):
+            break
+        z = better
     (residual,) = known.at([z])
     assert residual is not None
-    n = len(z)
-    normal = jacobian.T @ jacobian + np.eye(n) / PRIOR**2
-    gradient = jacobian.T @ residual + (z - known.start) / PRIOR**2
-    known.at([np.clip(z - np.linalg.solve(normal, gradient), 0.0, 1.0)], late=True)
-    (better,) = known.best(1)
-    (residual,) = known.at([better])
-    assert residual is not None
-    return Minimum(z=better, residual=residual, jacobian=jacobian, converged=converged)
+    return Minimum(z=z, residual=residual, jacobian=jacobian, converged=converged)

@@ -49,7 +49,7 @@ def test_the_truth_is_found_and_what_has_no_effect_stays() -> None:
     assert minimum.converged
     # the prior pulls by its share of the information, some 1e-6 here; the rest is the tolerance
     assert minimum.z[:2] == pytest.approx(TRUTH[:2], abs=1e-4)
-    assert minimum.z[2] == START[2]
+    assert minimum.z[2] == pytest.approx(START[2], abs=1e-9)  # rounding of the normal equations
     told = judged(minimum)
     assert told.identifiable == (True, True, False)
     assert [members for members, _ in told.undetermined] == [(2,)]
