@@ -5,7 +5,7 @@ Setting and reading the state of a solver from outside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import trimesh
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
+from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import DIMENSIONLESS, Material
 from gf_usd.core.mesh import triangulate
@@ -24,6 +25,7 @@ from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import Solid, build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.physics.total_lagrangian.state import StateView
 
 FPS = 24.0
 MIDDLE = np.array([0.25, 0.75])  # of a cell: where strata have their middles
@@ -236,6 +238,24 @@ def settings(device: str, **changes: Any) -> Settings:
         "device": device,
     }
     return Settings(**{**said, **changes})
+
+
+def motion(solver: TotalLagrangian) -> Iterator[tuple[float, StateView]]:
+    """Time [s] and state of a body that hardly strains, at each of its frames.
+
+    With the substeps of `frames()`, but without what a frame tells of itself, which takes as long
+    as moving a small body does.  Raises SolverError for what is no number.
+    """
+    yield solver.state.time, solver.state.view()
+    for index in range(1, solver.settings.frames):
+        solver.advance(index, solver.coarse)
+        particle, fault = solver.not_finite()
+        if fault:
+            raise SolverError(
+                f"frame {index}: {fault}", "the step is that at rest", frame=index,
+                particle=particle,
+            )  # fmt: skip
+        yield solver.state.time, solver.state.view()
 
 
 def put(solver: TotalLagrangian, u: Floats, v: Floats | None = None) -> None:

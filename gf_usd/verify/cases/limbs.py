@@ -15,7 +15,7 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.stage import Pin
 from gf_usd.geometry.connected.copies import find_limbs
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import boxes, comb, elastic, settings, solid_of
+from gf_usd.verify.bodies import boxes, comb, elastic, motion, settings, solid_of
 from gf_usd.verify.case import RELATIVE, Case, Measure, frequency
 
 E, DENSITY = 1e5, 1000.0  # [Pa], [kg/m^3]; cells are 1 m wide
@@ -72,9 +72,9 @@ def swing(which: tuple[int, ...], gap: float, device: str) -> tuple[Floats, list
     solver.state.load({**solver.state.save(), "v": v})
     ends = [(tooth == k) & (body.X[:, 1] < 1.0) for k in which]
     t, seen = [], []
-    for frame in solver.frames():
-        t.append(frame.time)
-        moved = frame.particles.x[:, 0] - body.X[:, 0]
+    for time, now in motion(solver):
+        t.append(time)
+        moved = now.particles.x[:, 0] - body.X[:, 0]
         seen.append([np.average(moved[end], weights=body.V0[end]) for end in ends])
     return np.array(t), list(np.array(seen).T)
 

@@ -12,7 +12,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.physics.contact.floor import plane_modulus
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import ball, elastic, settings
+from gf_usd.verify.bodies import ball, elastic, motion, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure
 
 YOUNG, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the radius is 1 m
@@ -63,11 +63,12 @@ def impact(
     begins = float((height + (samples.X @ up).min()) / v)
     touched: list[tuple[float, float]] = []
     speed = -v
-    for frame in solver.frames():
-        speed = float(up @ np.asarray(frame.health.momentum)) / frame.health.mass
-        if frame.health.contact > 0.0:
-            touched.append((frame.time, float(np.sqrt(frame.health.contact))))
-        elif speed > 0.0 and touched and frame.time > touched[-1][0] + 0.05 * time:
+    mass = solver.body.stencil.mass
+    for now, state in motion(solver):
+        speed = float(mass @ (state.v @ up)) / mass.sum()
+        if state.contact > 0.0:
+            touched.append((now, float(np.sqrt(state.contact))))
+        elif speed > 0.0 and touched and now > touched[-1][0] + 0.05 * time:
             break
     (before, stronger), (last, weaker) = touched[-2:]
     ends = last + min(1.0, weaker / (stronger - weaker)) * (last - before)

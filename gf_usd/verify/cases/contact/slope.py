@@ -11,7 +11,7 @@ from gf_usd.core.frames import SurfaceSamples
 from gf_usd.core.materials import G0
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, settings
+from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, motion, settings
 from gf_usd.verify.case import RELATIVE, Case, Measure
 
 FRICTION = 0.5  # its angle is 26.6 degrees
@@ -57,7 +57,8 @@ def speeds(degrees: float, cells: int, obstacle: bool, device: str) -> Floats:
     solver = TotalLagrangian(
         body, [made], s, samples=base(cells), contact_setup=setup if obstacle else None
     )
-    return np.array([f.health.momentum[0] / f.health.mass for f in solver.frames()])
+    m = solver.body.stencil.mass
+    return np.array([m @ now.v[:, 0] / m.sum() for _, now in motion(solver)])
 
 
 def friction(cells: Sequence[int]) -> Callable[[str], Iterator[Measure]]:

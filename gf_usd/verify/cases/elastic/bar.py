@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, settings
+from gf_usd.verify.bodies import GAUSS, MIDDLE, block, clamp, elastic, motion, settings
 from gf_usd.verify.case import AT_LEAST, RELATIVE, Case, Curve, Measure, frequency, lowest, order
 
 E, DENSITY = 1e6, 1000.0  # [Pa], [kg/m^3]; the bar is 1 m long
@@ -37,9 +37,9 @@ def first_mode(cells: int, device: str, places: Floats = MIDDLE) -> float:
     # The part of the motion that has the shape of the mode.
     shape = np.sin(0.5 * np.pi * body.X[:, 0])
     times, amplitudes = [], []
-    for frame in solver.frames():
-        times.append(frame.time)
-        amplitudes.append(shape @ (frame.particles.x - body.X)[:, 0] / (shape @ shape))
+    for time, now in motion(solver):
+        times.append(time)
+        amplitudes.append(shape @ (now.particles.x - body.X)[:, 0] / (shape @ shape))
     return frequency(np.array(times), np.array(amplitudes), EXACT)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import block, elastic, settings
+from gf_usd.verify.bodies import block, elastic, motion, settings
 from gf_usd.verify.case import Case, Curve, Measure, frequency
 from gf_usd.verify.ritz import bending_frequency
 
@@ -58,9 +58,9 @@ def bending(nu: float, cells: int, periods: float, device: str) -> float:
     w = shape(body.X[:, 0])[0]
     w = w - w.mean()
     times, amplitudes = [], []
-    for frame in solver.frames():
-        times.append(frame.time)
-        amplitudes.append(w @ (frame.particles.x - body.X)[:, 1] / (w @ w))
+    for time, now in motion(solver):
+        times.append(time)
+        amplitudes.append(w @ (now.particles.x - body.X)[:, 1] / (w @ w))
     return frequency(np.array(times), np.array(amplitudes), expected)
 
 

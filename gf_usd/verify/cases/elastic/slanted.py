@@ -24,7 +24,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.frames import Particles
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import elastic, settings, solid_of, sphere
+from gf_usd.verify.bodies import elastic, motion, settings, solid_of, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, frequency, order
 from gf_usd.verify.cases.sampling import LENGTH, WIDTH, slanted_bar
 
@@ -46,7 +46,7 @@ def vibration(body: Particles, nu: float, mode: Field, exact: float, device: str
     speed = SPEED * made.wave_speed
     solver = TotalLagrangian(body, [made], s, velocity=lambda X: speed * mode(X))
     shape = body.V0[:, None] * mode(body.X)
-    seen = [(f.time, float((shape * (f.particles.x - body.X)).sum())) for f in solver.frames()]
+    seen = [(t, float((shape * (now.particles.x - body.X)).sum())) for t, now in motion(solver)]
     t, q = np.transpose(seen)
     return frequency(t, q, exact) / exact - 1.0
 

@@ -20,7 +20,7 @@ from scipy.optimize import root_scalar
 from gf_usd.core.arrays import Floats
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import elastic, settings, solid_of
+from gf_usd.verify.bodies import elastic, motion, settings, solid_of
 from gf_usd.verify.case import RELATIVE, Case, Measure, frequency
 from gf_usd.verify.cases.sampling import meshed
 
@@ -65,7 +65,7 @@ def bending(across: float, tilted: bool, device: str) -> float:
     )
     solver = TotalLagrangian(body, [elastic(E=E, nu=NU, density=DENSITY)], s, velocity=start)
     weight = body.V0 * shape(body.X @ along)
-    seen = [(f.time, float(weight @ ((f.particles.x - body.X) @ up))) for f in solver.frames()]
+    seen = [(t, float(weight @ ((now.particles.x - body.X) @ up))) for t, now in motion(solver)]
     t, q = np.transpose(seen)
     return frequency(t, q, exact) / exact
 

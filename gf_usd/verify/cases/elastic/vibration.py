@@ -24,7 +24,7 @@ from scipy.special import eval_legendre, spherical_jn
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.verify.bodies import GAUSS, ball, block, elastic, settings, sphere
+from gf_usd.verify.bodies import GAUSS, ball, block, elastic, motion, settings, sphere
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, frequency, order
 
 NU, E, DENSITY = 0.25, 1e6, 1000.0  # -, [Pa], [kg/m^3]
@@ -101,9 +101,9 @@ def lamb_error(mode: Mode, particles: int, device: str) -> tuple[float, float]:
     )
     shape = mode.shape(body.X - middle, R)
     times, amplitudes = [], []
-    for frame in solver.frames():
-        times.append(frame.time)
-        amplitudes.append(float((shape * (frame.particles.x - body.X)).sum()))
+    for time, now in motion(solver):
+        times.append(time)
+        amplitudes.append(float((shape * (now.particles.x - body.X)).sum()))
     w = frequency(np.array(times), np.array(amplitudes), exact)
     return w / exact - 1.0, solver.body.h / R
 
