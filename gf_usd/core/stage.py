@@ -203,6 +203,7 @@ class StagePhysics:
     gravity: Triple | None = None  # [m/s^2] world; None: there is no scene
     scene: str = ""  # path of the PhysicsScene that gave it
     attachments: tuple[str, ...] = ()  # paths of those that hold points of the bodies
+    soft_attachments: tuple[str, ...] = ()  # paths of those that draw points by springs
     fields: tuple[str, ...] = ()  # of the scene, as texts of --field
     gravity_keys: tuple[tuple[float, Triple], ...] = ()  # time codes, where it changes
     colliders: tuple[Collider, ...] = ()
@@ -372,6 +373,18 @@ class FleshLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AttachedPoints:
+    """Points of bodies, each on a spring and a damper of its own."""
+
+    X: Floats  # (n, 3) [m] at rest, world
+    path: Floats  # (F, n, 3) [m] where they are drawn to at each frame; F = 1: it stays
+    stiffness: Floats  # (n,) [N/m]
+    damping: Floats  # (n,) [N s/m]
+    body: Ints  # (n,) as in Particles
+    cell_copy: Ints | None = None  # (n,) into Particles.copies; None where that is
+
+
+@dataclass(frozen=True, kw_only=True)
 class Goals:
     """Springs that draw a body to a pose: per mass, w^2 times the way and 2 zeta w times the rate.
 
@@ -384,6 +397,7 @@ class Goals:
     damping: float = 0.5  # zeta, of the springs: 1 is critical
     moving: bool = True  # whether the pose changes
     limits: FleshLimits | None = None
+    attached: AttachedPoints | None = None  # springs of single points, besides
 
 
 @dataclass(frozen=True, kw_only=True)

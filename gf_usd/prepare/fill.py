@@ -43,7 +43,14 @@ from gf_usd.prepare.bodies import (
 from gf_usd.prepare.materials import with_own_values
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
-from gf_usd.prepare.pins import Flesh, attachment_pins, flesh_of, make_pins, read_animation
+from gf_usd.prepare.pins import (
+    Flesh,
+    attachment_pins,
+    flesh_of,
+    make_pins,
+    read_animation,
+    soft_attachment_goals,
+)
 from gf_usd.prepare.plan import Plan, embedded_points, frame_bytes
 from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
 from gf_usd.readers.usd_bake.spec import read_motion
@@ -140,10 +147,12 @@ def fill(
     lowest = min(float((s.points @ normal).min()) for s in every_surface)
     radius = float(bodies.radius.max())
     animation = read_animation(asset, file, request.start) if request.flesh and file else None
-    attachments = () if request.flesh or request.solver == "ul" else spec.physics.attachments
+    unread = request.flesh or request.solver == "ul"
+    attachments = () if unread else spec.physics.attachments
+    springs = () if unread else spec.physics.soft_attachments
     settings = resolve(
         request, asset.facts, radius, lowest, animation, keys,
-        stated_fields=spec.physics.fields, attached=bool(attachments),
+        stated_fields=spec.physics.fields, attached=bool(attachments or springs),
     )  # fmt: skip
     gap = float(np.dot(settings.lift, normal)) + lowest - (floor or 0.0)
     pins = tuple(more_pins(solid)) if more_pins else ()
@@ -169,7 +178,8 @@ def fill(
         )  # fmt: skip
         pins += flesh.pins
     physics = spec.physics
-    if left_out := set(physics.attachments) - set(attachments):
+    left_out = {*physics.attachments, *physics.soft_attachments} - {*attachments, *springs}
+    if left_out:
         stated += (f"{len(left_out)} attachments are not read with --flesh and --solver ul",)
     if physics.colliders and file is not None:
         every = sampled(settings)
@@ -237,6 +247,13 @@ def fill(
         limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
     copies = {t.key: t.copy for t in tets if t.copy is not None}
+    goals = flesh.goals
+    if springs and file is not None:
+        goals = soft_attachment_goals(
+            springs, asset, sampled(settings), file, request.start,
+            body=bodies.embedded, copies=limbs.embedded_copies,
+        )  # fmt: skip
+        stated += (f"attachments draw parts of the body by springs: {', '.join(springs)}",)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -250,7 +267,7 @@ def fill(
         embedded=solid.embedded,
         drop=gap / float(normal @ asset.facts.up),
         pins=pins,
-        goals=flesh.goals,
+        goals=goals,
         cycle=cycle if request.cycles.repeats else 0,
         repeats=request.cycles.repeats,
         until_periodic=request.cycles.until_periodic,

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Settings, SurfaceSamples
-from gf_usd.core.stage import Goals, Pin, Region, Skeleton
+from gf_usd.core.stage import AttachedPoints, Goals, Pin, Region, Skeleton
 from gf_usd.prepare.settings import Animation
 
 if TYPE_CHECKING:
@@ -92,6 +92,46 @@ def attachment_pins(
     regions, notes = read_attachments(file, paths, asset.facts, rest=rest, times=times)
     held = f"attachments hold parts of the body: {', '.join(paths)}"
     return tuple(make_pin(region, solid, "attachment") for region in regions), (held, *notes)
+
+
+def soft_attachment_goals(
+    paths: Sequence[str],
+    asset: Asset,
+    settings: Settings,
+    file: Path,
+    rest: float | None,
+    *,
+    body: Mapping[str, int],
+    copies: Mapping[str, Ints],
+) -> Goals | None:
+    """The springs of soft attachments of the stage; raises InputError as `read_attachments`.
+
+    body : of each surface, by prim path; copies : of cells, of the points of surfaces.
+    """
+    from gf_usd.readers.usd_physics.attachments import read_soft_attachments
+
+    times = [settings.time_code(i) for i in range(settings.frames)]
+    found = read_soft_attachments(file, paths, asset.facts, rest=rest, times=times)
+    if not found:
+        return None
+    length = max(len(one.path) for one in found)
+    counts = [len(one.points) for one in found]
+    cells = [copies[one.body][one.points] if one.body in copies else None for one in found]
+    known = [c for c in cells if c is not None]
+    attached = AttachedPoints(
+        X=np.concatenate([one.X for one in found]),
+        path=np.concatenate(
+            [np.broadcast_to(one.path, (length, *one.path.shape[1:])) for one in found], axis=1
+        ),
+        stiffness=np.repeat([one.stiffness for one in found], counts),
+        damping=np.repeat([one.damping for one in found], counts),
+        body=np.repeat([body.get(one.body, 0) for one in found], counts),
+        cell_copy=np.concatenate(known) if len(known) == len(cells) else None,
+    )
+    return Goals(
+        pose=lambda X: lambda frame: X, rate=lambda X: np.zeros(len(X)), moving=False,
+        attached=attached,
+    )  # fmt: skip
 
 
 def _require_hold(region: Region, asset: Asset, option: str) -> None:

@@ -15,12 +15,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.materials import G0
-from gf_usd.core.stage import FleshLimits, Goals
+from gf_usd.core.stage import AttachedPoints, FleshLimits, Goals
 
 STIFFEST = 1.0  # [1/dt] of w: as stiff as the grid's own highest frequency
+DAMPED = 200.0  # [1/dt] of c, of springs of single points
 HARDEST = 0.5  # [1/dt^2] of l K
 PULL = 5.0 * G0  # [m/s^2] A
 BEGIN = 0.5  # of the way to a limit, where its pull begins
@@ -32,13 +34,29 @@ HARD, AWAY, TOWARD, CARRIED, NORMAL = 9, 10, 11, 12, 18
 
 
 class NodeGoals:
-    """The goals of free nodes at X (n, 3) [m]; dt : [s] the stable step; lightest : l, of M~."""
+    """The goals of free nodes at X (n, 3) [m].
 
-    def __init__(self, goals: Goals, X: Floats, dt: float, lightest: float = 1.0) -> None:
+    dt : [s] the stable step; lightest : l, of M~.  attached : springs of single points.
+    """
+
+    def __init__(
+        self,
+        goals: Goals,
+        X: Floats,
+        dt: float,
+        lightest: float = 1.0,
+        attached: NodeSprings | None = None,
+    ) -> None:
         self._X, self._pose = X, goals.pose(X)
-        self.moving = goals.moving
         w = np.minimum(goals.rate(X), STIFFEST / dt)
         self.springs = np.stack([w**2, 2.0 * goals.damping * w], 1)  # (n, 2) k and c
+        self._attached = attached
+        self._part = np.zeros(len(X))  # of k that is of single points
+        self.moving = goals.moving or (attached is not None and attached.moving)
+        if attached is not None:
+            more = np.minimum(attached.springs, [(STIFFEST / dt) ** 2, DAMPED / dt])
+            self.springs = self.springs + more
+            self._part = more[:, 0] / np.maximum(self.springs[:, 0], np.finfo(float).tiny)
         self._limits = _NodeLimits(goals.limits, X, HARDEST / (lightest * dt**2))
 
     def between(self, index: int, frame_time: float) -> NDArray[np.float64]:
@@ -46,13 +64,50 @@ class NodeGoals:
 
         frame_time : [s] between them.
         """
-        start, end = self._pose(index - 1), self._pose(index)
+        start, end = self._way(index - 1), self._way(index)
         out = np.zeros((len(self._X), GOAL))
-        out[:, :RATE] = start - self._X
+        out[:, :RATE] = start
         out[:, RATE:SPRING] = (end - start) / frame_time
         out[:, SPRING:WORK] = self.springs
         self._limits.fill(out, self._X, index, frame_time)
         return out.ravel()
+
+    def _way(self, frame: int) -> NDArray[np.float64]:
+        """(n, 3) [m] from each node to where it is drawn."""
+        way = self._pose(frame) - self._X
+        if self._attached is None:
+            return way
+        return way + self._part[:, None] * (self._attached.way(frame) - way)
+
+
+class NodeSprings:
+    """Springs of single points p, shared out over free nodes i by their weights at the points.
+
+        k_i = sum_p W_pi k_p / M_i    c_i = sum_p W_pi c_p / M_i
+        G_i = sum_p W_pi k_p (y_p - X_p) / (k_i M_i)
+
+    with y_p where p is drawn: the forces on the nodes add up to those on the points, wherever these
+    are, as sum_i W_pi = 1.  Weights below 0, beyond the outermost nodes, are left out.
+
+    W : (p, n) weights of the free nodes; mass : (n,) [kg] of these.
+    """
+
+    def __init__(self, attached: AttachedPoints, W: sparse.csr_matrix, mass: Floats) -> None:
+        self._attached = attached
+        W = sparse.csr_matrix(W.maximum(0.0))
+        W = sparse.csr_matrix(sparse.diags_array(1.0 / np.asarray(W.sum(1)).ravel()) @ W)
+        share = sparse.csr_matrix(W.T @ sparse.diags_array(attached.stiffness))
+        total = np.asarray(share.sum(1)).ravel()
+        self._mean = sparse.diags_array(1.0 / np.where(total > 0.0, total, 1.0)) @ share
+        self.springs = np.stack([total, W.T @ attached.damping], 1) / mass[:, None]  # (n, 2) k, c
+        path = attached.path
+        self.moving = bool((path != path[:1]).any() or (path[0] != attached.X).any())
+
+    def way(self, frame: int) -> NDArray[np.float64]:
+        """(n, 3) [m] G at a frame; 0 where no point is near."""
+        path = self._attached.path
+        at = path[int(np.clip(frame, 0, len(path) - 1))]
+        return np.asarray(self._mean @ (at - self._attached.X))
 
 
 class _NodeLimits:

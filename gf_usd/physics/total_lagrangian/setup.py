@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
@@ -27,7 +28,7 @@ from gf_usd.physics.contact.floor import FloorContact, build_contact, hertz_pres
 from gf_usd.physics.contact.narrow_phase import pack_arrays
 from gf_usd.physics.grid.dependent_nodes import FREE_MASS
 from gf_usd.physics.grid.embedding import embedded_rows
-from gf_usd.physics.grid.goals import GOAL, NodeGoals
+from gf_usd.physics.grid.goals import GOAL, NodeGoals, NodeSprings
 from gf_usd.physics.grid.mass import NodalMass, consistent_mass, lumped_mass
 from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
@@ -210,7 +211,13 @@ def build_body(
         },
         pin_constraint=pin_constraint,
         regions=regions,
-        goals=NodeGoals(goals, stencil.free_X, step.dt, mass.lightest) if goals else None,
+        goals=(
+            NodeGoals(
+                goals, stencil.free_X, step.dt, mass.lightest, node_springs(goals, stencil, mass)
+            )
+            if goals
+            else None
+        ),
         held=held,
         contact=contact,
         contact_setup=contact_setup,
@@ -227,6 +234,16 @@ def build_body(
         kernels=build(law.set, damped, kind, epoch(), options),
         pack_type=pack_type(kind, epoch()),
     )
+
+
+def node_springs(goals: Goals, stencil: Stencil, mass: NodalMass) -> NodeSprings | None:
+    """The springs of single points, on the free nodes; None where there are none."""
+    attached = goals.attached
+    if attached is None:
+        return None
+    rows = embedded_rows(stencil, attached.X, attached.body, attached.cell_copy)
+    W = rows.W if rows.spread is None else sparse.csr_matrix(rows.W @ rows.spread)
+    return NodeSprings(attached, sparse.csr_matrix(W[:, : stencil.free_count]), mass.lumped)
 
 
 def _copies(particles: Particles, h: float) -> CellCopies | None:

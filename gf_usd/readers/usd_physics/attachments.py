@@ -4,13 +4,17 @@
                         physics:src1, type1 "xform", coords1     places in the frame of a prim
                         physics:stiffness                        inf, or not authored: held
 
-The faces whose corners are all attached are held, and move as the prim does.  What stands for a
-spring, and what attaches other things, is left alone with a note.
+                        physics:damping                          of springs
+
+The faces whose corners are all attached are held, and move as the prim does.  A finite stiffness k
+[mass / second^2] and damping c [mass / second] stand for a spring and a damper of each point p to
+its place y, k (y - p) + c (dy/dt - dp/dt).  What attaches other things is left alone with a note.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,26 +22,37 @@ from numpy.typing import NDArray
 from pxr import Usd
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import StageFacts, first_time_code
+from gf_usd.core.asset import StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Region
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.usd.mesh import read_surface
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
-from gf_usd.readers.usd_physics.attributes import authored, switch
+from gf_usd.readers.usd_physics.attributes import authored, refuse, switch
 from gf_usd.readers.usd_physics.motion import Readings, matrix, transform_varies
 
 ATTACHMENT = "PhysicsAttachment"
 ENABLED, STIFFNESS = "physics:attachmentEnabled", "physics:stiffness"
+DAMPING = "physics:damping"
 APART = 1e-3  # of the body: farther apart than this, attached points are not where they are held
 
 
 def attachments_of(
-    prims: Iterable[Usd.Prim], bodies: Sequence[str], time: Usd.TimeCode, notes: Notes
-) -> tuple[str, ...]:
-    """Paths of the enabled attachments that hold points of the bodies; notes on the others."""
-    found = []
+    prims: Iterable[Usd.Prim],
+    bodies: Sequence[str],
+    time: Usd.TimeCode,
+    notes: Notes,
+    *,
+    file: Path,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Paths of the enabled attachments that hold points of the bodies, and of those that draw them
+    by springs; notes on the others.
+
+    file : for messages.  Raises InputError for a stiffness or a damping below 0, or not a number.
+    """
+    found: list[str] = []
+    soft: list[str] = []
     for prim in prims:
         if prim.GetTypeName() != ATTACHMENT or not switch(prim, ENABLED, time, otherwise=True):
             continue
@@ -46,14 +61,27 @@ def attachments_of(
             continue
         path = str(prim.GetPath())
         kinds = [authored(prim, f"physics:type{k}", time) for k in (0, 1)]
-        stiffness = authored(prim, STIFFNESS, time)
+        stiffness, _ = (_constant(file, prim, name, time) for name in (STIFFNESS, DAMPING))
         if kinds != ["point", "xform"] or sources[0] not in bodies:
             notes.add("attaches other than points of a mesh to an xform: not read", path)
-        elif stiffness is not None and stiffness < np.inf:
-            notes.add("is a soft attachment: not read, only those of stiffness inf hold", path)
-        else:
+        elif stiffness is None or stiffness == np.inf:
             found.append(path)
-    return tuple(found)
+        elif stiffness == 0.0:
+            notes.add("is an attachment of stiffness 0: not read", path)
+        else:
+            soft.append(path)
+    return tuple(found), tuple(soft)
+
+
+def _constant(file: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
+    """A stiffness or a damping, stage units; None where it is not authored."""
+    value = authored(prim, name, time)
+    if value is None:
+        return None
+    finite = name == STIFFNESS or value != np.inf
+    if not isinstance(value, float | int) or not value >= 0.0 or not finite:
+        raise refuse(file, prim, name, value, "author a number of 0 or more")
+    return float(value)
 
 
 def read_attachments(
@@ -79,6 +107,50 @@ def read_attachments(
     return tuple(regions), notes.lines()
 
 
+@dataclass(frozen=True, kw_only=True)
+class SoftAttachment:
+    """Points of a mesh on springs."""
+
+    body: str  # prim path of the mesh
+    points: Ints  # (n,) of the mesh
+    X: Floats  # (n, 3) [m] at rest, world
+    path: Floats  # (F, n, 3) [m] of their places; F = 1: they stay
+    stiffness: float  # [N/m] of each
+    damping: float  # [N s/m] of each
+
+
+def read_soft_attachments(
+    file: Path,
+    paths: Sequence[str],
+    facts: StageFacts,
+    *,
+    rest: float | None,
+    times: Sequence[float],
+) -> tuple[SoftAttachment, ...]:
+    """The springs of attachments; arguments and errors as of `read_attachments`."""
+    out = []
+    with reading(file):
+        stage, readings = open_stage(file), Readings(facts)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        for path in paths:
+            prim = named_prim(stage, facts.path, path)
+            carrier = named_prim(stage, facts.path, _source(prim, "src1"))
+            surface, indices, coords = _attached(prim, readings, time)
+            moves = times if transform_varies(carrier) else times[:1]
+            each = [_constant(facts.path, prim, name, time) or 0.0 for name in (STIFFNESS, DAMPING)]
+            out.append(
+                SoftAttachment(
+                    body=surface.path,
+                    points=indices,
+                    X=surface.points[indices],
+                    path=_carried(carrier, readings, coords, moves),
+                    stiffness=each[0] * facts.units.mass,
+                    damping=each[1] * facts.units.mass,
+                )
+            )
+    return tuple(out)
+
+
 def _source(prim: Usd.Prim, name: str) -> str:
     """The path that a relationship names; empty where it names none, or several."""
     relation = prim.GetRelationship(f"physics:{name}")
@@ -91,21 +163,8 @@ def _region(
 ) -> Region:
     facts, stage = readings.facts, prim.GetStage()
     where = f"{facts.path}: <{prim.GetPath()}>"
-    body, carrier = (named_prim(stage, facts.path, _source(prim, n)) for n in ("src0", "src1"))
-    surface = read_surface(body, readings.at(time))
-    indices = np.asarray(_array(prim, "indices0", time), np.int64).reshape(-1)
-    coords = np.asarray(_array(prim, "coords1", time), np.float64).reshape(-1, 3)
-    if len(coords) != len(indices) or not len(indices):
-        raise InputError(
-            f"{where} has {len(indices)} indices0 and {len(coords)} coords1",
-            "author one place for each attached point",
-        )
-    if indices.min() < 0 or indices.max() >= len(surface.points):
-        raise InputError(
-            f"{where}: its indices0 reach from {indices.min()} to {indices.max()}, and"
-            f" <{body.GetPath()}> has {len(surface.points)} points",
-            "attach points of the mesh",
-        )
+    carrier = named_prim(stage, facts.path, _source(prim, "src1"))
+    surface, indices, coords = _attached(prim, readings, time)
     chosen = surface.triangles[np.isin(surface.triangles, indices).all(1)]
     if not len(chosen):
         raise InputError(
@@ -129,8 +188,35 @@ def _region(
         points=points,
         triangles=renumbered.reshape(-1, 3),
         path=points + (path - path[0]),
-        body=str(body.GetPath()),
+        body=surface.path,
     )
+
+
+def _attached(
+    prim: Usd.Prim, readings: Readings, time: Usd.TimeCode
+) -> tuple[Surface, Ints, NDArray[np.float64]]:
+    """The mesh, its attached points (n,), and their places (n, 3) in the frame of the other prim.
+
+    Raises InputError where they do not fit each other.
+    """
+    facts, stage = readings.facts, prim.GetStage()
+    where = f"{facts.path}: <{prim.GetPath()}>"
+    body = named_prim(stage, facts.path, _source(prim, "src0"))
+    surface = read_surface(body, readings.at(time))
+    indices = np.asarray(_array(prim, "indices0", time), np.int64).reshape(-1)
+    coords = np.asarray(_array(prim, "coords1", time), np.float64).reshape(-1, 3)
+    if len(coords) != len(indices) or not len(indices):
+        raise InputError(
+            f"{where} has {len(indices)} indices0 and {len(coords)} coords1",
+            "author one place for each attached point",
+        )
+    if indices.min() < 0 or indices.max() >= len(surface.points):
+        raise InputError(
+            f"{where}: its indices0 reach from {indices.min()} to {indices.max()}, and"
+            f" <{body.GetPath()}> has {len(surface.points)} points",
+            "attach points of the mesh",
+        )
+    return surface, indices, coords
 
 
 def _array(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats:

@@ -62,11 +62,13 @@ def read_physics(
         baked = [named_prim(stage, facts.path, path) for path in bodies]
         others, own = obstacles(prims, baked, time, notes)
         colliders = read_colliders(others, facts, materials, time, times, notes)
+        hard, soft = attachments_of(prims, bodies, time, notes, file=facts.path)
         return StagePhysics(
             gravity=gravity,
             scene=scene,
             fields=read_fields(stage, scene, facts, time),
-            attachments=attachments_of(prims, bodies, time, notes),
+            attachments=hard,
+            soft_attachments=soft,
             gravity_keys=tuple((code, g) for code, g in keys if g is not None),
             colliders=colliders,
             bodies=tuple(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.stage import Goals
+from gf_usd.core.stage import AttachedPoints, Goals
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import block, elastic, settings
 
@@ -66,3 +66,44 @@ def test_a_goal_that_is_as_good_as_keyframed_follows_a_motion() -> None:
     away = last.particles.x - BODY.X - [0.12, 0.0, 0.0]
     # g dt^2 of sag, with w = 1 / dt
     assert np.abs(away).max() < 2.0 * 9.81 * solver.body.step.dt**2
+
+
+FAST = [elastic(E=1e7, nu=0.3, density=1000.0)]
+CORNERS = np.array([BODY.X.min(0), BODY.X.max(0)])
+ENDS = np.array([[CORNERS[i, 0], CORNERS[j, 1], CORNERS[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
+
+
+def attached(path: Floats, k: float, c: float = 0.0) -> Goals:
+    """Springs of k [N/m] and c [N s/m] at each of ENDS."""
+    points = AttachedPoints(
+        X=ENDS, path=path, stiffness=np.full(8, k), damping=np.full(8, c), body=np.zeros(8, int)
+    )
+    return replace(goals(0.0), attached=points)
+
+
+@pytest.mark.parametrize("up", [0.0, 0.3])
+def test_springs_of_points_hold_a_body_up_by_what_they_are_stiff(up: float) -> None:
+    """Sum k (place - x) = m g, whatever the grid makes of the points; critically damped."""
+    m = 1000.0 * float(BODY.V0.sum())
+    k = m * W**2 / 8.0
+    s = replace(settings("cpu", frames=97, fps=48.0), gravity=(0.0, -9.81, 0.0))
+    springs = attached((ENDS + [0.0, up, 0.0])[None], k, 2.0 * m * W / 8.0)
+    *_, last = TotalLagrangian(BODY, FAST, s, goals=springs).frames()
+    sag = (BODY.X - last.particles.x)[:, 1]
+    # e^(-w t) of the way is left, 1e-11, and what the body itself sags between its corners
+    own = 1000.0 * 9.81 * 1.0**2 / 1e7  # [m] rho g L^2 / E
+    np.testing.assert_allclose(sag, 9.81 / W**2 - up, atol=own)
+    np.testing.assert_allclose(sag.mean(), 9.81 / W**2 - up, atol=0.5 * own)
+
+
+def test_points_that_move_take_the_body_along() -> None:
+    m = 1000.0 * float(BODY.V0.sum())
+    path = ENDS + np.linspace(0.0, 0.5, 49)[:, None, None] * np.array([1.0, 0.0, 0.0])
+    still = np.repeat(path[-1:], 72, axis=0)
+    springs = attached(np.concatenate([path, still]), m * W**2 / 8.0, 2.0 * m * W / 8.0)
+    *_, last = TotalLagrangian(
+        BODY, FAST, settings("cpu", frames=121, fps=48.0), goals=springs
+    ).frames()
+    away = last.particles.x - BODY.X - [0.5, 0.0, 0.0]
+    # (1 + w t) e^(-w t) of the speed over w is left after t = 1.5 s
+    assert np.abs(away).max() < 0.5 / W * (1.0 + 1.5 * W) * np.exp(-1.5 * W) + 1e-6

@@ -71,7 +71,7 @@ def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: st
     ("said", "words"),
     [
         ("bool physics:attachmentEnabled = false", ""),
-        ("float physics:stiffness = 100", "soft attachment"),
+        ("float physics:stiffness = 0", "attachment of stiffness 0"),
         ('uniform token physics:type1 = "face"', "attaches other than points of a mesh"),
     ],
 )
@@ -89,6 +89,43 @@ def test_what_is_no_hard_attachment_of_points_holds_nothing(
     assert not plan.pins
     assert words in " ".join(plan.notes)
     assert ("/Hook" in " ".join(plan.notes)) == bool(words)
+
+
+def test_a_soft_attachment_is_a_spring_of_each_point(tmp_path: Path) -> None:
+    """In grams: k [g/s^2] and c [g/s] are N/m and N s/m by 1e-3; places may lie elsewhere."""
+    said = "float physics:stiffness = 4e5\n    float physics:damping = 300"
+    path = stage(tmp_path, said, held=[0, 1], shift=0.1)
+    path.write_text(
+        path.read_text().replace(
+            "( metersPerUnit = 1", "( metersPerUnit = 1\n  kilogramsPerUnit = 0.001"
+        )
+    )
+    options = {"particles": 100, "frames": 13, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(path, draw=None, **options)
+    assert not plan.pins
+    assert not any(plan.settings.lift)
+    assert plan.goals is not None
+    springs = plan.goals.attached
+    assert springs is not None
+    np.testing.assert_allclose(springs.X, [CORNERS[0], CORNERS[1]])
+    np.testing.assert_allclose(springs.stiffness, 400.0)
+    np.testing.assert_allclose(springs.damping, 0.3)
+    rise = np.linspace(0.0, 2.0, 13)[:, None, None] * np.array([0.0, 1.0, 0.0])
+    np.testing.assert_allclose(springs.path, springs.X + [0.1, 0.0, 0.0] + rise, atol=1e-6)
+    assert "attachments draw parts of the body by springs: /Hook" in plan.notes
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["float physics:stiffness = -1", "float physics:stiffness = nan",
+     "float physics:stiffness = 5\n    float physics:damping = inf",
+     'string physics:stiffness = "hard"'],
+)  # fmt: skip
+def test_a_stiffness_that_is_none_is_refused(tmp_path: Path, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        prepare(stage(tmp_path, said), draw=None, particles=100, output=tmp_path / "out.usda")
+    assert "Hook" in caught.value.message
+    assert "author a number of 0 or more" in caught.value.hint
 
 
 def test_points_away_from_their_places_move_as_the_places_do(tmp_path: Path) -> None:
