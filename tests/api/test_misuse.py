@@ -170,6 +170,7 @@ def test_a_file_that_is_not_there_is_an_input_error() -> None:
             ("clay:0,0,0,1,1,1", "clay:2,0,0,3,1,1"),
         ),
         ("material_labels", {"label": {3: "metal"}}, ("label=3:metal",)),
+        ("material_sweep", ("youngs", 1e4, 1e6, 5), "youngs=10000:1000000:5"),
         ("particles", 4e3, 4000),
         ("seed", np.int64(7), 7),
         ("wls", np.bool_(True), True),

@@ -116,7 +116,13 @@ def test_coarser_runs_have_twice_and_four_times_the_spacing() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"preset": "paper"}, {"skin": "idw"}, {"only": "points"}, {"resume": True}],
+    [
+        {"preset": "paper"},
+        {"skin": "idw"},
+        {"only": "points"},
+        {"samples_per_frame": 2},
+        {"resume": True},
+    ],
 )
 def test_what_cannot_be_certified_is_refused(tmp_path: Path, options) -> None:
     with pytest.raises(UsageError, match="certify"):

@@ -154,6 +154,11 @@ class Request(RequestOptions):
         for option, given, why in (
             ("--preset paper", self.preset, "its particles lie at random"),
             (f"--skin {self.skin}", self.skin not in (None, "embed"), "it has no grid's surface"),
+            (
+                f"--samples-per-frame {self.samples_per_frame}",
+                (self.samples_per_frame or 1) > 1,
+                "its figures are those of frames",
+            ),
             (f"--only {self.only}", shapes and "mesh" not in shapes, "figures are the surface's"),
         ):
             if self.certify and given:

@@ -247,11 +247,11 @@ class RequestOptions:
         MATERIAL, "Width of the transition between materials of one body [stage units].",
         shown="0", low=0.0, high=1e6,
     )] = None
-    material_sweep: Annotated[str | None, Option(
+    material_sweep: Annotated[tuple[str, float, float, int] | str | None, Option(
         MATERIAL, "NAME=LOW:HIGH:COUNT, such as youngs=1e4:1e6:5: bake variants of the material"
         " with these values, and write a contact sheet. NAME: youngs [Pa], poisson, density"
         " [kg/m^3], damping [s], friction or restitution.",
-        shown="none", parse=parse_sweep,
+        shown="none", parse=parse_sweep, write=values.sweep,
     )] = None
     mass_scaling: Annotated[float | None, Option(
         MATERIAL, "Divide the elastic moduli of materials that flow by this: steps grow by its"
@@ -351,8 +351,8 @@ class BakeOptions(RequestOptions, AssetOptions):
         shown="never", low=1, commands=BAKE,
     )] = None
     until: Annotated[str | None, Option(
-        WRITE, "Bake again, more finely each time, until the figures of --certify are this certain:"
-        " 2%, or rebound,squash:2%; within --max-hours.",
+        WRITE, "Bake again, more finely each time, until the figures of --certify are as certain as"
+        " this share, or those that are named before it, or --max-hours is spent.",
         shown="never", commands=BAKE,
     )] = None
     overwrite: Annotated[bool, Option(

@@ -194,6 +194,17 @@ def span(name: str, value: Any) -> str:
     return _pair(name, value, wanted, lambda end: end is None or is_number(end))
 
 
+def sweep(name: str, value: Any) -> str:
+    """A property with its range, as (NAME, LOW, HIGH, COUNT)."""
+    wanted = "a text such as 'youngs=1e4:1e6:5', or a tuple such as ('youngs', 1e4, 1e6, 5)"
+    if isinstance(value, str):
+        return value
+    parts = items(name, value, wanted)
+    if len(parts) != 4 or not isinstance(parts[0], str) or not all(map(is_number, parts[1:])):
+        raise refuse(name, value, wanted)
+    return f"{parts[0]}={':'.join(digits(part) for part in parts[1:])}"
+
+
 def stretches(name: str, value: Any) -> str:
     """Two limits of stretch, or "none" for False."""
     wanted = "two stretches about 1 such as (0.2, 5), or False"
