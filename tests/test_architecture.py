@@ -39,7 +39,7 @@ MAY_IMPORT = {
     "delivery": BASE | {"readers", "layers", "view"},  # view: normals of meshes without any
     "verify": BASE | {"geometry", "physics"},
     "batch": BASE | {"readers", "prepare", "pipeline", "view"},
-    "fitting": BASE | {"readers", "layers", "view", "prepare", "pipeline"},
+    "fitting": BASE | {"readers", "geometry", "layers", "view", "prepare", "pipeline"},
 }
 MAY_IMPORT["api"] = set(MAY_IMPORT) - {"verify", "batch"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.scene import Recording
-from gf_usd.fitting.observation import Scene, corner
+from gf_usd.fitting.observation import Followed, Scene, corner
 from gf_usd.fitting.targets import Asked, Motion, points_sigma
+from gf_usd.geometry.surface import barycentric
 from gf_usd.readers.pictures.recording import BakedMotion
+from gf_usd.readers.tracks import Tracks, read_tracks
 from gf_usd.view.compare import TO_Z
 
 MOST = 100  # points of a mesh that are compared: they are spread, and more tell little more
+OFF = 0.1  # radii: a track that is farther from the surface is of something else
 Z_UP = 0.5  # of the component along z of a unit vector
 
 
@@ -29,9 +33,16 @@ def read_motion(asked: Asked, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
     lies after the first frame.
     """
     assert asked.file is not None
-    motion = BakedMotion(asked.file)
-    recording = motion.recording()
-    pairs = _pairs(recording, scene)
+    motion = _moving_meshes(asked.file)
+    recording = motion.recording() if motion else None
+    pairs = _pairs(recording, scene) if recording else {}
+    if not pairs and (tracks := read_tracks(asked.file)) is not None:
+        return attached(asked, tracks, scene)
+    if motion is None or recording is None:
+        raise InputError(
+            f"{asked.file} has neither meshes that move nor tracked points",
+            "export a point cache of the asset, or tracks as curves: see docs/fit.md",
+        )
     if not pairs:
         ours = ", ".join(f"<{path}> of {len(x)} points" for path, x in scene.surfaces.items())
         theirs = ", ".join(f"<{m.name}> of {len(m.points)}" for m in recording.meshes) or "none"
@@ -45,7 +56,7 @@ def read_motion(asked: Asked, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
     seconds = np.array([code / rate - begin for code in codes])
     require_times(asked.file, seconds, recording.time_codes, scene)
     chosen = {path: spread(scene.surfaces[path], MOST) for path in pairs}
-    turn = _turn(recording, scene)
+    turn = _turn(recording.up, scene)
     rows = [
         np.concatenate([frame.meshes[k][chosen[path]] @ turn.T for path, k in pairs.items()])
         for frame in motion.frames(codes)
@@ -107,12 +118,96 @@ def _name(name: str) -> str:
     return name.rsplit("/", 1)[-1]
 
 
-def _turn(recording: Recording, scene: Scene) -> Floats:
-    """(3, 3) rotation from the file's up axis to the asset's."""
-    theirs, ours = recording.up[2] > Z_UP, scene.up[2] > Z_UP
+def _turn(up: Sequence[float], scene: Scene) -> Floats:
+    """(3, 3) rotation from a file's up axis to the asset's."""
+    theirs, ours = up[2] > Z_UP, scene.up[2] > Z_UP
     if theirs == ours:
         return np.eye(3)
     return TO_Z if ours else TO_Z.T
+
+
+def _moving_meshes(file: Path) -> BakedMotion | None:
+    """The moving meshes of a file; None where nothing of the kind moves."""
+    if not file.is_file():
+        raise InputError(f"{file} does not exist", "check the spelling of --target")
+    try:
+        return BakedMotion(file)
+    except InputError:
+        if read_tracks(file) is None:
+            raise
+        return None
+
+
+def attached(asked: Asked, tracks: Tracks, scene: Scene) -> tuple[Motion, tuple[str, ...]]:
+    """Tracks as points of the surfaces that they lie on at the first frame.
+
+    Those that begin later or lie off the surfaces are left out, which a note says.
+
+    Raises InputError where none is left.
+    """
+    assert asked.file is not None
+    rate, half = tracks.time_codes_per_second, 0.5 / scene.fps
+    seconds = tracks.time_codes / rate - scene.start / scene.time_codes_per_second
+    turned = tracks.x @ _turn(tracks.up, scene).T
+    first = int(np.argmin(np.abs(seconds)))
+    require_times(asked.file, seconds, tracks.time_codes.tolist(), scene)
+    there = np.isfinite(turned[first]).all(axis=1) & (abs(seconds[first]) <= half)
+    places = np.where(there[:, None], turned[first], 0.0)
+    path, triangle, weights, distance = _on_surfaces(places, scene)
+    good = there & (distance <= OFF * scene.radius)
+    if not good.any():
+        nearest = distance[there].min(initial=np.inf)
+        raise InputError(
+            f"{asked.file}: none of {len(good)} tracks lies on the asset at its first frame;"
+            f" {int(there.sum())} are seen then, the nearest {nearest:.3g} m off, and the body has"
+            f" a radius of {scene.radius:.3g} m",
+            "check the units and the place of the tracks, and --start and --drop of the body",
+        )
+    notes = []
+    if left := int((~there).sum()):
+        notes.append(f"{asked.file.name}: {left} tracks are not seen at the first frame: left out")
+    if off := int((there & ~good).sum()):
+        notes.append(f"{asked.file.name}: {off} tracks lie off the surface: left out")
+    order = [k for name in scene.surfaces for k in np.flatnonzero(good) if path[k] == name]
+    after = seconds > -1e-6
+    followed = []
+    for name in scene.surfaces:
+        mine = [k for k in order if path[k] == name]
+        if mine:
+            vertices = scene.triangles[name][triangle[mine]]
+            followed.append(Followed(path=name, vertices=vertices, weights=weights[mine]))
+    found = Motion(
+        name=asked.file.name,
+        followed=tuple(followed),
+        seconds=seconds[after],
+        x=turned[after][:, order],
+        sigma=points_sigma(asked, scene),
+        stated=asked.sigma is not None,
+    )
+    return found, tuple(notes)
+
+
+def _on_surfaces(places: Floats, scene: Scene) -> tuple[list[str], Ints, Floats, Floats]:
+    """Path, triangle, barycentric weights (n, 3) and distance [m] of the nearest surface points."""
+    import igl
+
+    path = [""] * len(places)
+    triangle, weights = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
+    least = np.full(len(places), np.inf)
+    for name, x in scene.surfaces.items():
+        faces = np.asarray(scene.triangles[name], np.int64)
+        if not len(faces):
+            continue
+        found: Any = igl.point_mesh_squared_distance(places, x, faces)
+        squared, at, closest = found[:3]
+        away = np.sqrt(np.maximum(squared, 0.0))
+        corners = np.moveaxis(x[faces[at]], 1, 0)
+        nearer = away < least
+        for k in np.flatnonzero(nearer):
+            path[k] = name
+        triangle[nearer], least[nearer] = at[nearer], away[nearer]
+        weights[nearer] = barycentric(closest, *corners)[nearer]
+    return path, triangle, weights, least
 
 
 def spread(points: Floats, most: int) -> Ints:
