@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gf_usd.core.errors import SolverError
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import (
     GAUSS,
@@ -13,6 +14,7 @@ from gf_usd.verify.bodies import (
     clamp,
     elastic,
     force,
+    motion,
     put,
     settings,
     virial,
@@ -93,3 +95,29 @@ def test_references_have_their_known_limits() -> None:
     beam = Beam(slenderness=20, cells=8)
     assert beam.h == pytest.approx(1.0 / 160.0)
     assert beam.omega == pytest.approx(3.516 * np.sqrt(1e3 / 12.0) / 20.0, rel=1e-4)
+
+
+def swinging() -> TotalLagrangian:
+    body = block(np.zeros(3), (3, 2, 2), 0.5)
+    s = settings("cpu", frames=4, fps=200.0)
+    return TotalLagrangian(
+        body, [elastic(E=1e6, nu=0.3, density=1000.0)], s,
+        velocity=lambda X: 0.01 * np.sin(X[:, ::-1]),
+    )  # fmt: skip
+
+
+def test_motion_is_that_of_frames():
+    frames = list(swinging().frames())
+    seen = [(t, now.particles.x) for t, now in motion(swinging())]
+    assert [t for t, _ in seen] == [frame.time for frame in frames]
+    for (_, x), frame in zip(seen, frames):
+        np.testing.assert_array_equal(x, frame.particles.x)
+
+
+def test_motion_ends_where_something_is_no_number():
+    solver = swinging()
+    moved = motion(solver)
+    next(moved)
+    solver.throw(np.full((solver.body.stencil.free_count, 3), np.nan))
+    with pytest.raises(SolverError, match="frame 1"):
+        next(moved)
