@@ -390,10 +390,12 @@ class Goals:
 
     pose : X (n, 3) [m] at rest -> (frame -> (n, 3) [m] where these points are to be).
     rate : X (n, 3) [m] at rest -> w (n,) [rad/s]; 0: free, inf: as good as keyframed.
+    rates : the same over time, X -> (frame -> w); None: w stays.
     """
 
     pose: Callable[[Floats], Callable[[float], Floats]]
     rate: Callable[[Floats], Floats]
+    rates: Callable[[Floats], Callable[[float], Floats]] | None = None
     damping: float = 0.5  # zeta, of the springs: 1 is critical
     moving: bool = True  # whether the pose changes
     limits: FleshLimits | None = None

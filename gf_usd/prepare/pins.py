@@ -228,7 +228,7 @@ def flesh_of(
     from gf_usd.geometry.flesh.medial import medial_skeleton
     from gf_usd.readers.usd.bones import read_skeleton
     from gf_usd.readers.usd_bake.caches import read_cache
-    from gf_usd.readers.usd_bake.settings import read_goals
+    from gf_usd.readers.usd_bake.settings import goals_vary, read_goals
 
     step = settings.time_codes_per_second / settings.fps
     lead = round((animation.first - settings.start) / step) - cycle * repeats
@@ -275,8 +275,13 @@ def flesh_of(
     elif frequency is None:
         frequency = GOAL_FREQUENCY
         notes = (*notes, f"painted goals are springs of {frequency:g} Hz: --goal-frequency")
+    keys: list[Mapping[str, Floats]] = []
+    if painted and goals_vary(file, asset.facts, asset.surfaces):
+        codes = np.maximum(different, animation.first).tolist()
+        keys = [read_goals(file, asset.facts, asset.surfaces, rest=code) for code in codes]
+        notes = (*notes, "painted goals have time samples: springs change with them")
     goals = flesh_goals(
-        solid, samples, skeleton, painted,
+        solid, samples, skeleton, painted, keys=keys, key_of_frame=again.tolist(),
         frequency=frequency, damping=GOAL_DAMPING if damping is None else damping, spacing=spacing,
         limits=limits,
     )  # fmt: skip

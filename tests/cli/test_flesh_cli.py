@@ -12,6 +12,7 @@ from pxr import Usd
 from small_bakes import BLOCK
 
 import gf_usd
+from gf_usd.physics.grid.goals import NodeGoals
 from gf_usd.pipeline.frames import PERIODIC
 from gf_usd.prepare.options.texts import MOST_CYCLES
 from gf_usd.prepare.prepare import prepare
@@ -157,6 +158,33 @@ def test_goals_are_springs_of_the_frequency_asked_for_or_painted(
     rate = plan.goals.rate(np.array([[0.5, 0.0, 0.0]]))
     np.testing.assert_allclose(rate, 2.0 * np.pi * frequency, rtol=1e-6)
     assert ("painted goals" in " ".join(plan.notes)) == (bool(more) and asked is None)
+
+
+@pytest.mark.parametrize("on_subset", [False, True])
+def test_a_goal_with_time_samples_changes_the_springs(tmp_path: Path, on_subset: bool) -> None:
+    """0.2, half the frequency, up to the middle; straight from there to 0.8, twice of it."""
+    keys = "float primvars:gaussianFlesh:goal.timeSamples = { 1: 0.2, 7: 0.2, 13: 0.8 }"
+    path = write(tmp_path, arm(more=subset(list(range(34)), keys) if on_subset else keys))
+    options = {"particles": 300, "goal_frequency": 2.0, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(path, flesh=True, draw=None, **options)
+    assert plan.goals is not None
+    assert plan.goals.rates is not None
+    assert plan.goals.moving
+    w = plan.goals.rates(np.array([[0.5, 0.0, 0.0]]))
+    first = plan.settings.first
+    for frame, goal in (
+        (0, 0.2),
+        (first, 0.2),
+        (first + 6, 0.2),
+        (first + 9, 0.5),
+        (first + 12, 0.8),
+    ):
+        wanted = 2.0 * np.pi * 2.0 * np.sqrt(goal / (1.0 - goal))
+        np.testing.assert_allclose(w(frame), wanted, rtol=1e-5)
+    assert any("time samples" in note for note in plan.notes)
+    nodes = NodeGoals(plan.goals, np.array([[0.5, 0.0, 0.0]]), dt=1e-4)
+    k = [nodes.between(first + frame, 1.0 / 24.0)[6] for frame in (6, 12)]
+    np.testing.assert_allclose(k, np.square(2.0 * np.pi * 2.0 * np.array([0.5, 2.0])), rtol=1e-5)
 
 
 def subset(faces: list[int], goal: str) -> str:

@@ -13,7 +13,7 @@ no end at 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import igl
@@ -61,14 +61,18 @@ def flesh_goals(
     damping: float,
     spacing: float,
     limits: FleshLimits | None = None,
+    keys: Sequence[Mapping[str, Floats]] = (),
+    key_of_frame: Sequence[int] = (),
 ) -> Goals:
     """Springs to the skinned pose.
 
     painted : (C,) goals at the corners of the faces, by prim path, NaN: nothing is said; frequency
     : [Hz] where the goal is 1/2, 0: no springs; damping : ratio; spacing : [m] of the samples;
-    limits : besides.  A surface that no bone poses has no springs.
+    limits : besides.  keys : what is painted over time, as `painted`, and which of them counts at
+    each frame; none: it stays.  A surface that no bone poses has no springs.
     """
-    drawn = _drawn(solid, samples, skeleton, painted, spacing)
+    skin = on_skin(solid, samples.X)
+    drawn = _drawn(solid, samples, skeleton, painted, spacing, skin)
     linear, offset = affine(skeleton)
     moving = bool((linear != np.eye(3)).any() or offset.any())
 
@@ -91,16 +95,33 @@ def flesh_goals(
 
         return at
 
-    def rate(X: Floats) -> Floats:
-        around = drawn.around(X)
+    def of_goal(around: sparse.csr_matrix, goal: Floats) -> Floats:
         posed = np.asarray((around @ drawn.weights).sum(1)).ravel()
-        g = np.clip(around @ drawn.goal, 0.0, 1.0)
+        g = np.clip(around @ goal, 0.0, 1.0)
         if frequency == 0.0:
-            return np.zeros(len(X))
+            return np.zeros(around.shape[0])
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 * np.pi * frequency * posed * np.sqrt(g / (1.0 - g)))
 
-    return Goals(pose=pose, rate=rate, damping=damping, moving=moving, limits=limits)
+    keyed = [_painted_goal(solid, skin, key, len(samples.X)) for key in keys]
+
+    def rates(X: Floats) -> Callable[[float], Floats]:
+        around = drawn.around(X)
+
+        def at(frame: float) -> Floats:
+            k = int(np.clip(round(frame), 0, len(key_of_frame) - 1))
+            return of_goal(around, keyed[key_of_frame[k]])
+
+        return at
+
+    return Goals(
+        pose=pose,
+        rate=lambda X: of_goal(drawn.around(X), drawn.goal),
+        rates=rates if keys else None,
+        damping=damping,
+        moving=moving or len(keys) > 1,
+        limits=limits,
+    )
 
 
 def affine(skeleton: Skeleton) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -119,22 +140,32 @@ def _drawn(
     skeleton: Skeleton,
     painted: Mapping[str, Floats],
     spacing: float,
+    skin: Sequence[OnSkin],
 ) -> Drawn:
     """The samples, each with what the skin has at the point nearest to it."""
     bones, count = len(skeleton.bones), len(samples.X)
     total = sparse.csr_matrix((count, bones))
-    goal = np.full(count, UNPAINTED)
-    for surface, near in zip(solid.surfaces, on_skin(solid, samples.X)):
+    goal = _painted_goal(solid, skin, painted, count)
+    for surface, near in zip(solid.surfaces, skin):
         known = skeleton.weights.get(surface.path)
         if known is not None:
             total += near.to_points(len(surface.points)) @ known
+    if skeleton.samples is not None:
+        total = skeleton.samples.weights
+    return Drawn(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
+
+
+def _painted_goal(
+    solid: Solid, skin: Sequence[OnSkin], painted: Mapping[str, Floats], count: int
+) -> NDArray[np.float64]:
+    """(count,) goals of the samples, of what is painted at the corners of the faces."""
+    goal = np.full(count, UNPAINTED)
+    for surface, near in zip(solid.surfaces, skin):
         if (values := painted.get(surface.path)) is not None:
             said = np.asarray(values)[surface.triangle_corners[near.source]]
             said = np.where(np.isnan(said), UNPAINTED, said)
             goal[near.rows] = (near.share * said).sum(1)
-    if skeleton.samples is not None:
-        total = skeleton.samples.weights
-    return Drawn(X=samples.X, weights=sparse.csr_matrix(total), goal=goal, spacing=spacing)
+    return goal
 
 
 @dataclass(frozen=True, kw_only=True)

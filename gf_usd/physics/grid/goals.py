@@ -48,15 +48,15 @@ class NodeGoals:
         attached: NodeSprings | None = None,
     ) -> None:
         self._X, self._pose = X, goals.pose(X)
-        w = np.minimum(goals.rate(X), STIFFEST / dt)
-        self.springs = np.stack([w**2, 2.0 * goals.damping * w], 1)  # (n, 2) k and c
+        self._stiffest, self._damping = STIFFEST / dt, goals.damping
+        self._rates = goals.rates(X) if goals.rates else None
+        self._still = self._of_rate(goals.rate(X))
         self._attached = attached
-        self._part = np.zeros(len(X))  # of k that is of single points
-        self.moving = goals.moving or (attached is not None and attached.moving)
+        self._more = np.zeros((len(X), 2))
         if attached is not None:
-            more = np.minimum(attached.springs, [(STIFFEST / dt) ** 2, DAMPED / dt])
-            self.springs = self.springs + more
-            self._part = more[:, 0] / np.maximum(self.springs[:, 0], np.finfo(float).tiny)
+            self._more = np.minimum(attached.springs, [(STIFFEST / dt) ** 2, DAMPED / dt])
+        self.springs = self._still + self._more  # (n, 2) k and c, before they change
+        self.moving = goals.moving or (attached is not None and attached.moving)
         self._limits = _NodeLimits(goals.limits, X, HARDEST / (lightest * dt**2))
 
     def between(self, index: int, frame_time: float) -> NDArray[np.float64]:
@@ -64,20 +64,27 @@ class NodeGoals:
 
         frame_time : [s] between them.
         """
-        start, end = self._way(index - 1), self._way(index)
+        springs = self._more + (self._of_rate(self._rates(index)) if self._rates else self._still)
+        part = self._more[:, 0] / np.maximum(springs[:, 0], np.finfo(float).tiny)
+        start, end = (self._way(frame, part) for frame in (index - 1, index))
         out = np.zeros((len(self._X), GOAL))
         out[:, :RATE] = start
         out[:, RATE:SPRING] = (end - start) / frame_time
-        out[:, SPRING:WORK] = self.springs
+        out[:, SPRING:WORK] = springs
         self._limits.fill(out, self._X, index, frame_time)
         return out.ravel()
 
-    def _way(self, frame: int) -> NDArray[np.float64]:
-        """(n, 3) [m] from each node to where it is drawn."""
+    def _of_rate(self, w: Floats) -> NDArray[np.float64]:
+        """(n, 2) k and c of springs of w (n,) [rad/s]."""
+        w = np.minimum(w, self._stiffest)
+        return np.stack([w**2, 2.0 * self._damping * w], 1)
+
+    def _way(self, frame: int, part: Floats) -> NDArray[np.float64]:
+        """(n, 3) [m] from each node to where it is drawn; part (n,) of k is that of points."""
         way = self._pose(frame) - self._X
         if self._attached is None:
             return way
-        return way + self._part[:, None] * (self._attached.way(frame) - way)
+        return way + part[:, None] * (self._attached.way(frame) - way)
 
 
 class NodeSprings:

@@ -238,6 +238,20 @@ def read_goals(
     return out
 
 
+def goals_vary(file: Path, facts: StageFacts, surfaces: Sequence[Surface]) -> bool:
+    """Whether any goal that `read_goals` reads has time samples."""
+    with reading(file):
+        stage = open_stage(file)
+        for surface in surfaces:
+            prim = named_prim(stage, facts.path, surface.path)
+            found = [UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(GOAL)]
+            for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
+                found.append(UsdGeom.PrimvarsAPI(subset.GetPrim()).GetPrimvar(GOAL))
+            if any(one and one.ValueMightBeTimeVarying() for one in found):
+                return True
+    return False
+
+
 def _goals(
     primvar: UsdGeom.Primvar, time: Usd.TimeCode, facts: StageFacts, path: str
 ) -> tuple[Floats, str]:
