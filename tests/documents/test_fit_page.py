@@ -25,7 +25,8 @@ def test_the_example_runs(tmp_path: Path) -> None:
     for many, few in (
         ("--particles 8000", "--particles 300"),
         ("--particles 1000", "--particles 200"),
-        ("--frames 30", "--frames 18"),
+        ("--frames 30", "--frames 12"),
+        ("--drop 1 ", "--drop 0.3 "),
     ):
         script = script.replace(many, few)
     said = paste(script, tmp_path)
