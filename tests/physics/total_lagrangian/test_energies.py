@@ -118,4 +118,6 @@ def test_a_body_in_the_floor_holds_the_energy_of_its_springs(body):
     deeper = np.maximum(0.0, depth - STOPPING_DISTANCE * spacing)
     assert deeper.any()
     held = 0.5 * depth**2 + 0.25 * deeper**4 / (HARD * spacing) ** 2
-    assert health.contact == pytest.approx(solver.body.contact.stiffness @ held, rel=1e-9)
+    contact = solver.body.contact
+    assert contact is not None
+    assert health.contact == pytest.approx(contact.stiffness @ held, rel=1e-9)
