@@ -7,7 +7,7 @@ Every scene has a figure whose answer is known: in closed form, or as the limit 
 A seed turns the body about its axis of symmetry and changes the number of particles by up to a
 tenth, which moves the lattice of particles, the grid and the contact samples.  Of each row the
 table says how many intervals hold the truth, and the median of their width over the error of the
-finest run.
+finest run.  What the FILE of --rows has is not baked again: with --seeds 0 nothing is.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 
 import gf_usd
 from gf_usd.core.materials import Material
-from tools.acceptance.record import PAGE, Outcome, newest, page, record, save, write
+from tools.acceptance.record import PAGE, Outcome, git, newest, page, record, save, write
 from tools.bench import scene as bench
 
 RESOLUTIONS = (5000, 8000, 12000)  # particles
@@ -187,6 +187,8 @@ class Row:
     half: float | None
     order: float | None
     reason: str
+    date: str = ""  # ISO 8601, UTC, of the bake
+    commit: str = ""  # of which it was baked
 
     @property
     def holds(self) -> bool:
@@ -212,6 +214,8 @@ def bake_rows(scene: Scene, particles: int, seed: int, folder: Path) -> list[Row
         **options_of(scene, particles, dice),
     )  # fmt: skip
     certificate = result.bakes[0].certificate
+    if certificate is None:
+        raise SystemExit(f"{asset}: there is no certificate")
     rows = []
     for name, truth in scene.truth.items():
         found = certificate.figures[name]
@@ -222,6 +226,7 @@ def bake_rows(scene: Scene, particles: int, seed: int, folder: Path) -> list[Row
                 fine=float(found.fine[0]), order=found.order, reason=found.reason,
                 value=float(found.value[0]) if found.known else None,
                 half=float(found.half) if found.known else None,
+                date=time.strftime("%Y-%m-%d", time.gmtime()), commit=git("rev-parse", "HEAD"),
             )
         )  # fmt: skip
     return rows
@@ -257,10 +262,12 @@ def outcome(rows: Sequence[Row]) -> Outcome:
     head, _, *lines = (
         [cell.strip() for cell in line.strip("|").split("|")] for line in table(rows)
     )
+    baked = ", ".join(sorted({f"`{row.commit[:12]}` {row.date}" for row in rows}))
     return Outcome(
         passed=holds >= COVERAGE * len(known) and width <= WIDTH,
         summary=f"{holds} of {len(known)} intervals hold the truth, and the median is"
-        f" {width:.1f} times as wide as the error; {len(rows) - len(known)} figures had none",
+        f" {width:.1f} times as wide as the error; {len(rows) - len(known)} figures had none;"
+        f" baked of {baked}",
         table=(tuple(head), *map(tuple, lines)),
         data=[asdict(row) for row in rows],
     )
@@ -295,7 +302,7 @@ def main() -> int:
     found = outcome(rows)
     print(f"{'passed' if found.passed else 'failed'}: {found.summary}")
     if asked.record:
-        title = "Intervals of --certify"
+        title = "Certified intervals"
         command = ["python", "-m", "tools.acceptance.certify", *sys.argv[1:]]
         save(record("certify", title, command, time.perf_counter() - began, found))
         write(PAGE, page(newest()))
