@@ -82,9 +82,12 @@ def test_what_is_chaotic_matters_where_it_is_asked_for() -> None:
     assert "without an interval" in named.said
 
 
-def test_a_figure_that_is_not_there_is_refused() -> None:
-    with pytest.raises(UsageError, match="sag"):
-        next_step(Until.of("sag:2%"), [certificate(squash=0.1)], seconds=1.0, spent=1.0, budget=9.0)
+def test_a_figure_that_is_not_there_ends_it() -> None:
+    step = next_step(
+        Until.of("sag:2%"), [certificate(squash=0.1)], seconds=1.0, spent=1.0, budget=9.0
+    )
+    assert step.spacing is None
+    assert "none of the figures sag" in step.said
 
 
 @dataclass

@@ -53,11 +53,11 @@ class Until:
             raise UsageError(f"--until is {text}", HINT)
         return cls(names=names, share=value)
 
-    def of_certificates(self, found: Sequence[Certificate]) -> tuple[float, float, str]:
+    def of_certificates(self, found: Sequence[Certificate]) -> tuple[float, float, str] | None:
         """The widest asked interval over its magnitude, its order, and its name in words.
 
         A figure without an interval is infinitely wide, where it is asked for by its name.
-        Raises UsageError where no bake has any of the figures.
+        None where no bake has any of the figures.
         """
         rows = []
         for one in found:
@@ -67,13 +67,7 @@ class Until:
                     continue
                 width = interval.relative if interval.known else float("inf")
                 rows.append((width, interval.order or LOWEST, FIGURES[name].words))
-        if not rows:
-            asked = ", ".join(self.names or USUAL)
-            raise UsageError(
-                f"--until: the bake has none of the figures {asked}",
-                "the summary of --certify lists those that it has",
-            )
-        return max(rows, key=lambda row: row[0])
+        return max(rows, key=lambda row: row[0]) if rows else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +88,13 @@ def next_step(
     found : of each variant of the last bake.
     seconds : [s] that it took; spent : [s] by all so far; budget : [s] for all.
     """
-    width, order, words = until.of_certificates(found)
-    edge = found[0].runs[0][1]
     asked = f"{100.0 * until.share:g} %"
+    widest = until.of_certificates(found)
+    if widest is None:
+        names = ", ".join(until.names or USUAL)
+        return Step(spacing=None, said=f"--until {asked}: the bake has none of the figures {names}")
+    width, order, words = widest
+    edge = found[0].runs[0][1]
     if width <= until.share:
         return Step(spacing=None, said=f"--until {asked}: {words} +- {100.0 * width:.2g} %")
     p = min(max(order, LOWEST), HIGHEST)
