@@ -57,6 +57,13 @@ def fit(
 ) -> FitResult:
     """Find the material values with which an asset does what was observed.
 
+    >>> found = gf_usd.fit(
+    ...     "duck.usda", {"squash": 0.3}, unknowns=["E"], material="jelly", particles=100, frames=16
+    ... )
+    >>> (modulus,) = found.estimates
+    >>> modulus.low < found.material.youngs_modulus < modulus.high
+    True
+
     Nonlinear least squares over simulations: see docs/fit.md for what can be a target, and for how
     intervals are computed.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from slow_parameters import slow_but
 
 import gf_usd
 
@@ -57,7 +58,9 @@ def run(text: str, known: dict[str, Any]) -> None:
     assert done.failed == 0, "".join(said)
 
 
-@pytest.mark.parametrize("name", WITH_EXAMPLES)
+@pytest.mark.parametrize(
+    "name", slow_but(WITH_EXAMPLES, *(name for name in WITH_EXAMPLES if name != "fit"))
+)
 def test_the_examples_of_a_name_run(
     name: str, folder: Path, result: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
