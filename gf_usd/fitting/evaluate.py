@@ -25,11 +25,11 @@ from gf_usd.core.materials import Material
 from gf_usd.fitting.observation import Followed, Observation, Scene, rest_points, save
 from gf_usd.fitting.unknowns import with_values
 from gf_usd.pipeline.checkpoint import identity
+from gf_usd.pipeline.measures.figures import Recorder
 from gf_usd.pipeline.run import prepare, solver_of
 from gf_usd.system import exchange
 from gf_usd.system.processes import end_with_parent
 from gf_usd.system.warm.workers import receive, send
-from gf_usd.view.figures import Recorder
 
 NO_POINTS = np.zeros((0, 3))
 

@@ -1,6 +1,6 @@
 """Numbers of a motion that can be targets: one row each.
 
-Figures of a moment are taken between the frames (`gf_usd.view.figures`).  Those of rest are means
+Figures of a moment are taken between the frames (`pipeline/measures`).  Those of rest are means
 over the later half of the simulated time with the weights of Hann, 1 - cos(2 pi s), in which a
 vibration cancels: they need no frame at which all has come to rest, and change smoothly with the
 material.
@@ -18,7 +18,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.fitting.observation import Followed, Observation, Scene, corner
 from gf_usd.fitting.targets import SIGMA, Asked
-from gf_usd.view.figures import figures
+from gf_usd.pipeline.measures.figures import figures
 
 NONE = float("nan")  # a simulation does not show it
 SETTLED = 0.05  # of the largest deviation from the height at rest: what is less has settled

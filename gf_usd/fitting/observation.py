@@ -11,9 +11,9 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.materials import Material
+from gf_usd.pipeline.measures.figures import Series
 from gf_usd.system import exchange
 from gf_usd.system.atomic_files import partial_path, publish
-from gf_usd.view.figures import Series
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from gf_usd.fitting.figures import FIGURES, Number, check_number, number
 from gf_usd.fitting.observation import Followed, Observation, Scene, corner, load, save
 from gf_usd.fitting.read_targets import spread
 from gf_usd.fitting.targets import Motion, clusters, parse, residuals
-from gf_usd.view.figures import Recorder
+from gf_usd.pipeline.measures.figures import Recorder
 
 FPS = 24.0
 TALL = 0.4  # [m] height at rest

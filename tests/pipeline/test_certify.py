@@ -11,8 +11,8 @@ import pytest
 import gf_usd
 from gf_usd.core.errors import InputError, SolverError, UsageError
 from gf_usd.pipeline.measures.certify import FEWEST, certify, coarser
+from gf_usd.pipeline.measures.figures import Recorder
 from gf_usd.pipeline.measures.observe import Observed
-from gf_usd.view.figures import Recorder
 
 UP, G = np.array([0.0, 1.0, 0.0]), np.array([0.0, -9.81, 0.0])
 FRAMES, DT = 30, 1.0 / 24.0

@@ -9,6 +9,7 @@ import pytest
 
 from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.measures.certify import Certificate
+from gf_usd.pipeline.measures.convergence import Interval, unknown
 from gf_usd.pipeline.measures.refine import (
     COARSEST,
     FINEST,
@@ -17,7 +18,6 @@ from gf_usd.pipeline.measures.refine import (
     Until,
     next_step,
 )
-from gf_usd.view.convergence import Interval, unknown
 
 
 def certificate(**widths: float | None) -> Certificate:

@@ -214,7 +214,8 @@ class TotalLagrangian(Solver):
         stretch, J = now.elastic_strains(index)
         depth = float(state.get("sample_depth").max())
         strained = strained_substeps(body, stretch, J, now, depth)
-        self.strained = max(strained, self.pressed(depth))
+        pressed = self.pressed(depth)
+        self.strained = max(strained, pressed) if pressed > self.coarse else strained
         return Frame(
             index=index,
             time=time,

@@ -180,7 +180,8 @@ class UpdatedLagrangian(Solver):
         depth = float(self.state.get("sample_depth").max())
         step = pressed_step(body.contact, body.step, depth)
         dt = strained_step(step, speed, body.h, per_cell(self.particles, body.h))
-        return max(int(np.ceil(self.frame_time / dt)), self.pressed(depth))
+        strained, pressed = int(np.ceil(self.frame_time / dt)), self.pressed(depth)
+        return max(strained, pressed) if pressed > self.coarse else strained
 
     def von_mises(self) -> Floats:
         """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""

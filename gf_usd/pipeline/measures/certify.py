@@ -12,9 +12,9 @@ from typing import Any
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError, SolverError
+from gf_usd.pipeline.measures.convergence import Band, Interval, band, capped, estimate, unknown
+from gf_usd.pipeline.measures.figures import FIGURES, figures, highest_rebound, reached
 from gf_usd.pipeline.measures.observe import Observed
-from gf_usd.view.convergence import Band, Interval, band, capped, estimate, unknown
-from gf_usd.view.figures import FIGURES, figures, highest_rebound, reached
 
 COARSER = (2.0, 4.0)  # spacings of the coarser runs over that of the bake
 # A run of fewer is no picture of the body: a cube of 4 x 4 x 4.

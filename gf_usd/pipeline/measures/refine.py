@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from gf_usd.core.errors import UsageError
 from gf_usd.pipeline.budget import duration
 from gf_usd.pipeline.measures.certify import Certificate
-from gf_usd.view.convergence import HIGHEST, LOWEST
-from gf_usd.view.figures import FIGURES
+from gf_usd.pipeline.measures.convergence import HIGHEST, LOWEST
+from gf_usd.pipeline.measures.figures import FIGURES
 
 if TYPE_CHECKING:
     from gf_usd.pipeline.result import BakeResult

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.view.convergence import COARSE, TINY, WIDEST, band, capped, estimate
+from gf_usd.pipeline.measures.convergence import COARSE, TINY, WIDEST, band, capped, estimate
 
 
 def sequence(limit, slope, order):

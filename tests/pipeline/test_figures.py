@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gf_usd.view.figures import Recorder, figures, first_contact, highest_rebound, least
+from gf_usd.pipeline.measures.figures import (
+    Recorder,
+    figures,
+    first_contact,
+    highest_rebound,
+    least,
+)
 
 UP, G = np.array([0.0, 1.0, 0.0]), np.array([0.0, -9.81, 0.0])
 DT = 1.0 / 24.0
