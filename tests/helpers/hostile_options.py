@@ -68,14 +68,12 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "fields": (("wind:3,0,0",), ("radial:-5:at=0,1,0:radius=1", "noise:4:length=0.2:rate=1"),
                ("wind",), ("wind:nan,0,0",), ("radial:5",), ("noise:1:length=0",), ("",), ("x:1",),
                ("wind:1,0,0:radius=1",), ("wind:1e9,0,0",)),
-    "until": ("2%", "rebound,squash:1%", "0.02", "0%", "-1%", "nan%", "x:1%", "1%:rebound", "",
-              "x"),
     "material_sweep": ("youngs=1e4:1e5:2", "friction=0:1:3", "youngs=1e4:1e5", "youngs=0:1:3",
                        "youngs=1:nan:2", "x=1:2:3", "youngs=1e4:1e5:1000000", "poisson=0:0.6:2", "",
                        "="),
     "rigid": (("box:-1,-1,-1,0,0,0",), ("/A/M",), ("/A",), ("/gone",), ("box:1,2",), ("",)),
 }  # fmt: skip
-OF_THE_RUN = {"strict", "max_hours", "slice", "limits"}  # what no plan hangs on
+OF_THE_RUN = {"strict", "max_hours", "slice", "limits", "until"}  # what no plan hangs on
 
 
 def values(option: Option) -> tuple[Any, ...]:
