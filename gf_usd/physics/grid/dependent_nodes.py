@@ -166,6 +166,7 @@ def split_nodes(
     *,
     held: NDArray[np.bool_] | None = None,
     mirror: Floats | None = None,
+    share: Floats | None = None,
     body: Ints | None = None,
     copies: NodeCopies | None = None,
     cells: Ints | None = None,
@@ -173,8 +174,8 @@ def split_nodes(
     """Free nodes (M,), how the others follow them, and the free nodes' lumped masses.
 
     A node whose lumped mass the negative shares of a fit would pull under the bound follows too.
-    held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep.
-    A mirrored node hands on |e| of its mass: u^2 does not know the sign.
+    held : (M,) nodes that a pin holds; mirror : (M, 3) [cells] their mirror points, nan where deep;
+    share : (M,) e of `pins`.  A mirrored node hands on |e| of its mass: u^2 does not know the sign.
     body : (M,) the body of each node: each is light by its own median.
     copies, cells : see `Fits`.
     """
@@ -198,7 +199,7 @@ def split_nodes(
         if held.any():
             extend = sparse.vstack([sparse.identity(int(free.sum())), follow], format="csr")
             others = np.concatenate([np.flatnonzero(free), np.flatnonzero(light)])
-            ghosts = (mirrored(held, mirror, others, fits) @ extend).tocsr()
+            ghosts = (mirrored(held, mirror, share, others, fits) @ extend).tocsr()
             lumped = lumped + abs(ghosts).T @ mass[held]
         sound = lumped >= 0.5 * least[free]
         if sound.all():
@@ -222,18 +223,22 @@ def heaviest_around(mass: Floats, cells: Ints) -> NDArray[np.float64]:
 
 
 def mirrored(
-    held: NDArray[np.bool_], mirror: Floats | None, others: Ints, fits: Fits
+    held: NDArray[np.bool_],
+    mirror: Floats | None,
+    share: Floats | None,
+    others: Ints,
+    fits: Fits,
 ) -> sparse.csr_matrix:
-    """Rows (held, others) of held nodes: minus the field, on other nodes, at the mirror point.
+    """Rows (held, others) of held nodes: e times the field, on other nodes, at the mirror point.
 
     0 where the node lies deep, or where none of the others is around the mirror point.
     """
     count = int(held.sum())
-    if mirror is None:
+    if mirror is None or share is None:
         return sparse.csr_matrix((count, len(others)))
     at = mirror[held]
     near = np.flatnonzero(np.isfinite(at).all(1))
     put = sparse.csr_matrix(
-        (np.ones(len(near)), (near, np.arange(len(near)))), shape=(count, len(near))
+        (share[held][near], (near, np.arange(len(near)))), shape=(count, len(near))
     )
-    return (put @ -fits.between(at[near], others, fits.home[held][near])).tocsr()
+    return (put @ fits.between(at[near], others, fits.home[held][near])).tocsr()

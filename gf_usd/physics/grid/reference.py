@@ -33,9 +33,11 @@ from gf_usd.physics.grid.pins import (
     PinConstraint,
     PinnedPoints,
     axis_factors,
+    given_nearby,
     mirror_points,
     pinned_by,
     region_of_nodes,
+    weight_on,
 )
 
 APART = 40  # [cells] between bodies on the grid: beyond any neighbor that a fit would take
@@ -94,6 +96,7 @@ class Stencil:
     node_body: Ints  # (M,) the body of each node
     held: PinnedPoints  # which followers a pin holds, and all nodes
     mirror: Floats  # (M, 3) [m] mirror points of held nodes; nan elsewhere
+    mirror_share: Floats  # (M,) e: of the field there, see `pins`
     sorted_keys: Ints = field(repr=False)  # (M,) linear keys, ascending
     sorted_node: Ints = field(repr=False)  # (M,) the node of each sorted key
     dims: Ints = field(repr=False)  # (3,) of the key space
@@ -343,15 +346,17 @@ def build_stencil(
         linked = link_copies(copies, cells, full, copy_nodes, node_ijk, count)
     offset = shift[node_body]
     node_X = origin + h * node_ijk - offset
-    held = pinned_by(pin_constraint.pins if pin_constraint else (), node_X)
+    pins = pin_constraint.pins if pin_constraint else ()
+    held = pinned_by(pins, node_X)
+    held = given_nearby(pins, held, node_X, h)
     if copies is not None and held.any:
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)
-        pinned = pinned_by(pin_constraint.pins if pin_constraint else (), X - shift[body])
+        pinned = pinned_by(pins, X - shift[body])
         inside[cell_nodes[cell[pinned.pin[order] >= 0]]] = True
         held = PinnedPoints(axes=np.where(((count > 1) & ~inside)[:, None], -1, held.axes))
     region = None
-    rigid = [k for k, pin in enumerate(pin_constraint.pins if pin_constraint else ()) if pin.rigid]
+    rigid = [k for k, pin in enumerate(pins) if pin.rigid]
     if pin_constraint and rigid:
         own = (pin_constraint.pins[k].inside(X - shift[body]) for k in rigid)
         masses = [
@@ -359,13 +364,18 @@ def build_stencil(
         ]
         region = region_of_nodes(masses, mass, held.pin >= 0, rigid)
         held = PinnedPoints(axes=np.where(region[:, None] >= 0, region[:, None], held.axes))
-    mirror = mirror_points(pin_constraint.pins if pin_constraint else (), held, node_X, h)
+    solid = node_ijk[held.pin >= 0]
+    mirror, share = mirror_points(
+        pins, held, node_X, h,
+        lambda rows, X: weight_on((X + offset[rows] - origin) / h, solid),
+    )  # fmt: skip
     free, follow, lumped = split_nodes(
         node_ijk,
         mass,
         free_mass,
         held=held.pin >= 0,
         mirror=(mirror + offset - origin) / h,
+        share=share,
         body=node_body,
         copies=linked,
         cells=cell_nodes,
@@ -373,7 +383,7 @@ def build_stencil(
     ordered = np.concatenate([np.flatnonzero(free), np.flatnonzero(~free)])
     renumber = np.empty(len(mass), np.int64)
     renumber[ordered] = np.arange(len(mass))
-    mirror = mirror[ordered]
+    mirror, share = mirror[ordered], share[ordered]
     mirror[int(free.sum()) :][np.diff(follow.indptr) == 0] = np.nan  # nothing free to mirror
     held = held.at(ordered)
     after = slice(int(free.sum()), None)
@@ -399,6 +409,7 @@ def build_stencil(
         node_body=node_body[ordered],
         held=held,
         mirror=mirror,
+        mirror_share=share,
         sorted_keys=linear(node_ijk - corner, dims),
         sorted_node=renumber,
         dims=dims,

@@ -136,7 +136,9 @@ class State(DeviceState):
         if pin_constraint.moving:
             held = nodes.held.at(slice(free, None))
             start, end = (
-                pin_constraint.constants(held, nodes.node_X[free:], nodes.mirror[free:], frame)
+                pin_constraint.constants(
+                    held, nodes.node_X[free:], nodes.mirror[free:], nodes.mirror_share[free:], frame
+                )
                 for frame in (index - 1, index)
             )
             anchor[:, :PIN_RATE] = start

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from slow_parameters import slow_but
 from solids import cube, fill, look, settings, solid
 
 from gf_usd.core.arrays import Floats
@@ -12,8 +15,16 @@ from gf_usd.core.frames import Particles
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin
-from gf_usd.physics.grid.pins import Motion, PinConstraint, interpolation, mirror_points, pinned_by
+from gf_usd.physics.grid.pins import (
+    Motion,
+    PinConstraint,
+    given_nearby,
+    interpolation,
+    mirror_points,
+    pinned_by,
+)
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.verify.bodies import block, clamp, elastic
 
 BAR = solid(cube((0.0, 0.0, 0.0), (1.0, 0.25, 0.25)))
 STILL = np.zeros((1, 0, 3))
@@ -68,9 +79,43 @@ def test_a_patch_holds_the_surface_and_what_is_outside_of_it() -> None:
 def test_mirror_points_lie_across_the_boundary_and_deep_nodes_have_none() -> None:
     pin = box("box:-1,-1,-1,0,2,2")
     X = np.array([[-0.05, 0.1, 0.1], [-0.5, 0.1, 0.1], [0.2, 0.1, 0.1]])
-    mirror = mirror_points([pin], pinned_by([pin], X), X, 0.1)
+    mirror, share = mirror_points([pin], pinned_by([pin], X), X, 0.1)
     np.testing.assert_allclose(mirror[0], [0.05, 0.1, 0.1], atol=1e-12)
+    assert share[0] == pytest.approx(-1.0)
     assert np.isnan(mirror[1:]).all()
+
+
+def test_nodes_on_both_sides_near_a_boundary_lie_on_the_line_through_it() -> None:
+    pin = box("box:-1,-1,-1,0,2,2")
+    X = np.array([[0.02, 0.1, 0.1], [-0.02, 0.1, 0.1], [-0.08, 0.1, 0.1], [0.0, 0.1, 0.1]])
+    held = given_nearby([pin], pinned_by([pin], X), X, 0.1)
+    assert held.pin.tolist() == [0, 0, 0, 0]
+    across = lambda rows, X: np.where(rows == 2, 0.5, 0.0)  # noqa: E731
+    mirror, share = mirror_points([pin], held, X, 0.1, across)
+    # depths h + .02, h - .02 and, where nodes there are given themselves, 2 h - .08; at b: u = g
+    np.testing.assert_allclose(mirror[:3, 0], [0.12, 0.08, 0.12], atol=1e-12)
+    np.testing.assert_allclose(share, [0.02 / 0.12, -0.02 / 0.08, -0.08 / 0.12, 0.0], atol=1e-12)
+    # whichever node it is, it has the value of a field that is linear from the boundary on
+    np.testing.assert_allclose(share[:3] * mirror[:3, 0], X[:3, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "gap", slow_but([0.0, 0.05, 0.25, 0.45, 0.5, 0.55, 0.75, 0.95], 0.55, 0.75)
+)
+def test_a_bar_hangs_alike_wherever_nodes_lie(gap: float) -> None:
+    # Twice the static sag rho g (2 L y - y^2) / 2 E of its own weight, at half of the period.
+    E, density, g, L, h = 1e5, 1000.0, 1.0, 1.0, 0.125
+    body = block((0.0, 0.0, 0.0), (2, 8, 2), h)
+    body = replace(body, corner=np.array([0.0, gap * h, 0.0]))
+    made = elastic(E=E, nu=0.0, density=density)
+    period = 4.0 * L / np.sqrt(E / density)
+    s = settings(frames=25, fps=24.0 / period, gravity=(0.0, g, 0.0))
+    solver = TotalLagrangian(body, [made], s, pins=[clamp(1, 0.0)])
+    far = np.argmax(body.X[:, 1])
+    y = body.X[far, 1]
+    moved = [f.particles.x[far, 1] - y for f in solver.frames()]
+    static = density * g / E * (2.0 * L * y - y**2) / 2.0
+    assert np.mean(moved[:-1]) == pytest.approx(static, rel=(h / L) ** 2)
 
 
 def test_interpolation_is_exact_for_linear_fields_and_empty_far_away() -> None:

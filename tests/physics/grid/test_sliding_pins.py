@@ -39,7 +39,8 @@ def test_pins_that_hold_different_axes_hold_a_point_together():
     assert held.axes.tolist() == [[-1, -1, -1], [0, -1, -1], [-1, 1, -1], [0, 1, -1]]
     assert held.pin.tolist() == [-1, 0, 1, 0]
     assert held.slide.tolist() == [False, True, True, True]
-    mirror = mirror_points(QUARTER, held, X, 1.0)
+    mirror, share = mirror_points(QUARTER, held, X, 1.0)
+    assert share.tolist() == [-1.0] * 4
     assert np.isnan(mirror[0]).all()
     np.testing.assert_array_equal(mirror[1:3], [[1.0, 1.0, 0.0]] * 2)
     assert np.isnan(mirror[3]).all()  # two cells deep
