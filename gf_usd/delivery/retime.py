@@ -57,6 +57,9 @@ def retime(
     """
     keys = None if keys is None else tuple(keys)
     _require(target, speed, keys)
+    if not bake.is_file():
+        what = "is a folder" if bake.is_dir() else "does not exist"
+        raise InputError(f"{bake} {what}", "give the root layer of a bake")
     with reading(bake):
         root = open_stage(bake).GetRootLayer()
         caches = _caches(root, bake)

@@ -176,6 +176,8 @@ def test_what_makes_no_sense_is_refused_and_nothing_is_written(root: Path, tmp_p
     refused(UsageError, "is an input", root, root, speed=0.5)
     refused(UsageError, "is an input", root, root.with_suffix(".usdc"), speed=0.5)
     refused(InputError, "no caches", tmp_path / "duck.usda", slow, speed=0.5)
+    refused(InputError, "gone.usda does not exist", tmp_path / "gone.usda", slow, speed=0.5)
+    refused(InputError, "is a folder", tmp_path, slow, speed=0.5)
     assert sorted(tmp_path.iterdir()) == there
 
 
