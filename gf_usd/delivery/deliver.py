@@ -13,7 +13,7 @@ from gf_usd.delivery.gltf import write_glb
 from gf_usd.delivery.gltf_read import read_error
 from gf_usd.delivery.motion import BodyMotion, bodies_of
 from gf_usd.delivery.rig import Rig, with_joints, with_shapes
-from gf_usd.delivery.usd import Look, error_of, inputs_of, write_usd
+from gf_usd.delivery.usd import Look, error_of, require_no_input, write_usd
 from gf_usd.readers.pictures.recording import BakedMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
@@ -173,10 +173,7 @@ def _require(
         raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the file: -o duck.usdz")
-    if target.exists():
-        for path in inputs_of(bake):
-            if path.exists() and path.samefile(target):
-                raise UsageError(f"{target} is an input of the bake.", "choose another -o")
+    require_no_input(bake, target)
 
 
 def _looks(

@@ -166,8 +166,10 @@ class _Moving:
         if not self._paired:
             return None
         ta, tb, s = self._x.between(t)
+        if s == 0.0:
+            return None
         found = [_rows(of.at(time)) for of in (self._x, self._v) for time in (ta, tb)]
-        if s == 0.0 or len({len(rows) for rows in found}) != 1:
+        if len({len(rows) for rows in found}) != 1:
             return None
         return s, (tb - ta) * self._per_code, found
 

@@ -17,7 +17,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.delivery.resample import SAME, Warp, resample
-from gf_usd.delivery.usd import VARIANTS, absolute, inputs_of
+from gf_usd.delivery.usd import VARIANTS, absolute, require_no_input
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.system.atomic_files import partial_path, publish
@@ -64,14 +64,14 @@ def retime(
         root = open_stage(bake).GetRootLayer()
         caches = _caches(root, bake)
         made = {cache: _named(target, name, len(caches)) for name, cache in caches.items()}
-        _require_no_input(bake, target, *made.values())
+        require_no_input(bake, target, *made.values())
         if keys is not None:
             _require_still_source(root, bake, caches)
         try:
             codes = [_retimed(cache, new, speed, keys) for cache, new in made.items()]
             span = min(each[0] for each in codes), max(each[-1] for each in codes)
             layer = _root(root, made, speed, keys, span)
-            notes = write_placed(layer, target, moved={})
+            notes = write_placed(layer, target)
             for path in (*made.values(), target):
                 publish(path)
         finally:
@@ -113,13 +113,6 @@ def _require(
         raise UsageError(f"{target.parent} is no folder", "choose a folder that exists, with -o")
     if target.is_dir():
         raise UsageError(f"{target} is a folder", "name the file: -o slow.usda")
-
-
-def _require_no_input(bake: Path, *targets: Path) -> None:
-    inputs = [path for path in inputs_of(bake) if path.exists()]
-    for target in targets:
-        if target.exists() and any(path.samefile(target) for path in inputs):
-            raise UsageError(f"{target} is an input of the bake", "choose another -o")
 
 
 def _switches(root: Sdf.Layer) -> Iterator[Sdf.VariantSpec]:

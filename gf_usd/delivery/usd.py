@@ -16,6 +16,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.arrays import Ints
+from gf_usd.core.errors import UsageError
 from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
@@ -89,6 +90,15 @@ def inputs_of(bake: Path) -> list[Path]:
     with reading(bake):
         stage = open_stage(bake)
         return [Path(layer.realPath) for layer in stage.GetUsedLayers() if layer.realPath]
+
+
+def require_no_input(bake: Path, *targets: Path) -> None:
+    """Raise UsageError where a file that is to be written is one that a bake is composed of."""
+    there = [target for target in targets if target.exists()]
+    inputs = [path for path in inputs_of(bake) if path.exists()] if there else []
+    for target in there:
+        if any(path.samefile(target) for path in inputs):
+            raise UsageError(f"{target} is an input of the bake.", "choose another -o")
 
 
 def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:

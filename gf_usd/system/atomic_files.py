@@ -59,9 +59,17 @@ def publish_text(path: Path, text: str) -> Path:
 
     Raises BakeError where the folder or the disk refuses.
     """
+    return publish_bytes(path, text.encode("utf-8"))
+
+
+def publish_bytes(path: Path, data: bytes) -> Path:
+    """Write a small file under its final name in one step; returns path.
+
+    Raises BakeError where the folder or the disk refuses.
+    """
     partial = partial_path(path)
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(data)
     except OSError as error:
         raise BakeError(
             f"{partial} could not be written: {error.strerror}.",

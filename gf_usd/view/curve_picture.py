@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.errors import BakeError
-from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.system.atomic_files import publish_bytes
 from gf_usd.view.legend import FAINT, INK, font, prefix, ticks, written
 
 WIDTH, HEIGHT = 760, 260  # [pixels] of a panel
@@ -44,7 +44,7 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Numbers beside their targets, a line each."""
+    """Numbers next to their targets, a line each."""
 
     title: str
     rows: Sequence[tuple[str, float, float, float]]  # words; target, start and fit over its sigma
@@ -59,15 +59,9 @@ def write_panels(path: Path, panels: Sequence[Panel | Rows]) -> Path:
     for part in parts:
         whole.paste(part, (0, top))
         top += part.height
-    partial = partial_path(path)
-    try:
-        whole.save(partial, format="PNG")
-    except OSError as error:
-        raise BakeError(
-            f"{partial} could not be written: {error.strerror}.",
-            f"check that {path.parent} exists, is writable and has space left",
-        ) from error
-    return publish(path)
+    data = BytesIO()
+    whole.save(data, format="PNG")
+    return publish_bytes(path, data.getvalue())
 
 
 def _curves(panel: Panel) -> Image.Image:
