@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from gf_usd.core.frames import Health, Settings
     from gf_usd.core.materials import Material
-    from gf_usd.delivery.deliver import Delivered, DeliveredBody
+    from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
     from gf_usd.delivery.retime import Retimed
     from gf_usd.fitting.result import Estimate, FitResult, Reproduced
     from gf_usd.layers.check.run import CheckResult
@@ -66,6 +66,7 @@ _HOMES = {
     "Comparison": "gf_usd.view.compare",
     "Delivered": "gf_usd.delivery.deliver",
     "DeliveredBody": "gf_usd.delivery.deliver",
+    "DeliveredSplats": "gf_usd.delivery.deliver",
     "Estimate": "gf_usd.fitting.result",
     "FitResult": "gf_usd.fitting.result",
     "Health": "gf_usd.core.frames",
@@ -97,6 +98,7 @@ __all__ = [
     "Comparison",
     "Delivered",
     "DeliveredBody",
+    "DeliveredSplats",
     "Estimate",
     "FitResult",
     "GfUsdError",

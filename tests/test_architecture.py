@@ -18,8 +18,9 @@ PACKAGE = ROOT / "gf_usd"
 BASE = {"core", "system"}
 # Who takes these apart; all others are given what they need of them.
 WHOLE = {
-    "gf_usd.prepare.plan.Plan": {"prepare/fill.py", "prepare/prepare.py", "pipeline/run.py",
-                                 "pipeline/inspect.py", "pipeline/scene.py", "cli/console.py"},
+    "gf_usd.prepare.plan.Plan": {"prepare/fill.py", "prepare/prepare.py",
+                                 "pipeline/prepared.py", "pipeline/run.py", "pipeline/inspect.py",
+                                 "pipeline/scene.py", "cli/console.py"},
     "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill.py",
                                                "prepare/prepare.py", "pipeline/scene.py",
                                                "batch/manifest.py"},
@@ -190,9 +191,9 @@ def test_the_package_keeps_the_rule(rule: Rule) -> None:
             (plans_and_requests_are_taken_apart_in_few_places, file, source, faults)
             for file, source, faults in (
                 ("pipeline/run.py", "from gf_usd.prepare.plan import Plan, Variant", []),
-                ("pipeline/budget.py", "from gf_usd.prepare.plan import Variant", []),
+                ("pipeline/cost/budget.py", "from gf_usd.prepare.plan import Variant", []),
                 (
-                    "pipeline/budget.py",
+                    "pipeline/cost/budget.py",
                     "if X:\n  from gf_usd.prepare.plan import Plan",
                     ["gf_usd.prepare.plan.Plan"],
                 ),

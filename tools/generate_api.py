@@ -32,7 +32,7 @@ GROUPS = {
     "Read a bake": ("read", "Bake", "BakeFrame", "Health", "Settings"),
     "Show": ("preview", "Preview", "report"),
     "Compare": ("compare", "Comparison"),
-    "Deliver": ("deliver", "Delivered", "DeliveredBody", "retime", "Retimed"),
+    "Deliver": ("deliver", "Delivered", "DeliveredBody", "DeliveredSplats", "retime", "Retimed"),
     "Fit a material": ("fit", "FitResult", "Estimate", "Reproduced"),
     "Simulate without a file": ("Scene", "simulate", "Simulation", "SimulationFrame"),
     "Errors": ("GfUsdError", "UsageError", "InputError", "BakeError", "SolverError", "Unfinished",

@@ -1,11 +1,12 @@
 """Finite elements for the case `membrane` of `gf-usd verify`, apart from the solver.
 
-    python tools/membrane_reference.py [N ...]
+    python tools/membrane_reference.py [--current] [N ...]
 
 Cook's membrane in plane strain, of von Mises metal with logarithmic strain and saturating hardening
 (the numbers stand in `verify/cases/plastic/membrane.py`): quadratic quadrilaterals of eight nodes
 with four Gauss points, which do not lock, N along each side; the load in 40 equal steps, each in
-balance by Newton's iteration.  Prints how far the upper right corner rises.
+balance by Newton's iteration.  Prints how far the upper right corner rises.  With --current the
+traction acts on the right edge as long as it becomes, and not as long as it was.
 """
 
 from __future__ import annotations
@@ -86,8 +87,19 @@ def respond(
     return P[:, :2, :2], inverse @ be @ inverse.swapaxes(1, 2), a + g
 
 
-def corner(n: int) -> float:
-    """[mm] that the corner rises."""
+def traction(x: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """Load (2 m,) [kN / mm] on elements (n, 8) whose right sides form the edge, nodes x (m, 2)."""
+    load = np.zeros(2 * len(x))
+    for element in edge:
+        for eta, w in zip(*ALONG):
+            at = np.array([1.0, eta])
+            length = np.linalg.norm(slopes(at)[:, 1] @ x[element])
+            load[2 * element + 1] += shapes(at) * w * TRACTION * length
+    return load
+
+
+def corner(n: int, current: bool = False) -> float:
+    """[mm] that the corner rises; current : by the traction on the current edge."""
     X, elements = mesh(n)
     G, weight = [], []
     for at in GAUSS:
@@ -98,16 +110,15 @@ def corner(n: int) -> float:
     G, weight = np.concatenate(G), np.concatenate(weight)
     nodes = np.tile(elements, (len(GAUSS), 1))
     dofs = (2 * nodes[:, :, None] + np.arange(2)).reshape(len(nodes), 16)
-    load = np.zeros(2 * len(X))
-    for element in elements[X[elements[:, 1], 0] > 48.0 - 1e-9]:
-        for eta, w in zip(*ALONG):
-            load[2 * element + 1] += shapes(np.array([1.0, eta])) * w * TRACTION * 8.0 / n
+    edge = elements[X[elements[:, 1], 0] > 48.0 - 1e-9]
+    load = traction(X, edge)
     free = np.repeat(X[:, 0] > 1e-9, 2)
     u = np.zeros(2 * len(X))
     Cp, a = np.tile(np.eye(3), (len(G), 1, 1)), np.zeros(len(G))
     rows, columns = np.repeat(dofs, 16, 1).ravel(), np.tile(dofs, (1, 16)).ravel()
     for step in range(1, STEPS + 1):
-        for _ in range(30):
+        for _ in range(60):
+            load = traction(X + u.reshape(-1, 2), edge) if current else load
             F = np.eye(2) + np.einsum("mai,maj->mij", u.reshape(-1, 2)[nodes], G)
             P, grown, strain = respond(F, Cp, a)
             inner = np.einsum("m,mij,maj->mai", weight, P, G).reshape(len(G), 16)
@@ -132,5 +143,7 @@ def corner(n: int) -> float:
 
 
 if __name__ == "__main__":
-    for count in map(int, sys.argv[1:] or ("8", "16", "32")):
-        print(f"{count} along a side: {corner(count):.4f} mm", flush=True)
+    words = [word for word in sys.argv[1:] if word != "--current"]
+    for count in map(int, words or ("8", "16", "32")):
+        high = corner(count, "--current" in sys.argv)
+        print(f"{count} along a side: {high:.4f} mm", flush=True)

@@ -13,8 +13,8 @@ Bakes samples into a temporary folder, draws frames with ``gf-usd preview`` and 
     ten-ducks.png  the pile of ducks in the rocking bowl, near its end
     can.gif      a tin can under a press, at half of real speed
     plastic.png  the can before and after, and its plastic strain
-    clay.png     the duck of clay, dropped: before, at its first touch, as it stays
-    star.png     a star of foil, dropped: how it crumples
+    clay.png     the duck of clay, thrown on the floor, and its plastic strain
+    star.png     a star of foil, thrown on a ball: how it folds over it
     flesh-goal.png, flesh-bones.png  the creature in one frame of its walk, with three settings each
     flesh-limits.png  the same frame with no limit of stretch, 0.5 and 0.2
 """
@@ -40,7 +40,7 @@ DUCK = ROOT / "samples" / "duck.usda"
 CREATURE = ROOT / "samples" / "creature.usda"
 TEN_DUCKS = ROOT / "samples" / "ten_ducks.usda"
 PILE = 75  # time code
-STAR, CLAY = (15, 17, 19, 23), (1, 5, 6, 23)  # time codes
+STAR, CLAY = (1, 5, 7, 24), (1, 4, 25)  # time codes
 FPS_CAN = 12
 STRIDE = 20  # time code of the creature's walk
 STRETCHES = ("", "0.5", "0.2")
@@ -105,21 +105,26 @@ def crushed(film: Path, path: Path, folder: Path) -> None:
     strip([*shown, strain], path)
 
 
-def dropped(path: Path, folder: Path) -> None:
-    """The duck of clay: before it falls, as it is hit, and as it stays."""
+def thrown(path: Path, folder: Path) -> None:
+    """The duck of clay: before it is hit, as it is hit, as it stays, and its plastic strain."""
     stage = folder / "duck.clay.usda"
-    gf_usd("bake", DUCK, "--material", "clay", "-o", stage, "--quiet")
-    strip([draw(stage, frame, (340, 400)) for frame in CLAY], path)
+    asked = ("--drop", "0.6r", "--velocity", "0,-200,0", "--time-scale", "0.15", "--internal")
+    length = ("--particles", "3000", "--frames", str(CLAY[-1]))
+    gf_usd("bake", DUCK, "--material", "clay", *asked, *length, "-o", stage, "--quiet")
+    shown = [draw(stage, frame, (420, 400)) for frame in CLAY]
+    strain = draw(stage, CLAY[-1], (560, 400), "mesh", "--color", "plastic")
+    strip([*shown, strain], path)
 
 
 def crumpled(path: Path, folder: Path) -> None:
-    """The star of foil, from its first touch on."""
+    """The star of foil: before, as it folds over the ball, and as it stays."""
     write_star(folder / "star.usda")
     stage = folder / "star.dented.usda"
-    asked = ("--particles", "4000", "--frames", "30", "--drop", "6r")
-    gf_usd("bake", folder / "star.usda", "--material", "dented", *asked, "-o", stage, "--quiet")
+    asked = ("--particles", "2500", "--frames", str(STAR[-1]), "--floor", "0", "--drop", "1.1")
+    words = (*asked, "--velocity", "0,-3,0", "-o", stage, "--quiet")
+    gf_usd("bake", folder / "star.usda", "--material", "dented", *words)
     pictures = [draw(stage, frame, (560, 560)) for frame in STAR]
-    strip([p.crop((170, 235, 490, 500)) for p in pictures], path)
+    strip([p.crop((80, 60, 500, 440)) for p in pictures], path)
 
 
 def flesh(goal: Path, bones: Path, folder: Path) -> None:
@@ -230,7 +235,7 @@ def main() -> None:
         if "can" in made:
             crushed(out / "can.gif", out / "plastic.png", Path(temporary))
         if "clay" in made:
-            dropped(out / "clay.png", Path(temporary))
+            thrown(out / "clay.png", Path(temporary))
         if "star" in made:
             crumpled(out / "star.png", Path(temporary))
         if "flesh" in made:

@@ -101,7 +101,8 @@ def prepare_and_run(
 ) -> BakeResult:
     """See `bake`; in this process."""
     from gf_usd.pipeline.measures.refine import Refining
-    from gf_usd.pipeline.run import prepare, run
+    from gf_usd.pipeline.prepared import prepare
+    from gf_usd.pipeline.run import run
 
     refining = Refining(until, max_hours, options)
     while True:

@@ -26,6 +26,8 @@ def deliver(
     kind: str = "auto",
     max_joints: int = 400,
     max_shapes: int = 64,
+    splats: str = "captured",
+    bind_splats: str = "skin",
 ) -> Delivered:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 
@@ -43,11 +45,15 @@ def deliver(
     kind : "joints" (linear blend skinning), "shapes" (blend shapes), or "auto": the smaller file.
     max_joints : of a body.
     max_shapes : blend shapes of a body.
+    splats : which Gaussians are written: "captured"; "all", those of the bake too; "only", without
+        the meshes; or "none".  "all" and "only" are for .glb.
+    bind_splats : how Gaussians follow joints in a .glb: "skin", with weights as vertices do, or
+        "nodes", each below one joint, which more viewers play and `error` does not bound.
 
     Returns
     -------
-    Delivered : path, bytes, error as read back from the file, and the joints and shapes of each
-        body.
+    Delivered : path, bytes, error as read back from the file, the joints and shapes of each body,
+        and how far the Gaussians of each set are from the bake, in position and covariance.
 
     Raises
     ------
@@ -55,7 +61,9 @@ def deliver(
     InputError : the file cannot be read, or nothing in it moves.
     BakeError : the limits do not allow the error, or the disk refuses.
     """
-    with keywords("error", "max_joints", "max_shapes", "variant", **{"as": "kind"}):
+    with keywords(
+        "error", "max_joints", "max_shapes", "splats", "bind_splats", "variant", **{"as": "kind"}
+    ):
         asked: dict[str, Any] = {
             "bake": asset_path(path),
             "target": Path(values.path("output", output)),
@@ -64,6 +72,8 @@ def deliver(
             "kind": kind,
             "most_joints": values.whole("max_joints", max_joints),
             "most_shapes": values.whole("max_shapes", max_shapes),
+            "splats": splats,
+            "bind_splats": bind_splats,
         }
         return here_or_away("gf_usd.delivery.deliver:deliver", asked)[0]
 

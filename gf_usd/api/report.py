@@ -12,6 +12,7 @@ from gf_usd.prepare.options import values
 
 MOST_VERTICES = 20_000
 MOST_FRAMES = 240
+MOST_SPLATS = 100_000
 
 
 def report(
@@ -21,6 +22,8 @@ def report(
     variant: str | None = None,
     max_vertices: int = MOST_VERTICES,
     max_frames: int = MOST_FRAMES,
+    splats: bool = False,
+    max_splats: int = MOST_SPLATS,
 ) -> Path:
     """Write one page that plays the motion in a browser, offline, with what was measured.
 
@@ -30,10 +33,13 @@ def report(
     Parameters
     ----------
     path : root layer of a bake, or any moving USD file.
-    output : the HTML file; None: NAME.html in the current folder.
+    output : the HTML file; None: NAME.html in the current folder, NAME.splats.html with `splats`.
     variant : only this one; None: all, with a switch between them.
     max_vertices : mesh vertices to keep at most, and as many Gaussians.
     max_frames : frames to keep at most.
+    splats : a page that plays the Gaussians as splats, sorted and blended, in place of the report:
+        those that were captured, or, where there are none, those of the bake.
+    max_splats : Gaussians to keep at most on such a page; fewer where it would be above 20 MB.
 
     Returns
     -------
@@ -42,17 +48,26 @@ def report(
     Raises
     ------
     UsageError : no such variant, the page is an input, or its folder does not exist.
-    InputError : the file cannot be read, or nothing in it moves.
+    InputError : the file cannot be read, or nothing in it moves, or no Gaussians.
     BakeError : the disk refuses.
     """
-    with keywords("max_vertices", "max_frames", "variant"):
+    with keywords("max_vertices", "max_frames", "max_splats", "variant"):
         source = asset_path(path)
-        target = Path(values.path("output", output)) if output else Path(f"{source.stem}.html")
+        target = Path(values.path("output", output)) if output else default_page(source, splats)
         vertices = values.whole("max_vertices", max_vertices)
         frames = values.whole("max_frames", max_frames)
-        for name, count, least in (("vertices", vertices, 100), ("frames", frames, 2)):
+        most = values.whole("max_splats", max_splats)
+        limits = (("vertices", vertices, 100), ("frames", frames, 2), ("splats", most, 100))
+        for name, count, least in limits:
             if count < least:
                 raise UsageError(f"max_{name} is {count}", f"give {least} or more")
+        if splats:
+            asked = {
+                "path": source, "target": target, "variant": variant, "splats": most,
+                "frames": frames,
+            }  # fmt: skip
+            here_or_away("gf_usd.api.report:write_splats", asked, schema=False)
+            return target
         asked = {
             "path": source, "target": target, "variant": variant, "vertices": vertices,
             "frames": frames,
@@ -77,6 +92,31 @@ def write(path: Path, target: Path, variant: str | None, vertices: int, frames: 
         names += [name for name in first.variants if name != first.variant]
     sources = [first, *(BakedMotion(path, name) for name in names[1:])]
     page = build_report(sources, *load_report(path), Limits(frames=frames, vertices=vertices))
+    publish_text(target, page)
+
+
+def default_page(source: Path, splats: bool) -> Path:
+    """The page where none is named, in the current folder."""
+    return Path(f"{source.stem}.splats.html" if splats else f"{source.stem}.html")
+
+
+def write_splats(path: Path, target: Path, variant: str | None, splats: int, frames: int) -> None:
+    """Write the page of the Gaussians of a bake; see `report`."""
+    from gf_usd.readers.pictures.splats import SplatMotion
+    from gf_usd.system.atomic_files import publish_text
+    from gf_usd.view.report.record import report_path
+    from gf_usd.view.report.splats import Limits, build_splat_page
+
+    require_target(target, (path, report_path(path)))
+    first = SplatMotion(path, variant)
+    captured = bool(first)
+    names = [first.variant]
+    if variant is None:
+        names += [name for name in first.variants if name != first.variant]
+    sources = [
+        SplatMotion(path, name or None, captured=captured, particles=not captured) for name in names
+    ]
+    page = build_splat_page(sources, Limits(frames=frames, splats=splats))
     publish_text(target, page)
 
 

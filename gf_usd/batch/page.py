@@ -23,7 +23,7 @@ from gf_usd.batch.job import CALM, STATES, Job, Outcome
 from gf_usd.batch.plan import BatchPlan
 from gf_usd.batch.run import cores
 from gf_usd.core import __version__
-from gf_usd.pipeline.budget import duration
+from gf_usd.pipeline.cost.budget import duration
 from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
 from gf_usd.system.processes import Children

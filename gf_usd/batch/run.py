@@ -16,7 +16,7 @@ from gf_usd.batch.job import Job, Outcome
 from gf_usd.batch.record import InputTable, read_by
 from gf_usd.batch.task import Limits, finished_event, run_job, unforeseen
 from gf_usd.core.errors import UsageError
-from gf_usd.pipeline.budget import PARTICLE_MEMORY, PROCESS_MEMORY
+from gf_usd.pipeline.cost.budget import PARTICLE_MEMORY, PROCESS_MEMORY
 from gf_usd.prepare.settings import DEFAULT_PARTICLES, FINEST, PAPER_PARTICLES
 from gf_usd.system.memory_and_disk import free_memory, system_file
 from gf_usd.system.processes import Children

@@ -69,8 +69,9 @@ def bake(
         return
     from gf_usd.cli.console import announce, progress, show_plan, summarize
     from gf_usd.pipeline.measures.refine import Refining
+    from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.result import require_healthy
-    from gf_usd.pipeline.run import prepare, run
+    from gf_usd.pipeline.run import run
     from gf_usd.prepare.plan import describe
     from gf_usd.system.sandbox import parse_limits
 
@@ -120,7 +121,7 @@ def bake(
             result = replace(result, notes=(*result.notes, *refining.notes))
             if plan.outputs.sheet:
                 from gf_usd.api.drawing.sweep import draw_sweep
-                from gf_usd.pipeline.forecast import DRAWING, Activity
+                from gf_usd.pipeline.cost.forecast import DRAWING, Activity
 
                 show(Activity(stage=DRAWING, what=plan.outputs.sheet.name))
                 draw_sweep(result, plan.outputs.sheet)

@@ -12,7 +12,7 @@ import typer
 
 from gf_usd.batch.board import Board, Row
 from gf_usd.batch.job import CALM
-from gf_usd.pipeline.budget import duration
+from gf_usd.pipeline.cost.budget import duration
 
 SHOWN = 12  # rows of a kind on the table
 COLORS = {"done": "green", "kept": "dim", "running": "cyan", "waiting": "dim"}

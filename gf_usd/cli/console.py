@@ -14,9 +14,9 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from gf_usd.pipeline.forecast import Activity
+    from gf_usd.pipeline.cost.forecast import Activity
+    from gf_usd.pipeline.prepared import Prepared
     from gf_usd.pipeline.result import BakeResult, VariantResult
-    from gf_usd.pipeline.run import Prepared
     from gf_usd.prepare.plan import Plan
 
 
@@ -24,7 +24,7 @@ def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
     """What would be done and what it would cost; max_hours is where `run` refuses."""
-    from gf_usd.pipeline.budget import duration, shortcuts
+    from gf_usd.pipeline.cost.budget import duration, shortcuts
     from gf_usd.prepare.plan import describe
 
     d = {**describe(prepared.plan), **prepared.cost}
@@ -56,7 +56,7 @@ def show_plan(
 
 def announce(prepared: Prepared) -> None:
     """One line on stderr of what is about to be spent, and the notes."""
-    from gf_usd.pipeline.budget import duration, shortcuts
+    from gf_usd.pipeline.cost.budget import duration, shortcuts
 
     plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
@@ -170,7 +170,7 @@ class Lines:
 
     def __call__(self, now: Activity) -> None:
         """The bake is at this."""
-        from gf_usd.pipeline.forecast import COMPILING, FILLING, READING
+        from gf_usd.pipeline.cost.forecast import COMPILING, FILLING, READING
 
         if now.stage == COMPILING:
             if not self._compiled:
@@ -199,7 +199,7 @@ class Lines:
 
 def _frames(now: Activity) -> str:
     """How far it is, in words."""
-    from gf_usd.pipeline.forecast import SIMULATING
+    from gf_usd.pipeline.cost.forecast import SIMULATING
 
     if now.stage != SIMULATING or not now.done:
         return ""
@@ -207,7 +207,7 @@ def _frames(now: Activity) -> str:
 
 
 def _left(seconds: float | None) -> str:
-    from gf_usd.pipeline.budget import duration
+    from gf_usd.pipeline.cost.budget import duration
 
     return "" if seconds is None else f", about {duration(seconds)} left"
 
@@ -245,7 +245,7 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
         task = bar.add_task("", total=None, frames="", ends=None, share=0.0)
 
         def show(now: Activity) -> None:
-            from gf_usd.pipeline.forecast import COMPILING
+            from gf_usd.pipeline.cost.forecast import COMPILING
 
             ends = None if now.left is None else time.monotonic() + now.left
             frames = f"frame {now.done}/{now.total}" if now.total else ""

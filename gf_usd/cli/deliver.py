@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from gf_usd.delivery.deliver import Delivered
+    from gf_usd.delivery.deliver import Delivered, DeliveredSplats
 
 
 def deliver(
@@ -49,11 +49,27 @@ def deliver(
     max_shapes: Annotated[
         int, typer.Option(metavar="N", help="Blend shapes of a body at most.")
     ] = 64,
+    splats: Annotated[
+        str,
+        typer.Option(
+            metavar="WHICH",
+            help="Gaussians to write: captured; all (in .glb), those of the bake too; only (in"
+            " .glb), without the meshes; or none.",
+        ),
+    ] = "captured",
+    bind_splats: Annotated[
+        str,
+        typer.Option(
+            metavar="HOW",
+            help="In .glb, how Gaussians follow joints: skin, or nodes, one joint each, which more"
+            " viewers play and --error does not bound.",
+        ),
+    ] = "skin",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 
-    The error is measured on the file that was written.  Particles and captured splats are left out.
+    The error is measured on the file that was written.
     """
     # SciPy and pxr take a second to import, which --help must not wait for
     from gf_usd.api.deliver import read_share
@@ -62,7 +78,7 @@ def deliver(
     share = read_share(error)
     done = write(
         bake, output, error=share, variant=variant, kind=kind, most_joints=max_joints,
-        most_shapes=max_shapes,
+        most_shapes=max_shapes, splats=splats, bind_splats=bind_splats,
     )  # fmt: skip
     for note in done.notes:
         typer.echo(f"note: {note}", err=True)
@@ -71,8 +87,12 @@ def deliver(
         return
     for body in done.bodies:
         name = f"{body.variant}: " if body.variant else ""
-        meshes = ", ".join(body.meshes[:3]) + (", ..." if len(body.meshes) > 3 else "")
-        typer.echo(f"{name}{meshes}: {described(body.joints, body.shapes)}")
+        parts = [*body.meshes, *body.splats]
+        named = ", ".join(parts[:3]) + (", ..." if len(parts) > 3 else "")
+        typer.echo(f"{name}{named}: {described(body.joints, body.shapes)}")
+    for cloud in done.splats:
+        name = f"{cloud.variant}: " if cloud.variant else ""
+        typer.echo(f"{name}{cloud.path}: {said_of(cloud)}")
     typer.echo(
         f"{done.path}: {done.bytes / 1000:.0f} kB, {done.frames} frames, largest error"
         f" {100 * done.error:.2g} % of the radius"
@@ -84,6 +104,15 @@ def described(joints: int, shapes: int) -> str:
     if joints:
         return f"{joints + 1} joints"
     return f"{shapes} blend shapes on 1 joint" if shapes else "1 joint"
+
+
+def said_of(cloud: DeliveredSplats) -> str:
+    """In words, how far Gaussians are from the bake."""
+    middle, most, largest = (f"{100 * share:.2g} %" for share in cloud.covariance)
+    return (
+        f"{cloud.count} Gaussians, off by at most {100 * cloud.position:.2g} % of the radius; their"
+        f" covariances by {middle} (median), {most} (99 in 100), {largest} (largest)"
+    )
 
 
 def _as_json(done: Delivered) -> dict[str, object]:

@@ -65,7 +65,11 @@ def preview(
     ] = None,
     sheet: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Draw a contact sheet of N frames, evenly spread, as PNG."),
+        typer.Option(
+            metavar="N",
+            help="Draw a contact sheet of N frames as PNG: where it moves, or evenly over"
+            " --time-codes.",
+        ),
     ] = None,
     columns: Annotated[
         int | None,

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from gf_usd.api.report import write
+from gf_usd.api.report import default_page, write, write_splats
 
 
 def report(
@@ -18,7 +18,10 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Write this HTML file.", show_default="NAME.html in this folder"
+            "--output",
+            "-o",
+            help="Write this HTML file.",
+            show_default="NAME.html in this folder, NAME.splats.html with --splats",
         ),
     ] = None,
     variant: Annotated[
@@ -35,13 +38,26 @@ def report(
         int, typer.Option(min=100, help="Keep at most this many mesh vertices, and Gaussians.")
     ] = 20_000,
     max_frames: Annotated[int, typer.Option(min=2, help="Keep at most this many frames.")] = 240,
+    splats: Annotated[
+        bool,
+        typer.Option(
+            "--splats",
+            help="Play the Gaussians as splats instead: the captured ones, or those of the bake.",
+        ),
+    ] = False,
+    max_splats: Annotated[
+        int, typer.Option(min=100, help="With --splats: keep at most this many Gaussians.")
+    ] = 100_000,
 ) -> None:
     """Write one HTML page with the motion, pictures and measurements, to view offline.
 
     The page is smaller than 20 MB, and says what was omitted for that.
     """
-    target = output or Path(f"{baked.stem}.html")
-    write(baked, target, variant, max_vertices, max_frames)
+    target = output or default_page(baked, splats)
+    if splats:
+        write_splats(baked, target, variant, max_splats, max_frames)
+    else:
+        write(baked, target, variant, max_vertices, max_frames)
     typer.echo(f"{target}: {target.stat().st_size / 1e6:.1f} MB", err=True)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials import Material, law_parameters, young_poisson
+from gf_usd.core.units import Precision
 
 if TYPE_CHECKING:
     from gf_usd.core.asset import SplatPose
@@ -66,6 +67,12 @@ class Particles:
     def radius(self) -> float:
         """r = (3 V / 4 pi)^(1/3) [m]: the body's scale."""
         return float((3.0 * self.volume / (4.0 * np.pi)) ** (1.0 / 3.0))
+
+    @property
+    def radii(self) -> NDArray[np.float64]:
+        """(bodies,) [m] the same of each body; 0 of one without particles."""
+        body = np.zeros(len(self), int) if self.body is None else np.asarray(self.body)
+        return np.cbrt(0.75 / np.pi * np.bincount(body, np.asarray(self.V0, float)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +173,8 @@ class Settings:
     shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
     mass_scaling: float = 1.0  # the moduli of materials that flow were divided by it
     fields: tuple[Field, ...] = ()  # tl: what pushes besides gravity
+    rolling: float = 0.0  # tl: coefficient of rolling resistance on the floor
+    settling: bool = False  # tl: damp bodies whose motion is too small to be seen
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""
@@ -175,6 +184,11 @@ class Settings:
     def frame_time(self) -> float:
         """[s] of simulated time between frames."""
         return self.time_scale / self.fps
+
+    @property
+    def settles(self) -> bool:
+        """Whether rolling resistance or settling may take energy."""
+        return self.settling or self.rolling > 0.0
 
     @property
     def pushes(self) -> float:
@@ -227,8 +241,15 @@ class Health:
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
     planes: float = 0.0  # [J] of `injected`, that new contact planes gave
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
+    # [J] lost to rolling resistance and settling in the frame; None: neither acts
+    settling_dissipation: float | None = None
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
+
+    @property
+    def dissipation(self) -> float:
+        """[J] lost in the frame in the ways that are measured: plastic flow and settling."""
+        return (self.plastic_dissipation or 0.0) + (self.settling_dissipation or 0.0)
 
 
 # Of m g0 r: bodies with less kinetic energy for T = sqrt(r / g0) are at rest.  That is a speed of
@@ -310,11 +331,15 @@ class Choices:
 
     shapes: tuple[str, ...] = SHAPES  # of SHAPES, in that order: what the cache holds
     half: bool = False  # half precision where the schema has it and it is safe
+    precision: Precision | None = None  # what stored values may be off by; None: single precision
+    adaptive: bool = False  # samples are left out where that is within `precision`
+    velocities: bool = True  # they are written
     clip_frames: int = 0  # frames of a value clip; 0: the cache is one file
     flat: bool = False  # one file instead of layers
     settled: bool = False  # one pose, that at rest, without time samples
     tets: bool = False  # tetrahedra of each body
     until_rest: bool = False  # the last frame is the first at rest
+    open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
 
     @property

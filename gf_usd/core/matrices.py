@@ -4,6 +4,8 @@ With the nine entries as rows, side by side over all matrices, every cofactor is
 two products: four lookups and three operations, whatever their number.  A cross product for each
 row costs a small body three times as much, all of it in calls.
 
+Gaussians: the axes of a quaternion and three standard deviations, and back.
+
 The stretch U of the polar decomposition F = R U, and how fast it changes.
 """
 
@@ -104,6 +106,13 @@ def signed_polar(F: Floats) -> NDArray[np.float64]:
     return U @ Vt
 
 
+def across(d: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors that complete a unit vector d (3,) to a right-handed frame."""
+    u = np.cross(np.eye(3)[int(np.argmin(np.abs(d)))], d)
+    u = u / np.linalg.norm(u)
+    return u, np.cross(d, u)
+
+
 def matrix_from_quaternion(q: Floats) -> NDArray[np.float64]:
     """(N, 3, 3) rotation of unit quaternions (N, 4), (w, x, y, z)."""
     w, x, y, z = np.asarray(q, float).T
@@ -126,3 +135,21 @@ def gaussian_axes(orientations: Floats, scales: Floats) -> NDArray[np.float64]:
     length = np.linalg.norm(q, axis=1, keepdims=True)
     q = np.where(length > 0.0, q / np.where(length > 0.0, length, 1.0), (1.0, 0.0, 0.0, 0.0))
     return matrix_from_quaternion(q) * np.asarray(scales, dtype=np.float64)[:, None, :]
+
+
+def ellipsoids(axes: Floats) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Quaternions (N, 4) (x, y, z, w) and semi-axes (N, 3) of A (N, 3, 3), whose columns may lean.
+
+    x = A s, |s| = 1, is the same ellipsoid as U S s with A = U S V^T.
+    """
+    from scipy.spatial.transform import Rotation
+
+    scales = np.linalg.norm(axes, axis=1)
+    safe = np.where(scales > 0.0, scales, 1.0)
+    Q = axes / safe[:, None, :]
+    square = np.einsum("nij,nik->njk", Q, Q)
+    if np.abs(square - np.eye(3)).max(initial=0.0) > 1e-3:
+        Q, scales, _ = np.linalg.svd(axes)
+    mirrored = np.linalg.det(Q) < 0.0
+    Q = np.where(mirrored[:, None, None], -Q, Q)
+    return Rotation.from_matrix(Q).as_quat(), scales

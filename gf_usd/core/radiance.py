@@ -86,6 +86,19 @@ DIRECTIONS = _directions()
 INVERSES = tuple(np.linalg.pinv(basis(DIRECTIONS)[:, band(d)]) for d in range(1, DEGREE + 1))
 
 
+def turned(coefficients: Floats, rotation: Floats) -> NDArray[np.float64]:
+    """h' (N, K, 3) of the function that is turned by one rotation (3, 3), of h (N, K, 3).
+
+    K = (degree + 1)^2 with a degree of 0 to 3; see the equations above.
+    """
+    h = np.array(coefficients, dtype=np.float64)
+    Y = basis(DIRECTIONS @ np.asarray(rotation, dtype=np.float64))
+    for degree in range(1, round(h.shape[1] ** 0.5)):
+        D = INVERSES[degree - 1] @ Y[:, band(degree)]
+        h[:, band(degree)] = np.einsum("jk,nkc->njc", D, h[:, band(degree)])
+    return h
+
+
 def srgb_to_linear(value: Floats) -> NDArray[np.floating]:
     """Linear light of encoded values, any shape: v / 12.92 below 0.04045, else a 2.4 power."""
     value = np.asarray(value)

@@ -122,6 +122,16 @@ class Collider:
         return self.frames > 1
 
     @property
+    def still_from(self) -> int:
+        """Frame from which on it stays where it is."""
+        if self.deformed is not None:
+            return self.frames - 1
+        moves = (self.linear != self.linear[-1]).any((1, 2)) | (self.offset != self.offset[-1]).any(
+            1
+        )
+        return int(np.flatnonzero(moves)[-1]) + 1 if moves.any() else 0
+
+    @property
     def rigid(self) -> bool:
         """Whether all distances in it stay as at rest, so that one distance field does."""
         if self.deformed is not None:

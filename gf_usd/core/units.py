@@ -24,6 +24,23 @@ STRONGEST = 1e9  # [m/s^2] of gravity: a stronger one has no step
 
 
 @dataclass(frozen=True, kw_only=True)
+class Precision:
+    """How far stored values may be off: a length, or a share of the radius of each body."""
+
+    value: float  # [m], or a share
+    relative: bool
+
+    def meters(self, radius: float) -> float:
+        """[m] for a body of this radius [m]."""
+        return self.value * radius if self.relative else self.value
+
+    @property
+    def said(self) -> str:
+        """In words, for notes."""
+        return f"{100.0 * self.value:g} % of the radius" if self.relative else f"{self.value:g} m"
+
+
+@dataclass(frozen=True, kw_only=True)
 class StageUnits:
     """Sizes of a stage's units.  Multiply a stage value by the property to get SI."""
 

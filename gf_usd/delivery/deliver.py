@@ -9,16 +9,30 @@ from pathlib import Path
 
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.core.scene import Recording
-from gf_usd.delivery.gltf import write_glb
-from gf_usd.delivery.gltf_read import read_error
+from gf_usd.delivery.gltf.read import read_error, read_splat_errors
+from gf_usd.delivery.gltf.write import write_glb
 from gf_usd.delivery.motion import BodyMotion, bodies_of
-from gf_usd.delivery.rig import Rig, with_joints, with_shapes
+from gf_usd.delivery.rig import Rig, with_joints, with_shapes, with_single_joints
+from gf_usd.delivery.splats.clouds import (
+    ALL,
+    CAPTURED,
+    CHOICES,
+    NONE,
+    ONLY,
+    Cloud,
+    SplatErrors,
+    read_clouds,
+    with_splats,
+)
+from gf_usd.delivery.splats.usd import read_errors
 from gf_usd.delivery.usd import Look, error_of, require_no_input, write_usd
-from gf_usd.readers.pictures.recording import BakedMotion
+from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
+from gf_usd.readers.pictures.splats import SplatMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
 USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
+BINDINGS = ("skin", "nodes")  # what Gaussians follow
 OFFSET_BYTES = 12  # of a point in a shape
 JOINT_BYTES = 20  # a key of a joint in the smallest form: a rotation of 16 bits, a translation
 MOST_JOINTS = 400  # of a body
@@ -33,9 +47,22 @@ class DeliveredBody:
 
     variant: str  # "" where the bake has none
     meshes: tuple[str, ...]  # prim paths
+    splats: tuple[str, ...]  # prim paths of Gaussians that follow the same joints or shapes
     joints: int  # without the root joint
     shapes: int  # blend shapes
     radius: float  # [m] that the error is a share of
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeliveredSplats:
+    """A set of Gaussians, and how far it is from the bake as read back from the file."""
+
+    variant: str  # "" where the bake has none
+    path: str  # of the prim
+    count: int
+    position: float  # the largest distance over Gaussians and frames [radii]
+    # |S' - S| / |S| of covariances over Gaussians and frames: median, 99 in 100, largest
+    covariance: tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +71,10 @@ class Delivered:
 
     path: Path
     bytes: int
-    error: float  # the largest distance to the bake over points and frames, in radii, as read back
+    error: float  # the largest distance to the bake over points, Gaussians and frames [radii]
     frames: int
     bodies: tuple[DeliveredBody, ...]
+    splats: tuple[DeliveredSplats, ...] = ()  # that were delivered
     notes: tuple[str, ...] = ()  # what was assumed or left out, in words
 
 
@@ -59,11 +87,14 @@ def deliver(
     kind: str = "auto",
     most_joints: int = MOST_JOINTS,
     most_shapes: int = MOST_SHAPES,
+    splats: str = CAPTURED,
+    bind_splats: str = "skin",
 ) -> Delivered:
     """Write a bake as joints or blend shapes; see `gf_usd.deliver`.
 
     error : share of the radius of each body.  variant : None: all of a USD file, the selected one
-    of a glTF file.  kind : "joints", "shapes", or "auto" for the smaller file.
+    of a glTF file.  kind : "joints", "shapes", or "auto" for the smaller file.  splats : one of
+    CHOICES.  bind_splats : one of BINDINGS.
 
     Raises
     ------
@@ -71,12 +102,28 @@ def deliver(
     InputError : the file cannot be read, or nothing in it moves.
     BakeError : the limits do not allow the error, or the disk refuses.
     """
-    _require(bake, target, error, kind, most_joints, most_shapes)
+    _require(bake, target, error, kind, most_joints, most_shapes, splats)
+    nodes = bind_splats == "nodes"
+    if nodes:
+        kind = _kind_of_nodes(target, kind)
+    elif bind_splats not in BINDINGS:
+        raise UsageError(f"--bind-splats is {bind_splats!r}.", f"choose from {', '.join(BINDINGS)}")
     suffix = target.suffix.lower()
-    looks, recordings, notes = _looks(bake, variant, whole=suffix in GLB)
-    files = _Usd(bake, target) if suffix in USD else _Glb(target, recordings[0])
+    looks, recordings, notes = _looks(bake, variant, splats, whole=suffix in GLB)
+    files = _Usd(bake, target, error) if suffix in USD else _Glb(target, recordings[0])
     with _no_partial_files(target):
-        return _smallest(bake, target, looks, files, error, kind, most_joints, most_shapes, notes)
+        limits = (most_joints, most_shapes)
+        return _smallest(bake, target, looks, files, error, kind, limits, notes, nodes=nodes)
+
+
+def _kind_of_nodes(target: Path, kind: str) -> str:
+    """Gaussians on nodes need joints, in glTF; raises UsageError for what has none."""
+    if target.suffix.lower() in USD or kind == "shapes":
+        raise UsageError(
+            f"--bind-splats nodes is for joints in .glb, not for {target} --as {kind}.",
+            "leave it out, or deliver a .glb --as joints",
+        )
+    return "joints"
 
 
 @contextmanager
@@ -100,18 +147,23 @@ def _smallest(
     files: _Usd | _Glb,
     error: float,
     kind: str,
-    most_joints: int,
-    most_shapes: int,
+    limits: tuple[int, int],
     notes: Sequence[str],
+    *,
+    nodes: bool,
 ) -> Delivered:
-    """Write with each kind, and publish the smallest file."""
+    """Write with each kind, and publish the smallest file.
+
+    limits : most joints and shapes of a body.  nodes : Gaussians follow single joints.
+    """
+    most_joints, most_shapes = limits
     kinds = KINDS[1:] if kind == "auto" else (kind,)
     made: list[tuple[int, Path, Sequence[Look], float, tuple[str, ...]]] = []
     reasons = []
     for one in kinds:
         if made:
             most_joints = min(most_joints, _room(made[0][2]))
-        fit = _fitter(one, max(1, most_joints), most_shapes, reasons)
+        fit = _fitter(one, max(1, most_joints), most_shapes, reasons, nodes=nodes)
         found = _within(looks, fit, error, files)
         if found is None:
             continue
@@ -130,16 +182,18 @@ def _smallest(
     made.sort(key=lambda row: row[0])
     size, smallest, chosen, off, said = made[0]
     smallest.replace(partial_path(target))
+    moved = files.splats(chosen)
     publish(target)
     return Delivered(
         path=target,
         bytes=size,
-        error=off,
+        error=max([off, *(one.position for found in moved for one in found)]),
         frames=max(len(look.time_codes) for look in chosen),
         bodies=tuple(
             DeliveredBody(
                 variant=look.name,
                 meshes=tuple(look.meshes[i] for i in rig.body.meshes),
+                splats=tuple(look.clouds[number].name for number, _ in rig.body.splats),
                 joints=rig.joints,
                 shapes=rig.blend_shapes,
                 radius=rig.body.radius,
@@ -147,12 +201,29 @@ def _smallest(
             for look in chosen
             for rig in look.rigs
         ),
+        splats=tuple(
+            DeliveredSplats(
+                variant=look.name,
+                path=cloud.name,
+                count=len(cloud),
+                position=errors.position,
+                covariance=errors.covariance,
+            )
+            for look, found in zip(chosen, moved)
+            for cloud, errors in zip(look.clouds, found)
+        ),
         notes=(*notes, *said),
     )
 
 
 def _require(
-    bake: Path, target: Path, error: float, kind: str, most_joints: int, most_shapes: int
+    bake: Path,
+    target: Path,
+    error: float,
+    kind: str,
+    most_joints: int,
+    most_shapes: int,
+    splats: str,
 ) -> None:
     if target.suffix.lower() not in (*USD, *GLB):
         raise UsageError(
@@ -169,6 +240,13 @@ def _require(
         raise UsageError(
             f"--max-joints is {most_joints}, --max-shapes {most_shapes}.", "give 1 or more"
         )
+    if splats not in CHOICES:
+        raise UsageError(f"--splats is {splats!r}.", f"choose from {', '.join(CHOICES)}")
+    if splats in (ALL, ONLY) and target.suffix.lower() in USD:
+        raise UsageError(
+            f"--splats {splats} is for .glb: {target} would hold what the bake holds.",
+            "leave it out, or bake with --half for smaller particles in USD",
+        )
     if not target.parent.is_dir():
         raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
     if target.is_dir():
@@ -177,7 +255,7 @@ def _require(
 
 
 def _looks(
-    bake: Path, variant: str | None, *, whole: bool
+    bake: Path, variant: str | None, splats: str, *, whole: bool
 ) -> tuple[list[Look], list[Recording], tuple[str, ...]]:
     """The variants with their bodies, not yet fitted.
 
@@ -190,37 +268,82 @@ def _looks(
     looks, recordings, notes = [], [], {}
     for source in sources:
         recording = source.recording()
+        clouds, said = _clouds(bake, source.variant, recording, splats)
         baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
-        if not baked:
+        if splats == ONLY:
+            baked = []
+        if not baked and not clouds:
             raise InputError(
-                f"{bake}: no mesh of the bake is visible.", "bake again with mesh among --only"
+                f"{bake}: no mesh of the bake is visible, and no captured Gaussians are.",
+                "bake again with mesh among --only"
+                if splats != NONE
+                else "leave --splats none out, or bake again with mesh among --only",
             )
-        bodies = bodies_of(recording, list(source.frames()), baked)
+        bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
+        names = tuple(mesh.name for mesh in recording.meshes)
+        joined = with_splats(bodies, names, clouds)
         looks.append(
             Look(
                 name=source.variant if source.variants else "",
-                bodies=bodies,
+                bodies=joined if whole else bodies,
                 rigs=(),
-                meshes=tuple(mesh.name for mesh in recording.meshes),
+                meshes=names,
                 triangles=tuple(mesh.triangles for mesh in recording.meshes),
                 time_codes=recording.time_codes,
                 unit=recording.unit,
+                clouds=clouds,
+                radii=_radii(joined, len(clouds)),
             )
         )
         recordings.append(recording)
-        notes |= dict.fromkeys(recording.notes)
+        mine = [note for note in recording.notes if not note.endswith(ONE_SET)]
+        notes |= dict.fromkeys((*mine, *said))
     return looks, recordings, tuple(notes)
 
 
+def _clouds(
+    bake: Path, variant: str, recording: Recording, splats: str
+) -> tuple[tuple[Cloud, ...], tuple[str, ...]]:
+    """The Gaussians that are asked for, and notes in words."""
+    if splats == NONE:
+        return (), ()
+    name = variant or None
+    motion = SplatMotion(bake, name, particles=splats == ALL)
+    if splats == ONLY and not motion:
+        motion = SplatMotion(bake, name, captured=False, particles=True)
+    return read_clouds(motion, recording.time_codes), motion.notes
+
+
+def _radii(bodies: Sequence[BodyMotion], count: int) -> tuple[float, ...]:
+    """[m] of the smallest body that has a part of each set of Gaussians."""
+    found = [float("inf")] * count
+    for body in bodies:
+        for number, _ in body.splats:
+            found[number] = min(found[number], body.radius)
+    return tuple(found)
+
+
 class _Usd:
-    def __init__(self, bake: Path, target: Path) -> None:
-        self._bake, self._target = bake, target
+    def __init__(self, bake: Path, target: Path, allowed: float) -> None:
+        self._bake, self._target, self._allowed = bake, target, allowed
 
     def write(self, looks: Sequence[Look]) -> tuple[str, ...]:
-        return write_usd(self._bake, self._target, looks)
+        return write_usd(self._bake, self._target, looks, self._allowed)
 
     def error(self, looks: Sequence[Look]) -> float:
-        return max(error_of(partial_path(self._target), look) for look in looks)
+        points = max(error_of(partial_path(self._target), look) for look in looks)
+        return max([points, *(one.position for found in self.splats(looks) for one in found)])
+
+    def splats(self, looks: Sequence[Look]) -> list[tuple[SplatErrors, ...]]:
+        return [
+            read_errors(
+                SplatMotion(partial_path(self._target), look.name or None),
+                look.clouds, look.radii, look.time_codes,
+            )
+            if look.clouds
+            else ()
+            for look in looks
+        ]  # fmt: skip
 
 
 class _Glb:
@@ -228,14 +351,19 @@ class _Glb:
         self._target, self._recording = target, recording
 
     def write(self, looks: Sequence[Look]) -> tuple[str, ...]:
-        return write_glb(self._target, self._recording, looks[0].rigs)
+        return write_glb(self._target, self._recording, looks[0].rigs, looks[0].clouds)
 
     def error(self, looks: Sequence[Look]) -> float:
         return read_error(partial_path(self._target), self._recording, looks[0].rigs)
 
+    def splats(self, looks: Sequence[Look]) -> list[tuple[SplatErrors, ...]]:
+        (look,) = looks
+        path = partial_path(self._target)
+        return [read_splat_errors(path, self._recording, look.rigs, look.clouds)]
+
 
 def _fitter(
-    kind: str, most_joints: int, most_shapes: int, reasons: list[str]
+    kind: str, most_joints: int, most_shapes: int, reasons: list[str], *, nodes: bool
 ) -> Callable[[BodyMotion, float], Rig | None]:
     """Finds the smallest rig of a body within an error; None, and why, where there is none."""
 
@@ -247,7 +375,7 @@ def _fitter(
             return found
         *_, last = with_joints(body, error, most_joints)
         if last.error <= error:
-            return last
+            return with_single_joints(last) if nodes else last
         reasons.append(f"{last.joints} joints leave {100 * last.error:.2g} %")
         return None
 

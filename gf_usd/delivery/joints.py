@@ -26,6 +26,7 @@ LEAST = 0.06  # of the joints there are: so many come at once where few are need
 GROWTH = 1.35  # of the number of joints from one try to the next
 SWEEPS = 5  # of weights and transforms for each number of joints
 CHUNK = 2_000_000  # numbers of a temporary table
+FITTED = 10_000  # points that transforms are fitted to at most; weights are those of all
 EVEN = 0.1  # weight of errors next to the largest one, which has 1 more
 RIDGE = 1e-9  # of the trace, added to the diagonal: joints that move alike make it singular
 
@@ -109,7 +110,8 @@ def decompositions(
 ) -> Iterator[tuple[Skinning, float]]:
     """Skinnings with more and more joints, and the largest error of each.
 
-    The last one has an error of at most `tolerance`, or `most` joints.
+    The last one has an error of at most `tolerance`, or `most` joints.  Transforms are fitted to
+    FITTED points at most, and to those besides that they leave farthest off.
 
     rest (V, 3), frames (T, V, 3), tolerance : in one unit of length.
     """
@@ -117,7 +119,9 @@ def decompositions(
     # points that move as one have the same weights: no crack opens along a seam of a mesh
     _, first, of = np.unique(same, axis=0, return_index=True, return_inverse=True)
     of = of.reshape(-1)
-    fit = _Fit(rest[first], frames[:, first].transpose(1, 0, 2))
+    whole = _Fit(rest[first], frames[:, first].transpose(1, 0, 2))
+    chosen = np.sort(np.random.default_rng(0).permutation(len(first))[:FITTED])
+    fit = whole if len(chosen) == len(first) else whole.part(chosen)
     count = min(FIRST, most, len(first))
     while True:
         fit.add_joints(count - len(fit.R), tolerance)
@@ -128,7 +132,9 @@ def decompositions(
             if sweep:
                 fit.stress_errors()
         found = fit.rounded()
-        error = fit.largest_error()
+        if fit is not whole:
+            found = whole.with_transforms(found)
+        error = whole.largest_error()
         yield (
             Skinning(
                 rotations=found.rotations, translations=found.translations,
@@ -138,6 +144,10 @@ def decompositions(
         )  # fmt: skip
         if error <= tolerance or len(fit.R) >= min(most, len(first)):
             return
+        if fit is not whole:
+            far = np.argsort(-whole.errors().max(axis=1), kind="stable")[: FITTED // 10]
+            chosen = np.union1d(chosen, far)
+            fit = whole.part(chosen)
         wanted = len(fit.R) * min(2.0, max(GROWTH, 0.8 * error / tolerance))
         count = min(max(int(wanted), len(fit.R) + 1), most, len(first))
 
@@ -165,6 +175,23 @@ class _Fit:
         self.w = np.zeros((len(p), INFLUENCES))
         self.y = np.zeros_like(x)  # what the joints make of p
         self.u = np.ones(x.shape[:2])  # (V, T) weights of the errors
+
+    def part(self, rows: Ints) -> _Fit:
+        """The state of some of the points, with the same joints."""
+        fit = _Fit(self.p[rows], self.x[rows])
+        fit.R, fit.d = self.R.copy(), self.d.copy()
+        fit.index, fit.w, fit.y = self.index[rows], self.w[rows], self.y[rows]
+        return fit
+
+    def with_transforms(self, found: Skinning) -> Skinning:
+        """All points on the joints of a skinning, with the weights that suit them."""
+        self.R, self.d = found.rotations, found.translations
+        self.u[:] = 1.0
+        self.solve_weights()
+        whole = self.round_weights()
+        return Skinning(
+            rotations=self.R, translations=self.d, joints=self.index.copy(), weights=whole
+        )
 
     def errors(self) -> Floats:
         """(V, T) distances."""
@@ -251,13 +278,18 @@ class _Fit:
 
     def rounded(self) -> Skinning:
         """As it is written: weights in steps of 1/255, and transforms that suit them."""
+        whole = self.round_weights()
+        self.solve_transforms()
+        return Skinning(
+            rotations=self.R.copy(), translations=self.d.copy(), joints=self.index, weights=whole
+        )
+
+    def round_weights(self) -> Ints:
+        """Gives the points weights in units of 1/255, the largest first: (V, 4)."""
         whole = quantized(self.w)
         order = np.argsort(-whole, axis=1, kind="stable")
         whole = np.take_along_axis(whole, order, axis=1)
         self.index = np.where(whole > 0, np.take_along_axis(self.index, order, axis=1), 0)
         self.w = whole / STEPS
         self.y = _pose(self.p, self.R, self.d, self.index, self.w)
-        self.solve_transforms()
-        return Skinning(
-            rotations=self.R.copy(), translations=self.d.copy(), joints=self.index, weights=whole
-        )
+        return whole

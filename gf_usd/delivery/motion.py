@@ -1,4 +1,7 @@
-"""The motion of a bake as bodies: points of meshes that stand near each other, over all frames."""
+"""The motion of a bake as bodies: points of meshes that stand near each other, over all frames.
+
+Gaussians may be points of a body too: they follow the same joints or shapes.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,13 @@ FLAT = 1e-3  # of the box around a mesh: less volume than this is none
 
 @dataclass(frozen=True, kw_only=True)
 class BodyMotion:
-    """Meshes that are described together, world, meters."""
+    """Meshes and Gaussians that are described together, world, meters."""
 
     meshes: tuple[int, ...]  # into the meshes of the recording
-    starts: Ints  # (M + 1,) where the points of each mesh begin
+    starts: Ints  # (M + S + 1,) where the points of each mesh begin, and those of each set
     frames: Floats  # (T, V, 3) [m]
     radius: float  # [m] of the sphere that has the volume of the meshes
+    splats: tuple[tuple[int, Ints], ...] = ()  # S sets of Gaussians, and which of each
 
     @property
     def rest(self) -> Floats:
@@ -36,7 +40,13 @@ class BodyMotion:
 
     def points_of(self, mesh: int) -> slice:
         """Where the points of a mesh are, an index into the meshes of the recording."""
-        at = self.meshes.index(mesh)
+        return self._part(self.meshes.index(mesh))
+
+    def splats_of(self, number: int) -> slice:
+        """Where the Gaussians of `splats[number]` are."""
+        return self._part(len(self.meshes) + number)
+
+    def _part(self, at: int) -> slice:
         return slice(int(self.starts[at]), int(self.starts[at + 1]))
 
 

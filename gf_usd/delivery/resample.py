@@ -6,8 +6,10 @@ Positions follow the cubic of Hermite through both samples and their velocities,
 
 s = (t - ta) / D in [0, 1], D = tb - ta, so that slow motion has no corners at the frames of the
 bake.  Of bakes with every other frame left out, the rms error of the missing frames is .2 to .9 of
-that of straight lines.  All else is interpolated linearly, directions and rotations of unit length
-again; whole numbers and words keep the sample before.
+that of straight lines.  Across samples that the bake left out, for straight lines give them back,
+it is straight: the velocities of what trembles would carry a cubic far away.  All else is
+interpolated linearly, directions and rotations of unit length again; whole numbers and words keep
+the sample before.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from gf_usd.core.arrays import Floats
 VELOCITY = {"points": "velocities", "positions": "gaussianFlesh:velocities"}
 UNIT = {"normals", "primvars:normals", "orientations", "orientationsh"}  # rows of length one
 BOXES = {"extent", "extentsHint"}
+LONGEST = 1.5  # steps of a bake: where samples are farther apart, some were left out
 SAME = 1e-6  # [time codes] that a sample and a time may differ by
 
 
@@ -52,6 +55,8 @@ def resample(stage: Usd.Stage, layer: Sdf.Layer, warp: Warp, codes: Sequence[flo
     vary; codes : of the result.
     """
     per_code = 1.0 / stage.GetTimeCodesPerSecond()  # [s]
+    every = most_samples(stage)
+    longest = LONGEST * float(np.median(np.diff(every))) if len(every) > 1 else 0.0
     at = [warp(code) for code in codes]
     beyond: list[float] = [0.0]  # how far positions leave their box, over its diagonal
     boxes = []
@@ -64,7 +69,7 @@ def resample(stage: Usd.Stage, layer: Sdf.Layer, warp: Warp, codes: Sequence[flo
             if name in BOXES:
                 boxes.append(attribute)
             elif name in pairs:
-                track = _Moving(attribute, prim.GetAttribute(pairs[name]), per_code)
+                track = _Moving(attribute, prim.GetAttribute(pairs[name]), per_code, longest)
                 _write(layer, attribute, codes, [track.position(t) for t, _ in at])
                 speeds = [track.velocity(t, rate) for t, rate in at]
                 _write(layer, prim.GetAttribute(pairs[name]), codes, speeds)
@@ -75,6 +80,16 @@ def resample(stage: Usd.Stage, layer: Sdf.Layer, warp: Warp, codes: Sequence[flo
     for attribute in boxes:
         box = _Samples(attribute)
         _write(layer, attribute, codes, [box.around(t, max(beyond)) for t, _ in at])
+
+
+def most_samples(stage: Usd.Stage) -> list[float]:
+    """Time codes of the samples of what has most of them; of a bake, those of every frame."""
+    most: list[float] = []
+    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
+        for attribute in prim.GetAuthoredAttributes():
+            if attribute.GetNumTimeSamples() > len(most):
+                most = attribute.GetTimeSamples()
+    return most
 
 
 def _write(
@@ -151,13 +166,18 @@ class _Moving:
     """Positions and their velocities; a cubic where both have the same samples.
 
     per_code : [s] of playback of a time code.
+    longest : [time codes] between samples of which none was left out.
     """
 
     def __init__(
-        self, positions: Usd.Attribute, velocities: Usd.Attribute, per_code: float
+        self,
+        positions: Usd.Attribute,
+        velocities: Usd.Attribute,
+        per_code: float,
+        longest: float,
     ) -> None:
         self._x, self._v = _Samples(positions), _Samples(velocities)
-        self._per_code = per_code
+        self._per_code, self._longest = per_code, longest
         self._paired = np.array_equal(self._v.times, self._x.times)
         self.beyond = 0.0
 
@@ -166,7 +186,7 @@ class _Moving:
         if not self._paired:
             return None
         ta, tb, s = self._x.between(t)
-        if s == 0.0:
+        if s == 0.0 or tb - ta > self._longest:
             return None
         found = [_rows(of.at(time)) for of in (self._x, self._v) for time in (ta, tb)]
         if len({len(rows) for rows in found}) != 1:

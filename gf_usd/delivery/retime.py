@@ -16,7 +16,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.delivery.resample import SAME, Warp, resample
+from gf_usd.delivery.resample import SAME, Warp, most_samples, resample
 from gf_usd.delivery.usd import VARIANTS, absolute, require_no_input
 from gf_usd.layers.flatten import export, write_placed
 from gf_usd.readers.usd.stage import open_stage, reading
@@ -184,11 +184,7 @@ def _retimed(
 
 def _times(stage: Usd.Stage, cache: Path) -> list[float]:
     """Time codes of the samples, those of the attribute that has most."""
-    most: list[float] = []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), Usd.PrimAllPrimsPredicate):
-        for attribute in prim.GetAuthoredAttributes():
-            if attribute.GetNumTimeSamples() > len(most):
-                most = attribute.GetTimeSamples()
+    most = most_samples(stage)
     if len(most) < 2:
         raise InputError(
             f"{cache}: it has {len(most)} time samples, and no motion that could be retimed",

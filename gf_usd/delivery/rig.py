@@ -10,11 +10,11 @@ Blend shapes are the principal components of the frames without the motion of th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.delivery.joints import Skinning, decompositions, kabsch
 from gf_usd.delivery.motion import BodyMotion
 
@@ -44,6 +44,9 @@ class Rig:
     skinning: Skinning | None = None  # translations in meters
     shapes: Floats | None = None  # (K, V, 3) [m]
     keys: Floats | None = None  # (T, K)
+    # (n,) for each of `body.splats`: the one joint that each Gaussian follows, 0 the root;
+    # none: they follow joints with weights, or shapes, as all points do
+    single: tuple[Ints, ...] = ()
 
     @property
     def joints(self) -> int:
@@ -125,3 +128,23 @@ def with_shapes(body: BodyMotion, tolerance: float, most: int) -> Rig | None:
         if rig.error <= tolerance:
             return rig
     return None
+
+
+def with_single_joints(rig: Rig) -> Rig:
+    """Each Gaussian on the joint that alone leaves it least far off in its worst frame."""
+    if rig.skinning is None:
+        return rig  # rigid: all follow the root
+    skin, found = rig.skinning, []
+    own = rig.root.undone(rig.body.frames)
+    for number in range(len(rig.body.splats)):
+        part = rig.body.splats_of(number)
+        p, x = rig.body.rest[part], own[:, part]
+        least = ((x - p) ** 2).sum(axis=2).max(axis=0)
+        joint = np.zeros(len(p), np.int64)
+        for j in range(len(skin)):
+            moved = p @ skin.rotations[j].transpose(0, 2, 1) + skin.translations[j][:, None]
+            off = ((x - moved) ** 2).sum(axis=2).max(axis=0)
+            joint = np.where(off < least, 1 + j, joint)
+            least = np.minimum(off, least)
+        found.append(joint)
+    return replace(rig, single=tuple(found))

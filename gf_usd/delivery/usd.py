@@ -8,7 +8,8 @@ bake that is one flattened file keeps what is flattened in it.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +21,14 @@ from gf_usd.core.errors import UsageError
 from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
+from gf_usd.delivery.splats.clouds import Cloud
+from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
 from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
+from gf_usd.readers.pictures.extent import sample_times
 from gf_usd.readers.pictures.recording import select_variant, world_points
 from gf_usd.readers.usd.skeleton import Skins
+from gf_usd.readers.usd.splats import is_captured
 from gf_usd.readers.usd.stage import open_stage, reading
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
@@ -41,11 +46,16 @@ class Look:
     triangles: tuple[Ints, ...]  # (T, 3) into the points of each
     time_codes: tuple[float, ...]
     unit: float  # [m] per stage unit
+    clouds: tuple[Cloud, ...] = ()  # Gaussians to deliver
+    radii: tuple[float, ...] = ()  # [m] of the body that each belongs to
 
 
-def write_usd(bake: Path, target: Path, looks: Sequence[Look]) -> tuple[str, ...]:
+def write_usd(
+    bake: Path, target: Path, looks: Sequence[Look], error: float = 0.0
+) -> tuple[str, ...]:
     """Write `target` under its partial name; returns notes in words.
 
+    error : of positions of Gaussians, in radii.
     bake : root layer or flattened file.  target : .usdz becomes a package with all that the file
     needs, .usda and .usdc refer to the source and its textures by relative paths.
 
@@ -59,6 +69,7 @@ def write_usd(bake: Path, target: Path, looks: Sequence[Look]) -> tuple[str, ...
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
         for look in looks:
             _author(stage, look)
+            _author_splats(stage, bake, look, error)
         return write_placed(layer, target, package=LayerPackage)
 
 
@@ -196,16 +207,41 @@ def _author(stage: Usd.Stage, look: Look) -> None:
     for path in sorted(roots):
         rigs = [r for r in look.rigs if look.meshes[r.body.meshes[0]].startswith(f"{path}/")]
         rigs = rigs or [r for r in look.rigs if look.meshes[r.body.meshes[0]] == path]
-        variants = stage.GetPrimAtPath(path).GetVariantSets()
-        if not variants.HasVariantSet(VARIANTS):
+        with _variant_of(stage.GetPrimAtPath(path), look.name):
             bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
-            continue
-        chosen = variants.GetVariantSet(VARIANTS)
-        before = chosen.GetVariantSelection()
-        chosen.SetVariantSelection(look.name)
-        with chosen.GetVariantEditContext():
-            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
-        chosen.SetVariantSelection(before)
+
+
+def _author_splats(stage: Usd.Stage, bake: Path, look: Look, error: float) -> None:
+    """The captured Gaussians of a variant; those that are not delivered stay at rest."""
+    source = open_stage(bake)
+    select_variant(source, bake, look.name or None)
+    for prim in [one for one in source.Traverse() if is_captured(one)]:
+        target = stage.GetPrimAtPath(prim.GetPath())
+        radius = {c.name: r for c, r in zip(look.clouds, look.radii)}.get(str(prim.GetPath()))
+        root = stage.GetPrimAtPath(prim.GetPath().GetPrefixes()[0])
+        with _variant_of(root, look.name):
+            if radius is None:
+                if not root.GetVariantSets().HasVariantSet(VARIANTS):
+                    keep_at_rest(target)
+                continue
+            if not sample_times([prim]):
+                continue  # the bake left it at rest
+            author_samples(target, prim, look.time_codes, error * radius / look.unit)
+
+
+@contextmanager
+def _variant_of(root: Usd.Prim, name: str) -> Iterator[None]:
+    """Edits go to a variant of a root prim that has variants of a bake."""
+    sets = root.GetVariantSets()
+    if not sets.HasVariantSet(VARIANTS):
+        yield
+        return
+    chosen = sets.GetVariantSet(VARIANTS)
+    before = chosen.GetVariantSelection()
+    chosen.SetVariantSelection(name)
+    with chosen.GetVariantEditContext():
+        yield
+    chosen.SetVariantSelection(before)
 
 
 def absolute(layer: Sdf.Layer, path: str) -> str:

@@ -26,7 +26,7 @@ from gf_usd.fitting.observation import Followed, Observation, Scene, rest_points
 from gf_usd.fitting.unknowns import with_values
 from gf_usd.pipeline.checkpoint import identity
 from gf_usd.pipeline.measures.figures import Recorder
-from gf_usd.pipeline.run import prepare, solver_of
+from gf_usd.pipeline.prepared import prepare, solver_of
 from gf_usd.system import exchange
 from gf_usd.system.processes import end_with_parent
 from gf_usd.system.warm.workers import receive, send

@@ -16,13 +16,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from pxr import Sdf, Usd
 
+from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles, TetLattice
 from gf_usd.core.materials import LAWS
-from gf_usd.layers.clips import ClipStore
+from gf_usd.layers.clips import ClipStore, moving_layer
 from gf_usd.layers.stage import (
     author_facts,
     clock,
@@ -39,6 +41,18 @@ from gf_usd.layers.tracks.captured import SplatTrack
 from gf_usd.layers.tracks.health import HealthTrack, bake_root
 from gf_usd.layers.tracks.meshes import MeshTrack, free_instances
 from gf_usd.layers.tracks.particles import ParticleTrack
+from gf_usd.layers.tracks.sparse import Saved
+from gf_usd.layers.tracks.storage import (
+    ROUNDING,
+    AdaptiveSamples,
+    Group,
+    Sample,
+    Storage,
+    Tolerance,
+    allowed,
+    errors_of,
+    take_samples,
+)
 from gf_usd.system.atomic_files import partial_path
 from gf_usd.system.background import BackgroundWriter
 
@@ -55,6 +69,7 @@ class CacheSummary:
     frames: int
     clips: tuple[Path, ...] = ()  # published already
     notes: tuple[str, ...] = ()  # what was left out, in words
+    storage: Storage | None = None  # what storing less saved; None: nobody asked for it
 
 
 class CacheWriter:
@@ -115,16 +130,25 @@ class CacheWriter:
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
         self._settled = choices.settled
-        self._clips = None
+        self._choices, self._look, self._unit = choices, info.look, asset.facts.units.length
+        self._tolerance = self._adaptive = self._moving = self._clips = None
+        if choices.precision is not None:
+            self._tolerance = Tolerance(choices.precision, particles, self._unit)
         if choices.clip_frames:
             length = choices.clip_frames * self._per_frame
             self._clips = ClipStore(self.path, self._layer, length, since)
-        self._stage = self._clips.stage if self._clips else Usd.Stage.Open(self._layer)
+            self._stage = self._clips.stage
+        elif choices.adaptive:
+            self._moving = moving_layer(self._layer)
+            self._stage = Usd.Stage.Open(self._layer, self._moving)
+            self._stage.SetEditTarget(self._layer)
+        else:
+            self._stage = Usd.Stage.Open(self._layer)
         for prim in prims:
             free_instances(self._stage, prim)
-        unit = asset.facts.units.length
+        unit, rates = self._unit, choices.velocities
         self._meshes = {
-            surface.path: MeshTrack(self._stage, prim, surface, time, unit)
+            surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
             for surface, prim in zip(surfaces, prims)
             if surface.splats is None
         }
@@ -140,24 +164,32 @@ class CacheWriter:
         self._particles = None
         if choices.particles:
             self._particles = ParticleTrack(
-                self._stage, root, home, asset, particles, info, time, choices, tets
-            )
+                self._stage, root, home, asset, particles, info, time, choices, tets,
+                self._rounding(),
+            )  # fmt: skip
         moving = [*self._meshes.values(), *self._splats.values()]
         tracks = [*moving, *([self._particles] if self._particles else [])]
         block_hints(self._stage, stage, tracks)
         # the particles of a mesh are inside its box
-        self._bounds = skel_bounds(self._stage, stage, moving or tracks, time)
+        margin = self._tolerance.most if self._tolerance and choices.adaptive else 0.0
+        self._bounds = skel_bounds(self._stage, stage, moving or tracks, time, margin)
         flows = any(LAWS[one.law].flows for one in info.materials)
         root = bake_root(asset, home)
-        self._health = HealthTrack(self._stage, root, asset.facts.units, flows=flows)
+        self._health = HealthTrack(
+            self._stage, root, asset.facts.units, flows=flows, settles=info.settings.settles
+        )
         self._source = stage  # the tracks read its transforms frame by frame
+        if choices.adaptive:
+            groups = self._groups(asset, info)
+            self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
         save(self._layer)
         if self._clips:
+            self._clips.adaptive = self._adaptive
             self._clips.begin()
+        elif self._moving is not None:
+            self._stage.SetEditTarget(self._moving)
         if since:
-            self._frames, self._time_code = int(since["samples"]), since["clips"][-1][-1]
-            if self._particles:
-                self._particles.errors = since["errors"]
+            self._go_on(since)
 
     @property
     def full(self) -> bool:
@@ -172,8 +204,44 @@ class CacheWriter:
     def state(self) -> dict[str, Any]:
         """What another writer goes on from, where this one is `full`; plain values."""
         assert self._clips is not None
-        errors = self._particles.errors if self._particles else []
-        return {**self._clips.state(), "samples": self._frames, "errors": errors}
+        return {
+            **self._clips.state(),
+            "samples": self._frames,
+            "particles": self._particles.state() if self._particles else {},
+            "meshes": {path: vars(track.saved) for path, track in self._meshes.items()},
+            "adaptive": self._adaptive.state() if self._adaptive else {},
+        }
+
+    def _go_on(self, since: Mapping[str, Any]) -> None:
+        self._frames, self._time_code = int(since["samples"]), since["clips"][-1][-1]
+        if self._particles:
+            self._particles.go_on(since["particles"])
+        for path, saved in since["meshes"].items():
+            self._meshes[path].saved = Saved(**saved)
+        if self._adaptive:
+            self._adaptive.go_on(since["adaptive"])
+
+    def _rounding(self) -> Floats | None:
+        """(N,) [stage units] that rounding may move shapes; None: nobody asked for less."""
+        if self._tolerance is None:
+            return None
+        return self._tolerance.particles * (ROUNDING if self._choices.adaptive else 1.0)
+
+    def _groups(self, asset: Asset, info: BakeInfo) -> list[Group]:
+        """What has its samples at the same times."""
+        assert self._tolerance is not None
+        share, found = self._tolerance.share, []
+        for number, surface in enumerate(asset.surfaces):
+            track = self._meshes.get(surface.path) or self._splats.get(surface.path)
+            if track is not None:
+                may = allowed(self._tolerance.surface(number), share, info.settings)
+                found.append(Group((track.path,), may, partial(_linear, track.to_world)))
+        for paths, body in self._particles.groups if self._particles else ():
+            each = self._tolerance.particles if body is None else self._tolerance.body(body)
+            left = 1.0 - ROUNDING * (self._particles is not None and self._particles.rounded)
+            may = allowed(each, share, info.settings, shape=left)
+            found.append(Group(tuple(paths), may, _in_world))
+        return found
 
     def write(self, frame: BakedFrame) -> None:
         """Add one frame.
@@ -207,11 +275,18 @@ class CacheWriter:
         self._known = layer
         if self._clips:
             self._guarded(partial(self._clips.keep, time_code))
+        elif self._moving is not None and self._adaptive is not None:
+            self._put(self._adaptive.take(time_code, take_samples(self._moving, time_code)))
         self._time_code = time_code
         self._frames += 1
         if self._frames % self._every == 0:
             self._layer.endTimeCode = time_code
             self._saving.start(self._save_layers)
+
+    def _put(self, samples: Iterable[Sample]) -> None:
+        with Sdf.ChangeBlock():
+            for path, code, value in samples:
+                self._layer.SetTimeSample(path, code, value)
 
     def _write_tracks(self, frame: BakedFrame, time_code: float) -> None:
         for path, pose in frame.meshes.items():
@@ -232,13 +307,17 @@ class CacheWriter:
                 self._clips.close()
             partial = partial_path(self.path)
             files = [partial, *(self._clips.files if self._clips else ())]
+            size = sum(file.stat().st_size for file in files)
+            # with clips the cache grows with each save, and a bake that goes on has fewer of them
+            storage = self._storage(sum(f.stat().st_size for f in files[2:]) or size)
             self._summary = CacheSummary(
                 path=self.path,
                 partial=partial,
-                bytes=sum(file.stat().st_size for file in files),
+                bytes=size,
                 frames=-(-self._frames // self._per_frame),
                 clips=tuple(files[1:]),
-                notes=self._notes(),
+                notes=(*self._notes(), *((f"{self._look}: {storage.said}",) if storage else ())),
+                storage=storage,
             )
             self._release()
         return self._summary
@@ -262,6 +341,8 @@ class CacheWriter:
 
     def _save(self) -> None:
         self._settle()
+        if self._adaptive and not self._clips:
+            self._put(self._adaptive.close())
         if self._frames:
             self._layer.endTimeCode = self._time_code
             if self._settled:
@@ -295,9 +376,43 @@ class CacheWriter:
         ]
         return (*of_meshes, *(self._particles.notes if self._particles else ()))
 
+    def _storage(self, size: int) -> Storage | None:
+        """What storing less came to; None where all was to be stored."""
+        chosen = self._choices
+        if chosen.precision is None and chosen.velocities:
+            return None
+        halves, rates = self._particles.saved if self._particles else (0, 0)
+        rates += sum(track.saved.bytes for track in self._meshes.values())
+        tallies = self._adaptive.tallies if self._adaptive else {}
+        rounding = None
+        if self._particles is not None and self._particles.rounded:
+            rounding = self._particles.shape_error
+        return Storage(
+            precision=chosen.precision,
+            bytes=size,
+            samples_left_out=sum(one.bytes - one.written for one in tallies.values()),
+            half_precision=halves,
+            velocities_left_out=rates,
+            samples={path: (one.kept, one.samples) for path, one in tallies.items()},
+            errors=errors_of(list(tallies.values()), rounding, self._unit),
+            radius=self._tolerance.radius if self._tolerance else 0.0,
+        )
+
     def _release(self) -> None:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
-        del self._stage, self._source, self._layer, self._known, self._clips
+        del self._stage, self._source, self._layer, self._known, self._clips, self._moving
+        del self._adaptive
+
+
+def _linear(to_world: Callable[[float], Floats], time_code: float) -> Floats:
+    """The linear part (3, 3) of a transform at a time code."""
+    return to_world(time_code)[:3, :3]
+
+
+def _in_world(time_code: float) -> Floats:
+    """Of what stands in the frame of the world, moved at most."""
+    del time_code
+    return np.eye(3)
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:

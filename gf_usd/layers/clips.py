@@ -27,6 +27,7 @@ from pxr import Gf, Sdf, Tf, Usd, Vt
 
 from gf_usd.core.errors import BakeError
 from gf_usd.layers.stage import VARIANT_SET, new_layer, refresh, save
+from gf_usd.layers.tracks.storage import AdaptiveSamples, take_samples
 from gf_usd.system.atomic_files import asset_path, partial_path, publish
 
 FOLDER = "clips"  # key in the cache's customLayerData: where its clips are
@@ -67,10 +68,10 @@ class ClipStore:
     def __init__(
         self, path: Path, cache: Sdf.Layer, samples: int, since: Mapping[str, Any] | None = None
     ) -> None:
+        self.adaptive: AdaptiveSamples | None = None  # chooses the samples; None: all are written
         self._cache, self._samples = cache, samples
         self.folder = path.with_name(since["folder"]) if since else _free(folder_of(path))
-        self._moving = Sdf.Layer.CreateAnonymous("moving.usda")
-        self._moving.timeCodesPerSecond = cache.timeCodesPerSecond
+        self._moving = moving_layer(cache)
         self.stage = Usd.Stage.Open(cache, self._moving)
         self.stage.SetEditTarget(cache)
         self._done: list[_Clip] = []
@@ -99,6 +100,8 @@ class ClipStore:
         self.stage.SetEditTarget(self._moving)
         if self._done:
             self._list()
+            if self.adaptive is not None:
+                self.adaptive.begin(self._done[-1].times[-1], self._border)
 
     @property
     def full(self) -> bool:
@@ -136,12 +139,15 @@ class ClipStore:
             for path, value in self._border.items():
                 self._put(path, self._clip.first, value)
             self._clip.times.append(self._clip.first)
-        for path in _attributes(self._moving):
-            value = self._moving.QueryTimeSample(path, time_code)
-            if value is not None:
-                self._put(path, time_code, value)
-                self._moving.EraseTimeSample(path, time_code)
         self._clip.times.append(time_code)
+        values = take_samples(self._moving, time_code)
+        if self.adaptive is None:
+            chosen = ((path, time_code, value) for path, value in values.items())
+        else:
+            last = len(self._clip.times) > self._samples
+            chosen = self.adaptive.take(time_code, values, last=last)
+        for path, code, value in chosen:
+            self._put(path, code, value)
         if len(self._clip.times) > self._samples:
             self._border = _values(self._clip.layer, time_code)
             self._finish(self._clip)
@@ -155,6 +161,8 @@ class ClipStore:
     def close(self) -> None:
         """Complete the last clip, full or not."""
         if self._clip is not None:
+            for path, code, value in self.adaptive.close() if self.adaptive else ():
+                self._put(path, code, value)
             self._finish(self._clip)
             self._clip = None
 
@@ -212,6 +220,13 @@ class ClipStore:
         save(layer)
         del layer
         publish(path)
+
+
+def moving_layer(cache: Sdf.Layer) -> Sdf.Layer:
+    """A layer in memory for the samples of a frame, with the rate of the cache."""
+    layer = Sdf.Layer.CreateAnonymous("moving.usda")
+    layer.timeCodesPerSecond = cache.timeCodesPerSecond
+    return layer
 
 
 def folder_of(cache: Path) -> Path:

@@ -23,9 +23,10 @@ points would win over the baked ones.  As the weakest arc, a specialize, they co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pxr import Pcp, Sdf, Usd
 
@@ -203,7 +204,13 @@ def _about(bake: BakedVariant) -> dict[str, object]:
         "health": to_metadata(bake.health),
         **({"warnings": to_metadata(bake.warnings)} if bake.warnings else {}),
         **({"failure": bake.failure} if bake.failure else {}),
+        **({"storage": _stored(bake.storage)} if bake.storage else {}),
     }
+
+
+def _stored(storage: Mapping[str, Any]) -> object:
+    """What storing less saved, without the samples of each prim: metadata is for numbers of all."""
+    return to_metadata({key: value for key, value in storage.items() if key != "samples"})
 
 
 def _restore(stage: Usd.Stage, layer: Sdf.Layer, switches: Sequence[Sdf.Path]) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class BakedVariant:
     warnings: tuple[str, ...] = ()  # of its health, in words
     failure: str = ""  # why it ended before its last frame; "" where it did not
     certificate: Mapping[str, Any] | None = None  # intervals of figures; None: not asked for
+    storage: Mapping[str, Any] | None = None  # what storing less saved; None: not asked for
 
 
 def check_variants(bakes: Sequence[BakedVariant], display: str, choices: Choices) -> None:

@@ -46,6 +46,11 @@ def bodies_of(particles: Particles, density: Floats) -> Bodies:
     )
 
 
+def node_sums(values: Floats, body: Ints, count: int) -> Floats:
+    """(B, k) sums of rows (n, k) over the nodes of each of `count` bodies; body : (n,)."""
+    return np.stack([np.bincount(body, column, count) for column in values.T], 1)
+
+
 Start = Any  # (3,) [m/s], a callable X (n, 3) -> (n, 3) [m/s], or a list of these, one a body
 
 

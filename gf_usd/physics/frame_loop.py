@@ -16,14 +16,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
+from gf_usd.physics.contact.floor import FloorContact, pressed_step
 from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.time_step import StableStep
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,7 @@ class FrameStats:
     flying: int = 0  # bodies that flew by the closed form: there were no substeps
     sleeping: int = 0  # bodies that slept: there were no substeps
     plastic_dissipation: float | None = None  # [J] lost to flow; None: no law flows
+    settling_dissipation: float | None = None  # [J] of `settling`; None: it does not act
     substeps: int | None = None  # that there were; None: as many as were asked for
 
     @property
@@ -50,17 +53,28 @@ class FrameStats:
         return self.flying + self.sleeping > 0
 
 
+class Stepped(Protocol):
+    """What the step of a body follows from."""
+
+    @property
+    def contact(self) -> FloorContact | None: ...
+
+    @property
+    def step(self) -> StableStep: ...
+
+
 class Solver(ABC):
     """The protocol of a solver: construct it, then iterate `frames()`.
 
-    What makes one: `particles`, `settings`, `guard`, `coarse` (substeps a frame of the stable step
-    at rest), `strained` (those that the body as it is now asks for), `state`, and the abstract
-    methods below.  `on_launch` is called after launches of kernels, several times in a long frame;
-    it may raise, to end the simulation within a frame.
+    What makes one: `particles`, `settings`, `body`, `guard`, `coarse` (substeps a frame of the
+    stable step at rest), `strained` (those that the body as it is now asks for), `state`, and the
+    abstract methods below.  `on_launch` is called after launches of kernels, several times in a
+    long frame; it may raise, to end the simulation within a frame.
     """
 
     particles: Particles
     settings: Settings
+    body: Stepped
     guard: Guard
     coarse: int
     strained: int = 1
@@ -84,9 +98,17 @@ class Solver(ABC):
         """[s] of simulated time between frames."""
         return self.settings.frame_time
 
-    @abstractmethod
     def pressed(self, depth: float) -> int:
         """Substeps a frame that the floor's springs ask for where the deepest is so deep [m]."""
+        if self.settings.substeps:
+            return 1
+        step = pressed_step(self.body.contact, self.body.step, depth)
+        return int(np.ceil(self.frame_time / step.dt))
+
+    def asked(self, strained: int, depth: float) -> int:
+        """Substeps a frame of a body so strained, and pressed so deep [m] into the floor."""
+        pressed = self.pressed(depth)
+        return max(strained, pressed) if pressed > self.coarse else strained
 
     @property
     def substeps(self) -> int:
@@ -94,9 +116,9 @@ class Solver(ABC):
         return max(self.coarse, self.strained) << self.guard.halvings
 
     @property
-    @abstractmethod
     def damping_ratio(self) -> float:
         """Of the stiffest vibration of the grid at rest, by the material's own damping."""
+        return 0.5 * self.body.step.viscous_time * self.body.step.elastic
 
     @property
     def dt(self) -> float:
@@ -218,7 +240,7 @@ class Guard:
         """The particle and the fault of a frame, in words; (-1, "") where nothing is wrong."""
         before, after = energy(last), energy(now)
         self._scale = max(self._scale, last.kinetic + last.elastic)
-        gain = after - before - now.work - now.injected + (now.plastic_dissipation or 0.0)
+        gain = after - before - now.work - now.injected + now.dissipation
         # Of a body at rest that a pin sets in motion the work of the frame is the only measure.  An
         # unstable step gains by the square of its forces, of which work has the first power.
         most = GAIN * max(self._scale, abs(now.work))

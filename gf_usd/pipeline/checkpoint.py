@@ -33,7 +33,7 @@ from gf_usd.core.errors import BakeError, Unfinished, UsageError
 from gf_usd.core.frames import Choices, Health, Particles, Settings
 from gf_usd.core.materials import Material
 from gf_usd.core.stage import Collider
-from gf_usd.pipeline.health import health_of
+from gf_usd.pipeline.health.log import health_of
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.atomic_files import partial_path, publish

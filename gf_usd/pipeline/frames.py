@@ -12,20 +12,17 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import SplatPose, Splats, StageFacts, Surface, joined
 from gf_usd.core.frames import (
-    AT_REST,
     BakedFrame,
     Frame,
     GaussianPose,
-    Health,
     MeshPose,
     Particles,
     Pose,
     Settings,
 )
-from gf_usd.core.materials import G0, time_scale
 from gf_usd.core.radiance import Y_0, linear_to_srgb
 from gf_usd.pipeline.checkpoint import Checkpoint
-from gf_usd.pipeline.health import NOT_PERIODIC
+from gf_usd.pipeline.health.warnings import NOT_PERIODIC
 from gf_usd.pipeline.measures.inside import InsideMeasure
 from gf_usd.prepare.outputs import SplatSequence
 
@@ -309,27 +306,6 @@ def posed(rest: Splats, pose: SplatPose, at: np.ndarray) -> Splats:
         scales=pose.scales,
         harmonics=rest.harmonics if pose.harmonics is None else pose.harmonics,
     )
-
-
-class Rest:
-    """Sees when all bodies have been at rest for a time T; see `AT_REST`.
-
-    frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume.
-    """
-
-    def __init__(self, frame_time: float, radius: float) -> None:
-        self._step, self._radius = frame_time, radius
-        self.still = 0.0  # [s] since when all are at rest
-
-    def limit(self, health: Health) -> float:
-        """[J] of kinetic energy that counts as rest."""
-        return AT_REST * health.mass * G0 * self._radius
-
-    def reached(self, health: Health) -> bool:
-        """Whether this frame, the next one, ends a time T at rest."""
-        still = health.kinetic <= self.limit(health)
-        self.still = self.still + self._step if still else 0.0
-        return self.still >= time_scale(self._radius)
 
 
 def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:

@@ -42,8 +42,8 @@ from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.repair import Repairs
 from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
-from gf_usd.pipeline.budget import Cost
-from gf_usd.pipeline.run import Prepared, draw
+from gf_usd.pipeline.cost.budget import Cost
+from gf_usd.pipeline.prepared import Prepared, draw, of_a_shot
 from gf_usd.prepare.fill import fill, implausible_size, mend, size
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
@@ -269,7 +269,8 @@ def inspect(
         if not repair and would_fill(mend(asset, request, spec)[1]):
             warnings.append("with --repair it can be baked")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
-    seen = replace(seen, plan=plan, cost=Prepared(plan=plan).cost, thickness=thickness(solid))
+    prepared = of_a_shot(Prepared(plan=plan))
+    seen = replace(seen, plan=prepared.plan, cost=prepared.cost, thickness=thickness(solid))
     lost = lost_volume(seen)
     # Where faults cost much of the fill, thin parts are their echo.
     parts = () if lost else poor_parts(solid, plan.particles, plan.samples)

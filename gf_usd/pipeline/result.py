@@ -10,7 +10,7 @@ from typing import Any
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
 from gf_usd.core.materials import Material
-from gf_usd.pipeline.health import ERROR, HealthWarning, warnings_json
+from gf_usd.pipeline.health.warnings import ERROR, HealthWarning, warnings_json
 from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.prepare.plan import settings_json
 
@@ -79,6 +79,7 @@ class VariantResult:
     clips: tuple[Path, ...] = ()  # files next to the cache
     at_rest: int | None = None  # frame, from 1, at which everything was; None: not looked for
     certificate: Certificate | None = None  # how certain its figures are; None: not asked for
+    storage: dict[str, Any] | None = None  # what storing less saved; docs/guide.md has the keys
 
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""
@@ -92,6 +93,8 @@ class VariantResult:
         }
         if self.certificate is not None:
             out["certificate"] = self.certificate.as_json()
+        if self.storage is not None:
+            out["storage"] = self.storage
         return {**out, "per_frame": self.per_frame} if frames else out
 
 

@@ -5,54 +5,47 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from gf_usd.core.errors import BakeError, OutOfResources, SolverError, UsageError
-from gf_usd.core.frames import BakeInfo, Health, sampled, shortened
-from gf_usd.core.scene import Scene
-from gf_usd.pipeline.budget import (
-    Cost,
+from gf_usd.core.errors import OutOfResources, SolverError, UsageError
+from gf_usd.core.frames import BakeInfo, sampled, shortened
+from gf_usd.pipeline.checkpoint import CheckpointWriter, finished
+from gf_usd.pipeline.cost.budget import (
     ResourceGuard,
-    Solvers,
-    estimate,
-    first_contact,
     require_affordable,
     require_resources,
     reserve,
 )
-from gf_usd.pipeline.checkpoint import CheckpointWriter, Resume, find_resume, finished, identity
-from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
-from gf_usd.pipeline.failure import leave, place
-from gf_usd.pipeline.forecast import (
+from gf_usd.pipeline.cost.forecast import (
     CERTIFYING,
     CHECKING,
-    FILLING,
-    READING,
     SIMULATING,
     WRITING,
     Forecast,
     Stages,
     Watch,
 )
+from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
+from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.frames import (
     FrameBuilder,
     Period,
-    Rest,
     SplatDeformer,
     with_held,
 )
-from gf_usd.pipeline.health import HealthLog, health_warnings, plan_warnings
+from gf_usd.pipeline.health.log import HealthLog
+from gf_usd.pipeline.health.warnings import health_warnings, plan_warnings
 from gf_usd.pipeline.measures.certify import certify, coarser
 from gf_usd.pipeline.measures.observe import Observed, Observer
+from gf_usd.pipeline.measures.rest import Rest
+from gf_usd.pipeline.prepared import Prepared, identity_of, pushed, solver_of
 from gf_usd.pipeline.result import BakeResult, VariantResult, report_json
 from gf_usd.prepare.options.table import MAX_HOURS
 from gf_usd.prepare.outputs import claim, clear
 from gf_usd.prepare.plan import Plan, Variant, describe, input_hash
-from gf_usd.prepare.prepare import Refill
-from gf_usd.prepare.prepare import prepare as prepare_plan
 from gf_usd.system.atomic_files import partial_path, publish_text
 from gf_usd.system.taichi_runtime import watching
 
@@ -60,104 +53,10 @@ if TYPE_CHECKING:
     from gf_usd.layers.usd_warnings import Warned
     from gf_usd.layers.variants import BakedVariant
     from gf_usd.physics.frame_loop import Solver
-    from gf_usd.readers.mesh.to_usd import MeshSource
 
 
 Progress = Callable[[int, int], None]  # (frames done, frames in all)
 Remark = Callable[[str], None]  # told, in words, what turns out while it runs
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prepared:
-    """A bake that is ready to run: its plan, and what is there only while the process is."""
-
-    plan: Plan
-    converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
-    resume: Resume = field(default_factory=Resume)
-    refill: Refill | None = None  # fills the same asset more coarsely; None: nobody needs it
-    warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
-
-    @cached_property
-    def solvers(self) -> Solvers:
-        """The solvers of its variants."""
-        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
-
-    @cached_property
-    def cost(self) -> Cost:
-        """Of `budget.estimate`; builds the solvers."""
-        plan = self.plan
-        setup = plan.contact_setup
-        samples = plan.settings.samples_per_frame
-        surfaces = plan.asset.surfaces
-        return estimate(
-            plan.settings,
-            plan.materials,
-            [samples * self.solvers.substeps(variant) for variant in plan.variants],
-            particles=len(plan.particles),
-            vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
-            paired=len(plan.samples.X) if setup and setup.any else 0,
-            frame_bytes=plan.frame_bytes,
-            first_contact=None if _pushed(plan) else first_contact(plan.settings, plan.drop),
-            flying=_flying(plan),
-            fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
-            damping=[self.solvers.damping(variant) for variant in plan.variants],
-            crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
-        )
-
-
-def prepare(
-    path: str | Path,
-    *,
-    overwrite: bool = False,
-    resume: bool = False,
-    watch: Watch | None = None,
-    **options: Any,
-) -> Prepared:
-    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`.
-
-    watch : is told what it is doing.
-    """
-    from gf_usd.layers.usd_warnings import gathered
-
-    stages = Stages(watch)
-    if resume and options.get("certify"):
-        raise UsageError(
-            "--certify does not go with --resume: it needs all frames of one run",
-            "bake anew with --overwrite, or leave --certify out",
-        )
-    stages.begin(READING, Path(path).name)
-    refills: list[Refill] = []
-    with gathered() as warned, watching(stages.compile):
-        plan, converted = prepare_plan(
-            path, overwrite=overwrite, resume=resume, draw=draw,
-            once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
-        )  # fmt: skip
-    plan = replace(plan, notes=(*plan.notes, *warned.lines()))
-    told = frozenset(warned.said)
-    if not resume:
-        refill = refills[0] if plan.choices.certify else None
-        return Prepared(plan=plan, converted=converted, refill=refill, warned=told)
-    clips = bool(plan.choices.clip_frames)
-    identify = partial(_identity, plan)
-    found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
-    plan = replace(plan, notes=(*plan.notes, *found.notes))
-    return Prepared(plan=plan, converted=converted, resume=found, warned=told)
-
-
-def _identity(plan: Plan, variant: Variant) -> dict[str, str]:
-    """Of a checkpoint of a variant."""
-    return identity(
-        variant.settings, variant.table, plan.choices, plan.particles,
-        plan.contact_setup.colliders if plan.contact_setup else (),
-        asset=plan.asset.facts.path, command=plan.command,
-    )  # fmt: skip
-
-
-def draw(scene: Scene, size: tuple[int, int]) -> Any:
-    """The picture of an asset that an advisor is shown."""
-    from gf_usd.view.render.render import render
-
-    return render(scene, size=size)
 
 
 def run(
@@ -193,7 +92,7 @@ def run(
         )
     # read before the first frame: a file that changes meanwhile is found by who resumes
     clipped = plan.variants if plan.choices.clip_frames else ()
-    identities = [_identity(plan, variant) for variant in clipped]
+    identities = [identity_of(plan, variant) for variant in clipped]
     checkpoints = CheckpointWriter(plan.outputs.checkpoints, identities, slice)
     path, settings = plan.asset.facts.path, plan.settings
     require_affordable(
@@ -225,25 +124,6 @@ def _again(plan: Plan) -> str:
     """How to have the rest of a bake that ended early, in words."""
     go_on = "the same command with --resume goes on"
     return go_on if plan.choices.clip_frames else "bake again"
-
-
-def _pushed(plan: Plan) -> bool:
-    """Whether more than gravity and contact moves the bodies."""
-    return plan.held or bool(plan.settings.fields)
-
-
-def _flying(plan: Plan) -> int:
-    """Frames at the start that need no substeps, since all bodies are in free flight."""
-    from gf_usd.physics.total_lagrangian.shape_correction import acts
-
-    s = plan.settings
-    held = plan.pins or plan.goals or s.fields or any(map(callable, plan.velocity))
-    if held or not s.shortcuts or s.solver != "tl" or s.drag or acts(s):
-        return 0
-    if plan.contact_setup is not None and plan.contact_setup.colliders:
-        return 0
-    frame = first_contact(s, plan.drop)
-    return s.frames if frame is None else max(0, frame - 2)  # one more is near enough
 
 
 def _folder(plan: Plan) -> Path:
@@ -353,7 +233,7 @@ def _run_variant(
         drop=plan.drop,
         radius=plan.particles.radius,
         particles=len(plan.particles),
-        held=_pushed(plan),
+        held=pushed(plan),
         bodies=plan.bodies.count if plan.bodies else 1,
         obstacles=bool(plan.contact_setup and plan.contact_setup.colliders),
     )
@@ -385,7 +265,7 @@ def _run_variant(
     )
     failure = None
     alone, ends = plan.choices.settled, plan.choices.settled or plan.choices.until_rest
-    rest = Rest(settings.frame_time, plan.particles.radius) if ends else None
+    rest = _rest(plan) if ends else None
     if rest is not None and since is not None:
         rest.still = float(since.log["still"])
     settled = False
@@ -404,7 +284,7 @@ def _run_variant(
                 index = sample.index
                 if index < 0 and sample.splats:
                     sample = splats.held(sample)
-                settled = rest is not None and rest.reached(sample.health)
+                settled = rest is not None and rest.reached(sample.health, index)
                 settled = settled and (alone or index % n == 0)
                 if index >= settings.first and (settled or not alone):
                     guard.require(index, cache.unsaved)
@@ -436,18 +316,20 @@ def _run_variant(
         except SolverError as error:
             failure = error
         if alone and rest is not None and not settled and failure is None:
-            raise _restless(plan, variant.name, rest, log.frames[-1])
+            raise rest.refusal(variant.name, log.frames[-1], settings.frames, plan.asset.facts.path)
         stages.begin(WRITING, variant.name)
         summary = cache.close()
     if period.skipped:
         log.leave_out(period.skipped // n)
         info = replace(info, settings=shortened(info.settings, period.skipped // n))
     health = {**log.summary(), **period.health}
-    at = _when_at_rest(plan, variant.name, rest, log, settled=settled) if rest else ()
+    at = ()
+    if rest is not None:
+        at = (rest.said(variant.name, log.frames, plan.settings.frames, settled=settled),)
     certificate = None
     if observer is not None and failure is None:
         certificate = certify(
-            (observer.observed(), *coarse), held=_pushed(plan) or bool(plan.goals),
+            (observer.observed(), *coarse), held=pushed(plan) or bool(plan.goals),
             single=plan.bodies is None or plan.bodies.count == 1, reason=useless,
         )  # fmt: skip
     if plan.choices.until_rest:  # its layers end where it ended
@@ -463,6 +345,7 @@ def _run_variant(
         per_frame=log.per_frame(),
         warnings=(*plan_warnings(plan.odd), *health_warnings(health)),
         certificate=certificate,
+        storage=None if summary.storage is None else summary.storage.as_json(),
     )
     baked = BakedVariant(
         name=variant.name,
@@ -473,6 +356,7 @@ def _run_variant(
         warnings=tuple(warning.message for warning in result.warnings),
         failure="" if failure is None else failure.message,
         certificate=None if certificate is None else certificate.as_json(),
+        storage=result.storage,
     )
     return result, baked, (*at, *summary.notes, *splats.notes, *period.notes), failure
 
@@ -489,10 +373,12 @@ def _coarser(prepared: Prepared, number: int, stages: Stages) -> tuple[tuple[Obs
         variant = coarse.variants[number]
         observer = _observer(coarse, variant)
         solver = solver_of(coarse, variant)
-        rest = Rest(plan.settings.frame_time, plan.particles.radius)
+        rest = _rest(plan)
         for frame in solver.frames():
             observer.see(frame, frame.embedded)
-            if rest.reached(frame.health) and (plan.choices.until_rest or plan.choices.settled):
+            if rest.reached(frame.health, frame.index) and (
+                plan.choices.until_rest or plan.choices.settled
+            ):
                 break
         return observer.observed(), coarse.particles.volume
 
@@ -507,55 +393,12 @@ def _observer(plan: Plan, variant: Variant) -> Observer:
     return Observer(plan.particles, sampled(variant.settings), paths)
 
 
-def _when_at_rest(
-    plan: Plan, look: str, rest: Rest, log: HealthLog, *, settled: bool
-) -> tuple[str, ...]:
-    """When a material came to rest, in words."""
-    if settled:
-        return (f"{look}: at rest at frame {len(log.frames)}",)
-    last = log.frames[-1]
-    return (
-        f"{look}: not at rest within {plan.settings.frames} frames: the kinetic energy of the last"
-        f" one is {last.kinetic:.3g} J, and {rest.limit(last):.3g} J counts as rest;"
-        f" --frames rest:{2 * plan.settings.frames} simulates longer",
-    )
-
-
-def _restless(plan: Plan, look: str, rest: Rest, last: Health) -> BakeError:
-    """For --settle-only where something still moves in the last frame."""
-    frames = plan.settings.frames
-    return BakeError(
-        f"{plan.asset.facts.path}, {look}: not at rest within {frames} frames: the kinetic energy"
-        f" of the last one is {last.kinetic:.3g} J, and {rest.limit(last):.3g} J counts as rest",
-        f"simulate longer with --frames {2 * frames}, or calm it with --drag, --friction or another"
-        " material; what is driven by a moving pin or obstacle, or drifts without gravity, never"
-        " rests",
-    )
-
-
-def solver_of(plan: Plan, variant: Variant) -> Solver:
-    """The solver of a variant, at its start."""
-    from gf_usd.physics.solvers import make_solver
-
-    more: dict[str, Any] = {}
-    if plan.velocity:
-        more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
-    if plan.settings.solver == "tl" and plan.bodies is not None:
-        more |= {
-            "contact_setup": plan.contact_setup,
-            "goals": plan.goals,
-            "embedded_body": {**plan.bodies.embedded, **{t.key: t.body for t in plan.tets}},
-            "embedded_copy": plan.embedded_copies,
-        }
-    return make_solver(
-        sampled(variant.settings),
-        plan.particles,
-        variant.table,
-        samples=plan.samples,
-        embedded=plan.points if plan.settings.skin == "embed" else {},
-        pins=plan.pins,
-        **more,
-    )
+def _rest(plan: Plan) -> Rest:
+    """What sees that everything is at rest, obstacles too."""
+    settings, setup = sampled(plan.settings), plan.contact_setup
+    obstacles = setup.colliders if setup else ()
+    stirred = max((one.still_from for one in obstacles), default=0)
+    return Rest(settings.frame_time, plan.particles.radius, stirred)
 
 
 def splat_deformer(plan: Plan, variant: Variant) -> SplatDeformer:

@@ -24,7 +24,7 @@ from gf_usd.core.stage import (
     Triple,
 )
 from gf_usd.core.units import StageUnits
-from gf_usd.pipeline.run import solver_of
+from gf_usd.pipeline.prepared import solver_of
 from gf_usd.prepare.fill import fill
 from gf_usd.prepare.materials import Authored
 from gf_usd.prepare.options.request import Request

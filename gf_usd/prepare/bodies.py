@@ -228,6 +228,49 @@ def contact_setup(
     )
 
 
+BURIED = 0.02  # of the particles: less is a touch, which contact resolves
+
+
+def require_clear_start(
+    path: Path, particles: Particles, lift: Sequence[float], setup: ContactSetup, unit: float
+) -> None:
+    """Raise InputError where lifting the bodies puts them into an obstacle.
+
+    particles : of all bodies, where the asset has them; lift : (3,) [m]; unit : [m] of the stage.
+    What is in an obstacle in the asset itself stays there.
+    """
+    way = np.asarray(lift, float)
+    if not way.any():
+        return
+    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    for k, one in enumerate(setup.colliders):
+        free = [a for a in range(len(setup.skins)) if (a, k) in setup.through_colliders]
+        X = particles.X[~np.isin(body, free)]
+        buried = _inside(one, X + way) & ~_inside(one, X)
+        if buried.sum() > BURIED * len(X):
+            raise InputError(
+                f"{path}: moved by {np.linalg.norm(way) / unit:.3g} units to its height over the"
+                f" floor, {buried.mean():.0%} of the particles start inside the obstacle"
+                f" <{one.path}>",
+                "give a --drop that clears it, or --floor none, which leaves everything in place",
+            )
+
+
+def _inside(obstacle: Collider, X: Floats) -> Ints:
+    """(n,) which of the points X (n, 3) [m] are in an obstacle at the start."""
+    from gf_usd.geometry.winding import winding_inside
+
+    points = obstacle.positions(0)
+    if obstacle.shape == "plane":
+        a, b, c = points[obstacle.triangles[0]]
+        return (X - a) @ np.cross(b - a, c - a) < 0.0
+    near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
+    found = np.zeros(len(X), bool)
+    if near.any():
+        found[near] = winding_inside(points, obstacle.triangles, X[near])
+    return found
+
+
 CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...
 STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folded onto itself
 

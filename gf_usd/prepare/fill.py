@@ -27,9 +27,9 @@ from gf_usd.core.frames import (
     sampled,
     written,
 )
-from gf_usd.core.materials import LAWS, Material
+from gf_usd.core.materials import LAWS, Material, Preset
 from gf_usd.core.stage import Pin, StageSpec, Triple
-from gf_usd.core.units import PLAUSIBLE
+from gf_usd.core.units import PLAUSIBLE, Precision
 from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare import regions as material_regions
@@ -38,6 +38,7 @@ from gf_usd.prepare.bodies import (
     contact_setup,
     keep_limbs_apart,
     plan_bodies,
+    require_clear_start,
     start_velocities,
 )
 from gf_usd.prepare.materials import with_own_values
@@ -52,7 +53,13 @@ from gf_usd.prepare.pins import (
     soft_attachment_goals,
 )
 from gf_usd.prepare.plan import Plan, embedded_points, frame_bytes
-from gf_usd.prepare.settings import Resolution, floor_plane, resolution, resolve
+from gf_usd.prepare.settings import (
+    Resolution,
+    floor_plane,
+    resolution,
+    resolve,
+    settled_frames,
+)
 from gf_usd.readers.usd_bake.spec import read_motion
 
 if TYPE_CHECKING:
@@ -105,6 +112,7 @@ def fill(
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
+    request, flowing = _unbounded(request, presets, law)
     request, stated = _with_stage(request, spec, asset)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
@@ -131,7 +139,7 @@ def fill(
     combine = request.combine or paper or request.flesh or request.solver == "ul"
     bodies, particles = plan_bodies(asset, solid, spacing, sample, owners, combine=combine)
     _require_one_body(request, bodies.count)
-    if paper:
+    if paper or flowing:
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
@@ -181,11 +189,20 @@ def fill(
     left_out = {*physics.attachments, *physics.soft_attachments} - {*attachments, *springs}
     if left_out:
         stated += (f"{len(left_out)} attachments are not read with --flesh and --solver ul",)
+    # Without a floor bodies may fall for ever.
+    falls = settings.floor is None or _weightless(settings)
+    pushed = bool(pins or springs or settings.fields)
+    open_end = request.length_is_open and not (falls or pushed)
+    shot = settings
+    if open_end:
+        settings = replace(settings, frames=settled_frames(settings.frames))
     if physics.colliders and file is not None:
         every = sampled(settings)
         times = [every.time_code(i) for i in range(every.frames)]
         moving = read_motion(asset, file, rest=request.start, times=times, elastic=False)
         physics = replace(moving, of_files=physics.of_files)
+    if open_end and any(one.deformed is not None for one in physics.colliders):
+        open_end, settings = False, shot  # its points may move for as long as there are frames
     parts = body_materials.material_parts(solid, spec, request.regions)
     slot = body_materials.part_of_particles(solid, particles, parts)
     of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
@@ -230,7 +247,8 @@ def fill(
         max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
-    choices, split = _chosen(request, files, settings, asset, len(particles))
+    choices, split = _chosen(request, files, settings, asset, len(particles), open_end)
+    _require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
@@ -244,6 +262,7 @@ def fill(
         ),
     )  # fmt: skip
     if not paper and request.solver != "ul":
+        require_clear_start(asset.facts.path, particles, settings.lift, limbs.contact_setup, unit)
         limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
     copies = {t.key: t.copy for t in tets if t.copy is not None}
@@ -286,8 +305,9 @@ def fill(
         advice=advice,
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
-            *mended, *stated, *([asked.note] if asked.note else ()), *bodies.notes, *flesh.notes,
-            *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak, *physics.notes,
+            *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
+            *flesh.notes, *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak,
+            *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
@@ -361,13 +381,53 @@ def _require_one_body(request: Request, count: int) -> None:
             )
 
 
+def _weightless(settings: Settings) -> bool:
+    """Whether no gravity presses bodies on the floor."""
+    return float(np.dot(settings.gravity, settings.normal)) >= 0.0
+
+
+def _unbounded(
+    request: Request, presets: Sequence[Any], law: str | None
+) -> tuple[Request, tuple[str, ...]]:
+    """The request for what flows without end, with a note; as it is where nothing does.
+
+    Raises UsageError where only some of the variants do, or where the solver does not let them.
+    """
+    laws = [law or (p.law if isinstance(p, Preset) else "") for p in presets]
+    flows = [one in LAWS and LAWS[one].unbounded for one in laws]
+    if not any(flows):
+        return request, ()
+    names = ", ".join(preset.name for preset in presets)
+    if not all(flows):
+        raise UsageError(
+            f"{names}: some of these flow without end, and are simulated by another solver",
+            "bake them one by one",
+        )
+    if request.solver == "tl":
+        raise UsageError(
+            f"--solver tl does not go with {names}, which flows without end",
+            "leave it out, or use --solver ul",
+        )
+    if request.only is None:
+        request = replace(request, only="gaussians,points")
+    note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
+    if "mesh" not in (request.parsed["only"] or ()):
+        note += "; the mesh is hidden"
+    return replace(request, solver="ul"), (note,)
+
+
 def _main(table: Sequence[Material], index: Any, V0: Any) -> Material:
     """The material that most of the volume has."""
     return table[int(np.bincount(index, V0).argmax())]
 
 
 def _chosen(
-    request: Request, files: Outputs, settings: Settings, asset: Asset, particles: int
+    request: Request,
+    files: Outputs,
+    settings: Settings,
+    asset: Asset,
+    particles: int,
+    open_end: bool,
 ) -> tuple[Choices, tuple[str, ...]]:
     """The output choices, with notes on what nobody asked for."""
     if files.flat and request.clip_frames:
@@ -378,10 +438,14 @@ def _chosen(
     choices = Choices(
         shapes=request.parsed["only"] or SHAPES,
         half=request.half,
+        precision=request.parsed["precision"],
+        adaptive=request.adaptive_samples,
+        velocities=not request.no_velocities,
         flat=request.flatten or files.flat,
         settled=request.settle_only,
         tets=request.tets,
-        until_rest=request.until_rest,
+        until_rest=request.until_rest or open_end,
+        open_end=open_end,
         certify=request.certify,
     )
     size = frame_bytes(asset, particles, settings, choices)
@@ -397,6 +461,26 @@ def _chosen(
             f" of {length} frames: --clip-frames 0 keeps it in one file",
         )
     return replace(choices, clip_frames=length), notes
+
+
+SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
+
+
+def _require_stored(precision: Precision | None, particles: Particles, settings: Settings) -> None:
+    """Raise UsageError for a precision that single precision does not have where the bodies are."""
+    if precision is None:
+        return
+    farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
+    rounding = SINGLE * float(np.finfo(np.float32).eps) * farthest
+    radii = particles.radii
+    least = precision.meters(float(radii[radii > 0.0].min()))
+    if least < rounding:
+        raise UsageError(
+            f"--precision {precision.said} is {least:.3g} m for the smallest body, and points have"
+            f" single precision, which is off by {rounding:.2g} m at {farthest:.3g} m from the"
+            " origin",
+            f"give {rounding:.2g}m or more",
+        )
 
 
 def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:

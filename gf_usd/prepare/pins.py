@@ -54,11 +54,17 @@ def make_pins(
     prims = [name for name in names if not name.startswith(BOX) and name not in weights]
     regions = {region.name: region for region in read(prims)} if prims else {}
     if boxes:
-        bodies = read([s.path for s in asset.surfaces])
-        length = max(len(body.path) for body in bodies)
-        points = np.concatenate([body.points for body in bodies])
+        # a capture has no surface in its stage, and its animation is not followed
+        still = [s.points for s in asset.surfaces if s.splats is not None]
+        bodies = read([s.path for s in asset.surfaces if s.splats is None])
+        length = max((len(body.path) for body in bodies), default=1)
+        points = np.concatenate([*(body.points for body in bodies), *still])
         path = np.concatenate(
-            [np.broadcast_to(b.path, (length, *b.path.shape[1:])) for b in bodies], axis=1
+            [
+                np.broadcast_to(one, (length, *one.shape[1:]))
+                for one in (*(body.path for body in bodies), *(at[None] for at in still))
+            ],
+            axis=1,
         )
         unit = asset.facts.units.length
         regions |= {name: box_region(name, unit, points, path, option) for name in boxes}

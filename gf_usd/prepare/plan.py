@@ -198,7 +198,7 @@ def settings_json(settings: Settings) -> dict[str, Any]:
 
 # [bytes] of a sample
 MESH_BYTES = 24  # points and velocities of a vertex, float32
-NORMAL_BYTES = 12
+NORMAL_BYTES = VELOCITY_BYTES = 12
 SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
@@ -210,19 +210,20 @@ INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writ
 def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choices) -> int:
     """[bytes] on the disk of a frame with all its samples."""
     size = 0
+    rates = VELOCITY_BYTES * (not choices.velocities)
     for s in asset.surfaces if choices.mesh else ():
         if s.splats is not None:
             size += s.splats.frame_bytes
         else:
             normals = 0 if s.normals is None else len(s.normals)
-            size += MESH_BYTES * len(s.points) + NORMAL_BYTES * normals
+            size += (MESH_BYTES - rates) * len(s.points) + NORMAL_BYTES * normals
     if "gaussians" in choices.shapes:
-        each = SPLAT_BYTES - HALF_BYTES * choices.half
+        each = SPLAT_BYTES - HALF_BYTES * choices.half - rates
         each += GRADIENT_BYTES * settings.deformation_gradients + STRESS_BYTES * settings.stress
         each += INTERNAL_BYTES * settings.internal
         size += each * particles
     if "points" in choices.shapes:
-        size += POINT_BYTES * particles
+        size += (POINT_BYTES - rates) * particles
     if choices.tets:
         size += TET_BYTES * particles
     return size * settings.samples_per_frame

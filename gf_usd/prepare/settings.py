@@ -48,7 +48,11 @@ PAPER_SUBSTEPS = 10
 PAPER_DRAG = 0.5 * PAPER_T
 PAPER_CONTACT = 2000.0 * PAPER_T**2
 
-SETTLING = 4  # times as long as a shot may everything take to come to rest
+SETTLING = 8  # times as long as a shot may everything take to come to rest
+ROLLING_RESISTANCE = 0.05  # soft rubber on a hard floor; a bouncing ball has 0.01 to 0.05
+# Particle-substeps until then above which a bake ends with the shot where nobody said how long:
+# half an hour on one core.
+REST_WORK = 2e10
 
 
 def span(
@@ -219,7 +223,7 @@ def resolve(
         start = animation.first
         shot = int(np.floor((animation.last - start) / step + ROUNDING)) + 1
     if request.settle_only or request.until_rest:
-        shot = SETTLING * (shot - 1) + 1
+        shot = settled_frames(shot)
     most = asked["frames"].frames if asked["frames"] else None
     frames = most or (PAPER_FRAMES if paper and not request.until_rest else shot)
     first, frames = span(
@@ -266,7 +270,25 @@ def resolve(
         shortcuts=not request.no_shortcuts,
         mass_scaling=request.mass_scaling or 1.0,
         fields=fields_of(request, facts, gravity_keys, stated_fields),
+        rolling=_rolling(request, paper),
+        settling=not (paper or request.no_settling or request.solver == "ul"),
     )
+
+
+def _rolling(request: Request, paper: bool) -> float:
+    if request.rolling_resistance is not None:
+        return request.rolling_resistance
+    return 0.0 if paper or request.solver == "ul" else ROLLING_RESISTANCE
+
+
+def settled_frames(shot: int) -> int:
+    """Frames in which everything is to come to rest, of a shot of so many."""
+    return SETTLING * (shot - 1) + 1
+
+
+def shot_frames(settled: int) -> int:
+    """Frames of a shot; the inverse of `settled_frames`."""
+    return (settled - 1) // SETTLING + 1
 
 
 @dataclass(frozen=True, kw_only=True)

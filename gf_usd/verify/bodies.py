@@ -17,7 +17,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
-from gf_usd.core.materials import DIMENSIONLESS, Material
+from gf_usd.core.materials import DIMENSIONLESS, LAWS, Material
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits
@@ -210,16 +210,26 @@ def plane_strain(h: float) -> tuple[Pin, Pin]:
     return mirror_plane(2, 0.0), above
 
 
+FIRM = 1e9  # [Pa] of cohesion
+
+
+def firm(law: str) -> dict[str, float]:
+    """Parameters with which a law is elastic in tension too."""
+    return {"cohesion": FIRM} if any(p.name == "cohesion" for p in LAWS[law].parameters) else {}
+
+
 def look(name: str, body: Particles, **changes: Any) -> Material:
-    """A preset on a body; changes replace fields of the material."""
+    """A preset on a body, one that bears tension; changes replace fields of the material."""
     made = DIMENSIONLESS[name].material(body.radius)
-    return Material(**{**vars(made), **changes})
+    own = {"parameters": {**made.parameters, **firm(changes.get("law", made.law))}}
+    return Material(**{**vars(made), **own, **changes})
 
 
 def elastic(
     *, E: float, nu: float, density: float, law: str = "corotated", **more: Any
 ) -> Material:
-    """A material without damping; E [Pa], density [kg/m^3]."""
+    """A material without damping that bears tension; E [Pa], density [kg/m^3]."""
+    more = {"parameters": firm(law), **more}
     return Material(
         name="elastic", law=law, density=density, youngs_modulus=E, poissons_ratio=nu, **more
     )

@@ -34,7 +34,15 @@ from gf_usd.verify.cases.elastic import (
     vibration,
 )
 from gf_usd.verify.cases.flesh import driven, rigid
-from gf_usd.verify.cases.plastic import expansion, membrane, rim, slump, taylor, uniaxial
+from gf_usd.verify.cases.plastic import (
+    column,
+    expansion,
+    membrane,
+    rim,
+    slump,
+    taylor,
+    uniaxial,
+)
 
 CASES: tuple[Case, ...] = (
     *flight.CASES,
@@ -60,6 +68,7 @@ CASES: tuple[Case, ...] = (
     *uniaxial.CASES,
     *expansion.CASES,
     *slump.CASES,
+    *column.CASES,
     *membrane.CASES,
     *taylor.CASES,
     *rim.CASES,

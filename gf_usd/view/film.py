@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, GfUsdError, UsageError
 from gf_usd.system.atomic_files import partial_path, publish
+from gf_usd.view.report.surface import spread as evenly
 
 Pixels = NDArray[np.uint8]
 
@@ -152,6 +154,27 @@ def columns_for(count: int, aspect: float) -> int:
     ideal = math.sqrt(1.5 * count / aspect)
     near = range(max(1, math.floor(0.75 * ideal)), min(count, math.ceil(1.35 * ideal)) + 1)
     return min(near, key=lambda n: (-count % n, abs(n - ideal), -n), default=count)
+
+
+STILL = 0.1  # of the mean speed: what stands still has a part of a sheet too
+
+
+def spread(frames: int, count: int, speeds: Floats | None = None) -> list[int]:
+    """`count` of so many frames, at most all, the first and the last among them.
+
+    speeds : (frames,) how fast things move at each; between two that are chosen they move about as
+    far, plus STILL of the mean.  None: frames are chosen evenly.
+    """
+    if speeds is None or speeds.max(initial=0.0) == 0.0:
+        return evenly(frames, count).tolist()
+    count = min(count, frames)
+    between = 0.5 * (speeds[1:] + speeds[:-1]) + STILL * speeds.mean()
+    way = np.concatenate([[0.0], np.cumsum(between)])
+    wanted = np.linspace(0.0, way[-1], count)
+    chosen = np.round(np.interp(wanted, way, np.arange(frames))).astype(int)
+    order = np.arange(count)
+    chosen = np.maximum.accumulate(chosen - order) + order  # no frame twice
+    return list(map(int, np.minimum(chosen, frames - count + order)))
 
 
 def contact_sheet(tiles: Sequence[Pixels], columns: int) -> Pixels:

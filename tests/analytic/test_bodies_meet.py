@@ -13,7 +13,7 @@ from solids import cube, sphere, surface
 from gf_usd.core.materials import G0
 from gf_usd.physics.contact.pairs import APART
 from gf_usd.physics.contact.self_contact import OFFSET
-from gf_usd.pipeline.health import gain_of_frames
+from gf_usd.pipeline.health.log import gain_of_frames
 
 LEFT = sphere(center=(-1.3, 0.0, 0.0), path="/Left")
 RIGHT = sphere(center=(1.3, 0.2, 0.0), path="/Right")  # a little off the line: they spin too

@@ -10,7 +10,7 @@ from solids import fill, look, settings, solid, sphere
 
 from gf_usd.core.materials import FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.pipeline.health import restitution
+from gf_usd.pipeline.health.log import restitution
 
 # Height at peak squash over the height at rest: docs/physics.md, production settings.
 BANDS = {"rubber": (0.60, 0.75), "metal": (0.80, 1.0), "jelly": (0.0, 0.40)}

@@ -11,8 +11,9 @@ from gf_usd.verify.registry import CASES, run_case
 ORDERED = sorted(CASES, key=lambda case: case.f64)
 LONG = {  # more than half of the time of all
     "hertz", "lamb", "penetration", "collisions", "slope", "solvers", "expansion", "law-crushable",
-    "law-neoHookean", "law-vonMises", "patch", "patch-f64", "spin-apic", "slump", "rigid-end",
-    "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble",
+    "law-neoHookean", "law-vonMises", "law-druckerPrager", "patch", "patch-f64", "spin-apic",
+    "slump", "rigid-end",
+    "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble", "column",
 }  # fmt: skip
 
 

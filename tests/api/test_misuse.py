@@ -38,7 +38,7 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"partikles": 4}, "has no option 'partikles'", "did you mean particles?"),
     ({"max-hours": 4}, "has no option 'max-hours'", "did you mean max_hours?"),
     ({"pin": "/A"}, "has no option 'pin'", "did you mean pins?"),
-    ({"dt": 0.1}, "has no option 'dt'", "its options are blend_width, "),
+    ({"dt": 0.1}, "has no option 'dt'", "its options are adaptive_samples, "),
     ({"particles": "4000"}, "particles is '4000', of type str", "without quotes: particles=4000"),
     ({"particles": "many"}, "particles is 'many'", "give a whole number"),
     ({"particles": 0.5}, "particles is 0.5", "give a whole number"),

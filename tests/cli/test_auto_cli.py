@@ -13,7 +13,7 @@ from PIL import Image
 from small_bakes import SAMPLES, SMALL, names, strict
 
 from gf_usd.core.errors import UsageError
-from gf_usd.pipeline.run import draw, prepare
+from gf_usd.pipeline.prepared import draw, prepare
 from gf_usd.prepare.advice import advise
 from gf_usd.prepare.advice.advisors import GROUP
 

@@ -225,3 +225,22 @@ def test_without_the_mesh_a_capture_stays_and_still_gives_its_sequence(gf_usd, h
     # it fell, and stays a capture
     assert frames[0].positions[:, 1].mean() - frames[1].positions[:, 1].mean() > 0.01
     assert len(frames[0]) == 300
+
+
+def test_a_box_pins_a_capture(gf_usd, here, tmp_path):
+    path = write_ply(tmp_path / "ball.ply", ball(300))
+    words = ("bake", path, "--material", "jelly", *SMALL, "--pin", "box:-1,0.2,-1,1,1,1")
+    done = gf_usd(*words)
+    assert done.status == 0, done.err
+    rest = ball(300).positions
+    first, last = (positions("ball.jelly.usda", "/ball/Splats", float(t)) for t in (1, 4))
+    held = rest[:, 1] > 0.35  # more than a particle inside the box
+    assert np.abs(last - first)[held].max() < 1e-5
+    assert (first - last)[rest[:, 1] < -0.2, 1].min() > 1e-4
+
+
+def test_a_box_beside_a_capture_is_refused_by_its_name(gf_usd, here, tmp_path):
+    path = write_ply(tmp_path / "ball.ply", ball(300))
+    done = gf_usd("bake", path, "--material", "jelly", *SMALL, "--pin", "box:5,5,5,6,6,6")
+    assert done.status == 3
+    assert "--pin box:5,5,5,6,6,6 does not touch the asset" in done.err

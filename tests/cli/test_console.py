@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gf_usd.cli.console import Lines, Spent
-from gf_usd.pipeline.forecast import (
+from gf_usd.pipeline.cost.forecast import (
     CHECKING,
     COMPILING,
     FILLING,

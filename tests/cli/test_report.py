@@ -125,3 +125,37 @@ def test_the_input_is_never_replaced(gf_usd, work):
     assert done.status == 2
     assert "is the input itself" in done.err
     assert Path("page.html").read_bytes() == before
+
+
+def test_a_page_of_splats_shows_the_particles_of_every_look(gf_usd, work):
+    inputs = {path.name: path.read_bytes() for path in work.iterdir()}
+    done = gf_usd("report", "--splats", "block.soft.usda", "--max-splats", "200")
+    assert (done.status, done.out) == (0, "")
+    assert done.err.startswith("block.soft.splats.html: ")
+    assert names(work) == sorted([*inputs, "block.soft.splats.html"])
+    assert {name: (work / name).read_bytes() for name in inputs} == inputs
+    page = work / "block.soft.splats.html"
+    variants = data(page)["variants"]
+    assert [variant["name"] for variant in variants] == ["rubber", "jelly"]
+    for variant in variants:
+        assert variant["table"]["positions"]["shape"] == [6, 200, 3]
+    assert len(re.findall(r"200 of \d+ Gaussians", page.read_text(encoding="utf-8"))) == 2
+
+
+def test_a_page_of_splats_prefers_a_capture(gf_usd, tmp_path, monkeypatch):
+    from moving_splats import FRAMES, moving_splats
+
+    monkeypatch.chdir(tmp_path)
+    moving_splats(tmp_path / "ball.usdc", particles=True, degree=2)
+    assert gf_usd("report", "--splats", "ball.usdc", "-o", "page.html").status == 0
+    (variant,) = data(tmp_path / "page.html")["variants"]
+    assert variant["table"]["positions"]["shape"] == [FRAMES, 200, 3]
+    assert variant["table"]["light"]["shape"] == [200, 8, 3]
+    assert variant["up"] == "Z"
+
+
+def test_a_page_of_splats_without_any_is_refused(gf_usd, work):
+    done = gf_usd("report", "--splats", "block.usda")
+    assert done.status == 3
+    assert "there are no Gaussians that move" in done.err
+    assert not (work / "block.splats.html").exists()

@@ -20,6 +20,14 @@ SMALL = ("--particles", "200", "--frames", "9", "--drop", "0.05r", "--clip-frame
 STATES = {
     "as it is": (),
     "half": ("--half", "--samples-per-frame", "2", "--stress"),
+    "adaptive": (
+        "--precision",
+        "5%",
+        "--adaptive-samples",
+        "--no-velocities",
+        "--time-scale",
+        ".1",
+    ),
     "looks": ("-m", "rubber,jelly"),
     "updated": ("--solver", "ul"),
     "paper": ("--preset", "paper"),

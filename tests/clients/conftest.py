@@ -23,6 +23,13 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Baked:
 
 
 @pytest.fixture(scope="session")
+def sparse(tmp_path_factory: pytest.TempPathFactory) -> Baked:
+    """The same blocks so slow that samples can be left out within the precision."""
+    few = {"precision": "5%", "adaptive_samples": True, "time_scale": 0.2}
+    return bake_blocks(tmp_path_factory.mktemp("sparse"), **few)
+
+
+@pytest.fixture(scope="session")
 def character(tmp_path_factory: pytest.TempPathFactory) -> Baked:
     """Flesh on a skeleton, which must not pose it a second time."""
     return bake_arm(tmp_path_factory.mktemp("character"))

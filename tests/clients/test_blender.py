@@ -43,6 +43,17 @@ def test_every_vertex_is_where_we_put_it_in_every_frame(
     assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
 
 
+def test_samples_that_are_left_out_are_interpolated(sparse: Baked, tmp_path: Path) -> None:
+    ours = world_points(sparse.root)
+    stage = Usd.Stage.Open(str(sparse.root))
+    for path in ours:
+        points = UsdGeom.Mesh(stage.GetPrimAtPath(path)).GetPointsAttr()
+        assert 1 < points.GetNumTimeSamples() < FRAMES
+    theirs, said = in_blender(sparse.root, tmp_path)
+    assert off(theirs, ours) < NEAR
+    assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+
+
 @pytest.mark.parametrize("asset", ["duck", "blocks"])
 def test_normals_uvs_and_materials_arrive(
     asset: str,

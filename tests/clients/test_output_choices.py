@@ -17,6 +17,7 @@ FORMS = {
     "flat": ("duck.usdc", {"flatten": True}),
     "clips": ("duck.usda", {"clip_frames": 2, "samples_per_frame": 2, "handles": 1}),
     "half": ("duck.usda", {"half": True}),
+    "small": ("duck.usda", {"precision": "5%", "adaptive_samples": True, "time_scale": 0.2}),
     "mesh": ("duck.usda", {"only": "mesh"}),
     "particles": ("duck.usda", {"only": "gaussians,points"}),
 }

@@ -27,7 +27,8 @@ G0 = 9.81
 CHOICES = (
     "rubber, metal, jelly, dented, clay, styrofoam, gelatin, soft-silicone, silicone, neoprene,"
     " natural-rubber, hard-rubber, foam, polyurethane-foam, aluminium, mild-steel, copper, lead,"
-    " modelling-clay, wet-clay, dough, wax"
+    " modelling-clay, wet-clay, dough, dry-sand, wet-sand, gravel, toothpaste, mud, cream, honey,"
+    " wax"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
 each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
@@ -158,11 +159,14 @@ def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> Non
     (row,) = (line for line in text.splitlines() if line.startswith(f"| `{name}` |"))
     cells = [cell.strip() for cell in row.split("|")[1:-1]]
     made = presets()[name]
-    own = [made.parameters.get(key, 0.0) for key in ("yield_stress", "hardening", "flow_viscosity")]
+    keys = ("yield_stress", "hardening", "flow_viscosity")
+    if made.law == "druckerPrager":
+        keys = ("internal_friction", "cohesion")
+    own = [made.parameters.get(key, 0.0) for key in keys]
     if isinstance(made, Physical):
         numbers = [made.density, made.youngs_modulus, made.poissons_ratio, *own]
         numbers.append(made.material(1.0).wave_speed)
-        shown = [float(cell.replace(",", "") or 0) for cell in cells[1:8]]
+        shown = [float(cell.replace(",", "") or 0) for cell in cells[1 : 1 + len(numbers)]]
         assert shown == pytest.approx(numbers, rel=5e-3)
         assert f"- `{name}`: {made.source}." in " ".join(text.split())
     else:

@@ -15,7 +15,7 @@ from small_stages import CUBE, bake, write
 
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.delivery.deliver import deliver
-from gf_usd.delivery.gltf_read import GlbFile
+from gf_usd.delivery.gltf.read import GlbFile
 from gf_usd.readers import convert
 
 TOLERANCE = 0.02

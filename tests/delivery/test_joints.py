@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gf_usd.delivery import joints
 from gf_usd.delivery.joints import (
     INFLUENCES,
     STEPS,
@@ -107,3 +108,23 @@ def test_it_is_deterministic() -> None:
     *_, (two, _) = decompositions(p, x, 0.02, 20)
     assert np.array_equal(one.rotations, two.rotations)
     assert np.array_equal(one.weights, two.weights)
+
+
+def test_many_points_are_fitted_by_some_and_bound_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error that is stated is that of all points, and within the tolerance at the end."""
+    rng = np.random.default_rng(4)
+    rest = rng.uniform(-1.0, 1.0, (3000, 3))
+    t = np.linspace(0.0, 1.0, 6)[:, None, None]
+    frames = rest * (1.0 + 0.2 * t) + 0.1 * t * np.sin(2.0 * rest[:, [1, 2, 0]])
+    monkeypatch.setattr(joints, "FITTED", 300)
+    tolerance = 0.05
+    every = list(joints.decompositions(rest, frames, tolerance, 200))
+    for skinning, error in every:
+        off = np.linalg.norm(skinning.pose(rest) - frames, axis=2).max()
+        assert error == pytest.approx(off, rel=1e-9)
+        assert (skinning.weights.sum(axis=1) == joints.STEPS).all()
+    assert every[-1][1] <= tolerance < every[0][1]
+    monkeypatch.setattr(joints, "FITTED", 3000)
+    *_, (fewest, _) = joints.decompositions(rest, frames, tolerance, 200)
+    # a tenth of the points is enough to place nearly as few joints
+    assert len(every[-1][0]) <= 1.6 * len(fewest)

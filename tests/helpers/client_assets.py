@@ -51,7 +51,7 @@ def bake_duck(sample: Path, folder: Path) -> Baked:
     return _bake(asset, material="rubber,metal,jelly", drop="0.1r")
 
 
-def bake_blocks(folder: Path, combine: bool = True) -> Baked:
+def bake_blocks(folder: Path, combine: bool = True, **more: object) -> Baked:
     """Two blocks of centimeters, Z up, under transforms that nothing may mix up.
 
     combine : as one body, and so of one material; jelly apart is two, softer for the smaller block.
@@ -72,7 +72,7 @@ def bake_blocks(folder: Path, combine: bool = True) -> Baked:
         above.AddScaleOp().Set(Gf.Vec3f(*scale))
         _block(stage, f"/Blocks/{name}/Mesh")
     stage.Save()
-    return _bake(asset, material="jelly", drop="0.1r", combine=combine)
+    return _bake(asset, material="jelly", drop="0.1r", combine=combine, **more)
 
 
 def bake_arm(folder: Path) -> Baked:

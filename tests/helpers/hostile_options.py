@@ -9,7 +9,7 @@ from typing import Any
 from hostile_files import STAGE
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS as TABLE
 
@@ -57,10 +57,13 @@ SPECIAL: dict[str, tuple[Any, ...]] = {
     "floor": ("none", "0", "0.5", "0,1,0", "0.5:0.2,1,0", "0,-1,0", "0,0,0", "1,2", "nan", "1e300",
               "", "1:2:3", "nan:0,1,0", "0,nan,0"),
     "only": ("mesh", "gaussians", "gaussians,points", "all", "", "mesh,mesh"),
+    "precision": ("0.5%", "0.2mm", "1cm", "0", "0%", "-1%", "nan%", "infm", "1e-300m", "1e-9%",
+                  "50%", "0.5", "%", "mm", "", "x", "5 parsecs"),
     "samples_per_frame": (1, 3, 0, -1),
     "range": ("1:2", "2:1", "1", ":", "nan:2", "1:1e18", "-5:3"),
     "handles": (0, 2, -1),
     "mass_scaling": (1.0, 10.0, *NUMBERS),
+    "rolling_resistance": (0.0, 0.05, 2.0, *NUMBERS),
     "clip_frames": (0, 1, 2, -1),
     "velocity": ("1,0,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),
     "spin": ("0,1,0", "0,0,0", "1,2", "nan,0,0", "1e300,0,0", "inf,0,0", "", "x"),

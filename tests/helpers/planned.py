@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from physics_stages import head, mesh
 
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.plan import Plan
 
 FEW = {"particles": 200, "frames": 3}

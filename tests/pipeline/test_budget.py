@@ -16,9 +16,9 @@ from solids import asset, facts, fill, look, settings, solid, sphere
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials import Material
 from gf_usd.geometry.skinning import KEPT_BYTES
-from gf_usd.pipeline import budget
-from gf_usd.pipeline.budget import PAIR_SECONDS, Solvers, duration, require_affordable
-from gf_usd.pipeline.run import Prepared
+from gf_usd.pipeline.cost import budget
+from gf_usd.pipeline.cost.budget import PAIR_SECONDS, Solvers, duration, require_affordable
+from gf_usd.pipeline.prepared import Prepared
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, Variant
 

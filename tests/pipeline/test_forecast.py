@@ -14,10 +14,10 @@ import gf_usd
 from gf_usd.core.errors import OutOfResources, SolverError
 from gf_usd.core.materials import PHYSICAL, find_preset
 from gf_usd.physics.total_lagrangian import launch
-from gf_usd.pipeline import forecast as forecasts
 from gf_usd.pipeline import run as runs
-from gf_usd.pipeline.budget import LONG, shortcuts
-from gf_usd.pipeline.forecast import Forecast
+from gf_usd.pipeline.cost import forecast as forecasts
+from gf_usd.pipeline.cost.budget import LONG, shortcuts
+from gf_usd.pipeline.cost.forecast import Forecast
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 

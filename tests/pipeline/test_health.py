@@ -9,7 +9,7 @@ import pytest
 from solids import settings
 
 from gf_usd.core.frames import Health, Settings
-from gf_usd.pipeline.health import HealthLog, restitution
+from gf_usd.pipeline.health.log import HealthLog, restitution
 
 G = 9.81
 MASS = 2.0  # [kg]
@@ -312,9 +312,9 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     rows = log.per_frame()
     assert [row["center"] for row in rows] == [f.center for f in frames]
     assert [row["time_code"] for row in rows] == [101.0, 103.0, 105.0, 107.0, 109.0]
-    # no law flows, and no frame is looked at for what is inside
+    # no law flows, nothing settles, and no frame is looked at for what is inside
     told = set(Health.__dataclass_fields__) - {
-        "plastic_dissipation", "inside_share", "inside_depth",
+        "plastic_dissipation", "settling_dissipation", "inside_share", "inside_depth",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"

@@ -11,8 +11,9 @@ from solids import ball, look, settings
 
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Health
-from gf_usd.pipeline import health as rules
-from gf_usd.pipeline.health import RULES, HealthLog, health_warnings
+from gf_usd.pipeline.health import warnings as rules
+from gf_usd.pipeline.health.log import HealthLog
+from gf_usd.pipeline.health.warnings import RULES, health_warnings
 from gf_usd.pipeline.result import BakeResult, VariantResult, require_healthy
 
 

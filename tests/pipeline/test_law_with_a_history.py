@@ -238,7 +238,12 @@ def test_mass_scaling_leaves_the_same_shape_in_fewer_substeps(tmp_path: Path) ->
     for factor in (1.0, 4.0):
         out = tmp_path / f"{factor:g}"
         made = gf_usd.bake(
-            str(SPHERE), material="dented", output=f"{out}/", particles=600, mass_scaling=factor
+            str(SPHERE),
+            material="dented",
+            output=f"{out}/",
+            particles=600,
+            frames=105,
+            mass_scaling=factor,
         )
         report = json.loads(made.report.read_text())
         assert report["settings"]["mass_scaling"] == factor

@@ -10,7 +10,7 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from gf_usd.api.bake import bake
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 
 SPHERE = Path(__file__).resolve().parents[2] / "samples" / "sphere.usda"
 

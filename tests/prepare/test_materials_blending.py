@@ -14,7 +14,7 @@ from gf_usd.api.bake import bake
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import spread
 from gf_usd.geometry.connected.bodies import smoothstep
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.plan import Plan
 
 UNIT = 0.01  # [m]: centimeters; the bar is 40 x 10 x 10 of them

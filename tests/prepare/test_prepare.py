@@ -13,7 +13,7 @@ from solids import CUBE_POINTS, CUBE_TRIANGLES, sphere
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.inspect import inspect
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 DUCK = SAMPLES / "duck.usda"

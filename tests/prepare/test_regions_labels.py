@@ -15,7 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from gf_usd.core.asset import Splats
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.inspect import inspect
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.options.request import Request
 
 FEW = {"particles": 300, "frames": 2, "material": "jelly"}

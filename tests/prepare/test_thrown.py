@@ -101,7 +101,7 @@ def test_the_meshes_of_another_file_are_obstacles(plan, plate) -> None:
     assert made.settings.floor is None
     assert noted(made, "there is 1 obstacle, so there is no floor; --floor 0 adds one")
     assert noted(made, "plate.obj: 1 obstacle; the result does not contain the file")
-    with_floor = plan(mesh("One", at(0.0)), colliders=(str(plate),), floor="-3")
+    with_floor = plan(mesh("One", at(0.0)), colliders=(str(plate),), floor="-3", drop="10")
     assert with_floor.settings.floor is not None
 
 

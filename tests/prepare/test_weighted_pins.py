@@ -47,7 +47,7 @@ def test_a_weight_that_nobody_has_is_refused(plan) -> None:
 
 
 def test_the_faces_that_follow_a_joint_are_held(tmp_path: Path) -> None:
-    from gf_usd.pipeline.run import prepare
+    from gf_usd.pipeline.prepared import prepare
 
     creature = Path(__file__).parents[2] / "samples" / "creature.usda"
     options = {"particles": 300, "frames": 3, "output": tmp_path / "out.usda"}

@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom
 import gf_usd
 from gf_usd.core.errors import BakeError, InputError, UsageError
 from gf_usd.layers.check.run import check_file
-from gf_usd.pipeline import budget
+from gf_usd.pipeline.cost import budget
 from gf_usd.system import memory_and_disk
 from gf_usd.system.taichi_runtime import import_taichi
 
@@ -119,7 +119,7 @@ def test_want_of_memory_ends_the_bake_at_its_last_frame(
 # The disk says that it has room, and has none: what a quota does.
 LYING = """
 import sys
-from gf_usd.pipeline import budget
+from gf_usd.pipeline.cost import budget
 budget.free_disk = lambda folder: 1e12
 {more}
 from gf_usd.cli.main import run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,12 @@ import gf_usd
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import Health
 from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.stage import Collider
 from gf_usd.layers.stage import hold_still
-from gf_usd.pipeline.frames import Rest
+from gf_usd.physics.total_lagrangian.settling import CALM
+from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.prepare.options.texts import Length, parse_frames
+from gf_usd.prepare.settings import settled_frames, shot_frames
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 BODY = "/Sphere/Geom/Body"
@@ -26,9 +30,28 @@ def test_rest_is_less_than_a_ten_millionth_of_m_g_r_for_a_time_T() -> None:
     rest = Rest(0.25 * time_scale(2.0), 2.0)
     still = Health(mass=3.0, kinetic=0.9e-7 * 3.0 * G0 * 2.0)
     moving = Health(mass=3.0, kinetic=1.1e-7 * 3.0 * G0 * 2.0)
-    assert [rest.reached(h) for h in (still, still, still)] == [False] * 3
-    assert not rest.reached(moving)
-    assert [rest.reached(still) for _ in range(4)] == [False, False, False, True]
+    assert [rest.reached(h, 5) for h in (still, still, still)] == [False] * 3
+    assert not rest.reached(moving, 5)
+    assert [rest.reached(still, 5) for _ in range(4)] == [False, False, False, True]
+
+
+def test_nothing_rests_while_an_obstacle_is_to_move() -> None:
+    rest = Rest(0.5 * time_scale(2.0), 2.0, stirred=3)
+    still = Health(mass=3.0, kinetic=0.0)
+    assert [rest.reached(still, i) for i in range(5)] == [False] * 4 + [True]
+
+
+def test_an_obstacle_stays_from_its_last_move_on() -> None:
+    offset = np.zeros((6, 3))
+    offset[:3, 1], offset[3:, 1] = (0.0, 1.0, 0.0), 2.0
+    corners = np.zeros((3, 3))
+    one = Collider(
+        path="/C", shape="mesh", points=corners, triangles=np.array([[0, 1, 2]]),
+        linear=np.tile(np.eye(3), (6, 1, 1)), offset=offset,
+    )  # fmt: skip
+    assert one.still_from == 3
+    assert replace(one, offset=offset[-1:], linear=one.linear[:1]).still_from == 0
+    assert replace(one, deformed=np.zeros((6, 3, 3))).still_from == 5
 
 
 def test_a_layer_that_is_held_still_has_its_last_sample_at_all_times() -> None:
@@ -135,3 +158,74 @@ def test_a_bake_that_does_not_rest_in_time_is_complete_up_to_there(tmp_path: Pat
     (bake,) = done.bakes
     assert (bake.frames, bake.at_rest) == (6, None)
     assert any("clay: not at rest within 6 frames: the kinetic" in note for note in done.notes)
+
+
+FEW: dict[str, Any] = {"material": "clay", "particles": 60}
+
+
+def test_where_nothing_says_how_long_rest_does() -> None:
+    shot = gf_usd.inspect(SPHERE, range=(1, None), **FEW).plan.settings.frames
+    open_end = gf_usd.inspect(SPHERE, **FEW).plan
+    assert open_end.choices.until_rest
+    assert open_end.settings.frames == settled_frames(shot)
+    assert shot_frames(open_end.settings.frames) == shot
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"frames": 12}, {"range": (1, None)}, {"handles": 2}, {"floor": False}, {"gravity": 0},
+        {"fields": "wind:1,0,0"}, {"pins": "box:-9,-9,-9,9,-0.5,9"}, {"solver": "ul"},
+        {"preset": "paper"}, {"no_settling": True},
+    ],
+)  # fmt: skip
+def test_what_holds_pushes_or_says_how_long_ends_without_rest(more: dict[str, Any]) -> None:
+    assert not gf_usd.inspect(SPHERE, **(FEW | more)).plan.choices.until_rest
+
+
+def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch) -> None:
+    monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
+    plan = gf_usd.inspect(SPHERE, **FEW).plan
+    assert not plan.choices.until_rest
+    assert (
+        plan.settings.frames == gf_usd.inspect(SPHERE, range=(1, None), **FEW).plan.settings.frames
+    )
+    assert any("frames are simulated, and not until rest" in note for note in plan.notes)
+
+
+@pytest.mark.slow
+def test_a_bake_ends_at_rest_and_says_what_that_took(tmp_path: Path) -> None:
+    done = gf_usd.bake(SPHERE, output=tmp_path / "s.usda", only="mesh", **SMALL)
+    (bake,) = done.bakes
+    assert bake.at_rest == bake.frames < settled_frames(105)
+    taken = bake.health["settling_dissipation_J"]
+    assert 0.0 < taken < CALM * bake.health["energy_scale_J"]
+    assert taken == pytest.approx(sum(row["settling_dissipation"] for row in bake.per_frame))
+    cache = Usd.Stage.Open(str(done.root))
+    health = cache.GetPrimAtPath("/Sphere").GetAttribute("gaussianFlesh:health:settlingDissipation")
+    assert health.Get(float(bake.frames)) == pytest.approx(
+        bake.per_frame[-1]["settling_dissipation"]
+    )
+    alone = gf_usd.bake(
+        SPHERE, output=tmp_path / "t.usda", only="mesh", frames=bake.frames, no_settling=True,
+        rolling_resistance=0, **SMALL,
+    )  # fmt: skip
+    (other,) = alone.bakes
+    assert "settling_dissipation_J" not in other.health
+    assert other.per_frame[-1]["kinetic"] > bake.per_frame[-1]["kinetic"]
+
+
+@pytest.mark.slow
+def test_a_ball_that_rolls_comes_to_a_stop(tmp_path: Path) -> None:
+    """v falls by 5/7 c g: in v^2 / (10/7 c g) of way; a soft ball rolls on a flat, and less far."""
+    c, speed = 0.1, 1.5
+    done = gf_usd.bake(
+        SPHERE, output=tmp_path / "s.usda", only="mesh", particles=600, material="metal", drop=0,
+        velocity=(speed, 0.0, 0.0), friction=1.0, rolling_resistance=c, frames="rest",
+    )  # fmt: skip
+    (bake,) = done.bakes
+    assert bake.at_rest
+    x = [row["center"][0] for row in bake.per_frame]
+    rolling = 5.0 / 7.0 * speed  # once friction has made it roll
+    way = rolling**2 / (10.0 / 7.0 * c * G0)
+    assert 0.5 * way < x[-1] - x[0] < 1.5 * way

@@ -11,7 +11,7 @@ from production_shot import mesh
 from pxr import Usd
 
 import gf_usd
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.readers import read_asset
 from gf_usd.readers.usd_physics.scene import read_physics
 

@@ -21,7 +21,7 @@ import trimesh
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.pipeline.inspect import inspect
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from gf_usd.readers.isolated import Reading, read_untrusted
 from gf_usd.system import exchange
 from gf_usd.system.sandbox import Isolated, Limits, attempt, parse_limits

@@ -126,6 +126,14 @@ def test_only_known_sections_run() -> None:
     assert "verify" in done.stderr
 
 
+def test_the_section_of_plastic_flow_has_cases_that_there_are() -> None:
+    from gf_usd.verify.registry import select
+    from tools.acceptance.sections import FLOWS, PLASTIC, SECTIONS
+
+    assert {case.name for case in select(FLOWS)} == set(FLOWS)
+    assert [word for word in SECTIONS[PLASTIC].command if word in FLOWS] == list(FLOWS)
+
+
 def test_bakes_with_limbs_are_read_one_by_one() -> None:
     from tools.acceptance.sections import read_limbs
 

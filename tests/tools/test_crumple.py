@@ -51,3 +51,20 @@ def test_the_press_comes_down_and_goes_up_again(tmp_path: Path) -> None:
     under = np.array(y) - 0.5 * crumple.PLATE
     assert under.min() == pytest.approx(crumple.LEFT)
     assert under[[0, -1]] == pytest.approx(crumple.HEIGHT + 0.05)
+
+
+def test_the_star_falls_on_a_ball(tmp_path: Path) -> None:
+    crumple.write_star(tmp_path / "star.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "star.usda"))
+    ball = stage.GetPrimAtPath("/Star/Ball")
+    assert ball.HasAPI(UsdPhysics.CollisionAPI)
+    boxes = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_])
+    under, over = (
+        boxes.ComputeWorldBound(prim).ComputeAlignedRange()
+        for prim in (ball, stage.GetPrimAtPath("/Star/Body"))
+    )
+    assert under.GetMin()[1] == pytest.approx(0.0, abs=1e-6)
+    assert over.GetMin()[1] > under.GetMax()[1]
+    for axis in (0, 2):
+        assert over.GetMin()[axis] < under.GetMin()[axis]
+        assert over.GetMax()[axis] > under.GetMax()[axis]

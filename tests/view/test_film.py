@@ -13,7 +13,7 @@ from PIL import Image
 
 from gf_usd.core.errors import BakeError, GfUsdError, UsageError
 from gf_usd.view import film as movie
-from gf_usd.view.film import columns_for, contact_sheet, write_gif, write_mp4
+from gf_usd.view.film import columns_for, contact_sheet, spread, write_gif, write_mp4
 
 WIDTH, HEIGHT = 96, 64
 
@@ -147,6 +147,23 @@ def test_a_gif_has_the_same_bytes_each_time(tmp_path):
     for name in ("a.gif", "b.gif"):
         write_gif(tmp_path / name, frames(), 24.0, [picture(0), picture(11)])
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+
+
+def test_frames_of_a_sheet_are_spread_evenly_or_by_what_moves() -> None:
+    assert spread(11, 3) == [0, 5, 10]
+    assert spread(3, 6) == [0, 1, 2]
+    assert spread(1, 4) == [0]
+    speeds = np.zeros(101)
+    speeds[:20] = 1.0
+    chosen = spread(101, 6, speeds)
+    assert (chosen[0], chosen[-1]) == (0, 100)
+    assert chosen == sorted(set(chosen))
+    # 19.5 of way by the motion and 100 x 0.1 x 0.198 besides: all but the last are in the motion
+    assert sum(i <= 20 for i in chosen) == 5
+    jump = np.zeros(9)
+    jump[4] = 1.0
+    assert len(set(spread(9, 8, jump))) == 8, "no frame twice"
+    assert spread(5, 3, np.zeros(5)) == [0, 2, 4]
 
 
 def test_a_sheet_has_its_tiles_in_reading_order():

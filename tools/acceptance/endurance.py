@@ -19,7 +19,7 @@ import numpy as np
 
 from gf_usd.core.errors import BakeError
 from gf_usd.physics.frame_loop import energy
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 PARTICLES = 3000

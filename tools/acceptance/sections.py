@@ -24,8 +24,9 @@ from typing import Any
 
 from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, save, write
 
-LIMBS, ASSETS, JITTER = "limbs", "assets", "jitter"
+LIMBS, ASSETS, JITTER, PLASTIC = "limbs", "assets", "jitter", "plastic"
 OF_ASSETS = (LIMBS, ASSETS)  # sections that need a folder of assets
+FLOWS = ("uniaxial", "expansion", "slump", "membrane", "taylor", "rim")  # cases of `verify`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,11 @@ class Section:
     title: str
     command: tuple[str, ...]
     read: Callable[[subprocess.CompletedProcess[str]], Outcome]
+
+
+def of_cases(names: Sequence[str]) -> tuple[str, ...]:
+    """The words of `gf-usd verify` that choose cases."""
+    return tuple(word for name in names for word in ("--case", name))
 
 
 def figure(value: float | None) -> str:
@@ -288,6 +294,11 @@ SECTIONS: dict[str, Section] = {
         command=("gf-usd", "verify", "--full", "--json"),
         read=read_verify,
     ),
+    PLASTIC: Section(  # which the section before has, too: by name only
+        title="Accuracy of plastic flow",
+        command=("gf-usd", "verify", "--full", "--json", *of_cases(FLOWS)),
+        read=read_verify,
+    ),
     "endurance": Section(
         title="Endurance",
         command=("python", "-m", "tools.acceptance.endurance", "--json"),
@@ -365,7 +376,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="verify in its quick form")
     parser.add_argument("--page", action="store_true", help="make the page again and run nothing")
     options = parser.parse_args(words)
-    chosen = [] if options.page else options.only or list(SECTIONS)
+    everything = [name for name in SECTIONS if name != PLASTIC]
+    chosen = [] if options.page else options.only or everything
     if options.rows and (ASSETS in chosen) == (JITTER in chosen):
         parser.error(f"--rows goes with --only {ASSETS} or --only {JITTER}")
     if options.assets is None:

@@ -89,7 +89,8 @@ def measure(folder: Path, particles: int, points: int, frames: int) -> Stages:
     """Bake a ball, stage by stage."""
     from gf_usd.core.frames import BakeInfo
     from gf_usd.layers.cache import CacheWriter
-    from gf_usd.pipeline.run import frame_builder, prepare, splat_deformer
+    from gf_usd.pipeline.prepared import prepare
+    from gf_usd.pipeline.run import frame_builder, splat_deformer
     from gf_usd.prepare.plan import input_hash
 
     stages, file = Stages(), folder / "ball.usdc"

@@ -15,7 +15,7 @@ from gf_usd.core.neighbors import slopes
 from gf_usd.geometry.skinning import MeshSkin
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.total_lagrangian.shape_correction import WIDTH, wls_gradient
-from gf_usd.pipeline.run import prepare
+from gf_usd.pipeline.prepared import prepare
 from tools.paper.drift import drift
 
 WARM = 3  # frames

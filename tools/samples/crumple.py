@@ -25,7 +25,8 @@ TIN = Look(color=(0.56, 0.10, 0.06), roughness=0.3, clearcoat=0.6)
 POINTS, REACH, WAIST, FOIL = 5, 1.0, 0.46, 0.06  # [m] of tips and of corners between, thickness
 FINE = 14  # edges of the mesh from the middle of the star to a corner
 GOLD = Look(color=(0.80, 0.52, 0.10), roughness=0.3, clearcoat=0.6)
-LEAN = (8.0, 20.0, 11.0)  # [deg] how the star falls
+BALL = 0.45  # [m] radius of what the star falls on
+LEAN = (-82.0, 0.0, 6.0)  # [deg] how the star falls
 
 
 def can() -> tuple[Floats, Ints, Ints]:
@@ -91,12 +92,18 @@ def write_can(path: Path) -> None:
 
 
 def write_star(path: Path) -> None:
-    """The star above its floor, leaning."""
+    """The star, all but flat, above a ball that stands on y = 0."""
     stage = _stage(path, "Star", 0)
-    _body(stage, "/Star/Foil", star(), GOLD)
-    xform = UsdGeom.Xformable(stage.GetPrimAtPath("/Star"))
-    xform.AddTranslateOp().Set(Gf.Vec3d(0.0, 1.0, 0.0))
-    xform.AddRotateXYZOp().Set(Gf.Vec3f(*LEAN))
+    body = UsdGeom.Xform.Define(stage, "/Star/Body")
+    body.AddTranslateOp().Set(Gf.Vec3d(0.0, 3.0 * BALL, 0.0))
+    body.AddRotateXYZOp().Set(Gf.Vec3f(*LEAN))
+    _body(stage, "/Star/Body/Foil", star(), GOLD)
+    ball = UsdGeom.Sphere.Define(stage, "/Star/Ball")
+    ball.CreateRadiusAttr(BALL)
+    ball.CreateExtentAttr([Gf.Vec3f(-BALL), Gf.Vec3f(BALL)])
+    ball.AddTranslateOp().Set(Gf.Vec3d(0.08, BALL, 0.05))
+    ball.CreateDisplayColorAttr([Gf.Vec3f(0.30, 0.32, 0.35)])
+    UsdPhysics.CollisionAPI.Apply(ball.GetPrim())
     stage.GetRootLayer().Save()
 
 

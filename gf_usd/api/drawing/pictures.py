@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.api.drawing.options import Options
+from gf_usd.core.arrays import Floats
 from gf_usd.core.scene import Camera, Light, Quantity
 from gf_usd.readers.pictures.scene import PictureStage
-from gf_usd.view.film import FASTEST, columns_for, contact_sheet, write_gif, write_mp4
+from gf_usd.view.film import FASTEST, columns_for, contact_sheet, spread, write_gif, write_mp4
 from gf_usd.view.legend import Legend, label, paint, rounded_up
 from gf_usd.view.render.camera import fit_camera
 from gf_usd.view.render.lights import studio
@@ -57,6 +58,10 @@ class Drawing:
         pixels = render(replace(scene, lights=self._lights), camera, self._size)
         return self._legend.over(pixels) if self._legend and legend else pixels
 
+    def speeds(self, codes: Sequence[float]) -> Floats | None:
+        """See `PictureStage.speeds`."""
+        return self._source.speeds(codes)
+
     @property
     def _aspect(self) -> float:
         return self._size[0] / self._size[1]
@@ -91,9 +96,12 @@ def _quantity(source: PictureStage, limits: tuple[float, float] | None) -> Quant
 
 
 def write_sheet(draw: Drawing, codes: Sequence[float], options: Options) -> Pixels:
-    """A page of `options.sheet` frames evenly spread over the time codes, each labeled."""
-    spread = np.linspace(0, len(codes) - 1, min(options.sheet or 1, len(codes)))
-    chosen = [codes[i] for i in np.round(spread).astype(int)]
+    """A page of `options.sheet` frames of the time codes, each labeled.
+
+    They are spread evenly where the codes were asked for, else by how much moves between them.
+    """
+    speeds = draw.speeds(codes) if options.span is None else None
+    chosen = [codes[i] for i in spread(len(codes), options.sheet or 1, speeds)]
     tiles = [
         label(draw(code, legend=i == 0), f"time code {code:g}") for i, code in enumerate(chosen)
     ]
@@ -124,8 +132,7 @@ def write_film(
     gif = options.target.suffix.lower() == ".gif"
     early: dict[int, Pixels] = {}
     if gif:
-        spread = np.linspace(0, len(codes) - 1, min(PALETTE_FRAMES, len(codes)))
-        early = {int(i): draw(codes[int(i)]) for i in np.round(spread)}
+        early = {i: draw(codes[i]) for i in spread(len(codes), PALETTE_FRAMES)}
 
     def frames() -> Iterator[Pixels]:
         for i, code in enumerate(codes):

@@ -80,7 +80,8 @@ def preview(
     show : mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation), points
         or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points there is.
     size : (width, height) [pixels]; of one tile for a sheet.
-    sheet : number of frames of a contact sheet, evenly spread; columns : of the sheet.
+    sheet : number of frames of a contact sheet, spread by how much moves between them, or evenly
+        over `frames`; columns : of the sheet.
     fps : frames per second of the film; None: real time.
     camera : path of a camera in the stage; None: one that is fitted to the whole motion.
     variant : of a bake: one of its materials, or "none" for the asset itself; None: the one that

@@ -32,8 +32,14 @@ class SkelBound:
     """
 
     def __init__(
-        self, cache: Usd.Stage, root: Usd.Prim, tracks: Sequence[Boxed], clock: Clock
+        self,
+        cache: Usd.Stage,
+        root: Usd.Prim,
+        tracks: Sequence[Boxed],
+        clock: Clock,
+        margin: float = 0.0,
     ) -> None:
+        self._margin = margin
         self._root = root
         self._tracks = [t for t in tracks if t.path.HasPrefix(root.GetPath())]
         self._clock = clock
@@ -51,7 +57,9 @@ class SkelBound:
         boxes = []
         for track in self._tracks:
             forward = track.to_world(time_code) @ to_root
-            boxes.append(_corners(track.low, track.high) @ forward[:3, :3] + forward[3, :3])
+            box = _corners(track.low, track.high) @ forward[:3, :3] + forward[3, :3]
+            wider = self._margin * np.linalg.norm(to_root[:3, :3], 2)
+            boxes += [box - wider, box + wider] if wider else [box]
         if self._others:
             # what is not baked is still posed by the skeleton: the source's own answer holds for it
             extent = UsdGeom.Boundable.ComputeExtentFromPlugins(
@@ -65,11 +73,18 @@ class SkelBound:
 
 
 def skel_bounds(
-    cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed], clock: Clock
+    cache: Usd.Stage,
+    source: Usd.Stage,
+    tracks: Sequence[Boxed],
+    clock: Clock,
+    margin: float = 0.0,
 ) -> list[SkelBound]:
-    """One for each SkelRoot above what is baked."""
+    """One for each SkelRoot above what is baked.
+
+    margin : [stage units] that what is below may be outside of its own box.
+    """
     roots = [p for p in _above(source, tracks) if p.IsA(UsdSkel.Root)]
-    return [SkelBound(cache, root, tracks, clock) for root in roots]
+    return [SkelBound(cache, root, tracks, clock, margin) for root in roots]
 
 
 def block_hints(cache: Usd.Stage, source: Usd.Stage, tracks: Sequence[Boxed]) -> None:

@@ -25,7 +25,9 @@ from gf_usd.core.materials import law_internals
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import box, f32, xyzw
+from gf_usd.layers.tracks.accuracy import HALF_SHAPE, shape_errors
 from gf_usd.layers.tracks.meshes import check
+from gf_usd.layers.tracks.sparse import Saved
 
 Types = Sdf.ValueTypeNames
 
@@ -47,6 +49,9 @@ class SplatTrack:
     settings : of the bake: whether deformation gradients and stress are written.
     units : of the stage.
     half : half precision where it is safe.
+    shape : (N,) [stage units] that the shape of each may be off by (see `accuracy`): orientations
+        and scales have half precision where that is within it.  None: as `half` says.
+    velocities : whether they are written.
     laws : of the materials; their internal variables are written where the settings ask for them.
     """
 
@@ -59,6 +64,9 @@ class SplatTrack:
         units: StageUnits,
         half: bool = False,
         laws: Sequence[str] = (),
+        *,
+        shape: Floats | None = None,
+        velocities: bool = True,
     ) -> None:
         self._path, self._count, self._units = path, len(p), units
         splats = UsdVol.ParticleField3DGaussianSplat.Define(cache, path)
@@ -68,9 +76,16 @@ class SplatTrack:
         rest = np.asarray(p.scale, np.float64) / units.length
         fits = halves_do(rest)
         self._range = "" if fits or not half else f"{rest.min():.3g} to {rest.max():.3g}"
-        self._orientations = Track(prim, "orientations", QUATERNIONS, half)
-        self._scales = Track(prim, "scales", VECTORS, half and fits, relative=True)
-        self._velocities = self._varying("gaussianFlesh:velocities", Types.Vector3fArray)
+        self._shape, self.shape_error = shape, 0.0
+        bound = HALF_SHAPE * GROWTH * rest.max(axis=1)
+        self.rounded = shape is not None and fits and bool((bound <= shape).all())
+        self._too_coarse = 0.0 if shape is None or self.rounded else float(bound.max())
+        low = half or self.rounded
+        self._orientations = Track(prim, "orientations", QUATERNIONS, low)
+        self._scales = Track(prim, "scales", VECTORS, low and fits, relative=True)
+        self._velocities = None
+        if velocities:
+            self._velocities = self._varying("gaussianFlesh:velocities", Types.Vector3fArray)
         self._extent = splats.CreateExtentAttr()
         opacities = Track(prim, "opacities", NUMBERS, half)
         opacities.write(p.opacity, Usd.TimeCode.Default())
@@ -107,9 +122,14 @@ class SplatTrack:
             check(getattr(pose, name), (self._count, width), self._named(name), time_code)
         scales = np.asarray(pose.scales, np.float64) / self._units.length
         self._positions.Set(Vt.Vec3fArray.FromNumpy(f32(positions)), time_code)
-        self._orientations.write(xyzw(pose.orientations), time_code)
-        scales = self._scales.write(scales, time_code).astype(np.float64)
-        self._velocities.Set(velocities, time_code)
+        true = xyzw(pose.orientations), scales
+        turns = self._orientations.write(true[0], time_code)
+        rounded = self._scales.write(scales, time_code)
+        scales = rounded.astype(np.float64)
+        if self.rounded:
+            self._require_shape(shape_errors((turns, rounded), true), time_code)
+        if self._velocities is not None:
+            self._velocities.Set(velocities, time_code)
         if pose.F is not None:
             check(pose.F, (self._count, 3, 3), self._named("deformation gradients"), time_code)
             gradients = np.ascontiguousarray(pose.F, dtype=np.float64)
@@ -127,19 +147,45 @@ class SplatTrack:
         self.high = corners(positions + reach)[1]
         self._extent.Set(box(self.low, self.high), time_code)
 
-    @property
-    def errors(self) -> list[float]:
-        """Largest error so far of each array in half precision."""
-        return [track.error for track in self._halves]
+    def _require_shape(self, errors: Floats, time_code: float) -> None:
+        """Note the errors of shapes; raises BakeError where one is larger than was asked for."""
+        assert self._shape is not None
+        self.shape_error = max(self.shape_error, float(errors.max(initial=0.0)))
+        worst = int((errors / self._shape).argmax())
+        if errors[worst] > self._shape[worst]:
+            raise BakeError(
+                f"<{self._path}> at time code {time_code:g}: in half precision Gaussian {worst} is"
+                f" off by {errors[worst]:.3g} stage units, and {self._shape[worst]:.3g} are allowed"
+                f": it grew more than {GROWTH:g} times.",
+                "ask for a --precision so fine that single precision is kept, or leave it out",
+            )
 
-    @errors.setter
-    def errors(self, known: Sequence[float]) -> None:
-        for track, error in zip(self._halves, known):
+    def state(self) -> dict[str, Any]:
+        """What another track of the same bake goes on from."""
+        halves = [[one.error, vars(one.singles), vars(one.stored)] for one in self._halves]
+        return {"halves": halves, "shape": self.shape_error}
+
+    def go_on(self, state: dict[str, Any]) -> None:
+        """Take over the state of the track that wrote what is there."""
+        for track, (error, singles, stored) in zip(self._halves, state["halves"]):
             track.error = error
+            track.singles, track.stored = Saved(**singles), Saved(**stored)
+        self.shape_error = state["shape"]
+
+    @property
+    def saved(self) -> int:
+        """[bytes] that half precision saves."""
+        return sum(track.singles.bytes - track.stored.bytes for track in self._halves)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What half precision costs, in words."""
+        if self._too_coarse:
+            return (
+                f"<{self._path}>: its orientations and scales stay in single precision: in half"
+                f" precision shapes may be off by {self._too_coarse:.2g} stage units, more than"
+                " --precision leaves them",
+            )
         if not self._halves:
             return ()
         off = ", ".join(track.said for track in self._halves)
@@ -163,6 +209,7 @@ def _variances(wxyz: Floats, scales: Floats) -> np.ndarray:
 
 LOWEST, HIGHEST = 6.2e-5, 65504.0
 SCALE_RANGE = 8.0  # how much scales may change in a bake and stay in the range of precise halves
+GROWTH = 4.0  # how much the largest may grow; bakes of rubber stretch it by 1.8
 
 
 @dataclass(frozen=True)
@@ -198,6 +245,7 @@ class Track:
         self, prim: Usd.Prim, name: str, form: Form, half: bool, *, relative: bool = False
     ) -> None:
         self.name, self.half, self.error = name, half, 0.0
+        self.singles, self.stored = Saved(), Saved()  # of what is half: as it came, as it is stored
         self._relative = relative
         kind, self._make = form.half if half else form.single
         self._attribute = prim.CreateAttribute(f"{name}h" if half else name, kind, False)
@@ -215,8 +263,10 @@ class Track:
                     f"{self.name} up to {largest:.4g} do not fit into half precision.",
                     "leave --half out",
                 )
+            self.singles.count(rounded, rounded.nbytes)
             rounded = rounded.astype(np.float16)
             self._measure(np.asarray(values, np.float64), rounded)
+            self.stored.count(rounded, rounded.nbytes)
         self._attribute.Set(self._make(rounded), time)
         return rounded
 

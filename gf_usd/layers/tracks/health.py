@@ -48,6 +48,8 @@ FRAME: dict[str, tuple[Any, str, str]] = {
     "sleepingBodies": (Types.Int, "sleeping", ""),
 }
 FLOW = {"plasticDissipation": (Types.Double, "plastic_dissipation", "energy")}  # where a law flows
+# where rolling resistance and settling act
+SETTLING = {"settlingDissipation": (Types.Double, "settling_dissipation", "energy")}
 
 # attribute -> (type, key of `HealthLog.summary`, unit)
 TOTAL: dict[str, tuple[Any, str, str]] = {
@@ -62,6 +64,7 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
     "pinWork": (Types.Double, "work_of_pins_J", "energy"),
     "injectedEnergy": (Types.Double, "injected_J", "energy"),
     "plasticDissipation": (Types.Double, "plastic_dissipation_J", "energy"),
+    "settlingDissipation": (Types.Double, "settling_dissipation_J", "energy"),
     "momentumDrift": (Types.Float, "momentum_drift", ""),
     "angularMomentumDrift": (Types.Float, "angular_momentum_drift", ""),
     "minVolumeRatio": (Types.Float, "min_J", ""),
@@ -103,19 +106,26 @@ class HealthTrack:
     A field that no frame departs from zero with (clamps, pins) is written all the same: zero says
     that it was watched.
 
-    flows : a law among the materials flows.
+    flows : a law among the materials flows; settles : rolling resistance or settling acts.
     """
 
     def __init__(
-        self, cache: Usd.Stage, path: Sdf.Path, units: StageUnits, *, flows: bool = False
+        self,
+        cache: Usd.Stage,
+        path: Sdf.Path,
+        units: StageUnits,
+        *,
+        flows: bool = False,
+        settles: bool = False,
     ) -> None:
         self._cache, self._layer = cache, None
         prim = cache.OverridePrim(path)
         prim.ApplyAPI(usd_schema.HEALTH_API)
         si = sizes(units)
+        watched = FRAME | (FLOW if flows else {}) | (SETTLING if settles else {})
         self._rows = [
             (prim.CreateAttribute(PREFIX + name, kind, False), field, si[unit])
-            for name, (kind, field, unit) in (FRAME | FLOW if flows else FRAME).items()
+            for name, (kind, field, unit) in watched.items()
         ]
         self._paths = [attribute.GetPath() for attribute, _, _ in self._rows]
 

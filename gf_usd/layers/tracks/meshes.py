@@ -28,6 +28,7 @@ from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import MeshPose
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, f32
+from gf_usd.layers.tracks.sparse import Saved
 
 Types = Sdf.ValueTypeNames
 KEPT = ("Mesh", "TetMesh", "Points")  # types that have points of their own
@@ -45,6 +46,7 @@ class MeshTrack:
     prim : the surface's prim in the source.
     surface : what the reader made of it.
     clock, meters_per_unit : of the bake.
+    velocities : whether they are written; else those of the source are blocked.
     """
 
     def __init__(
@@ -54,6 +56,8 @@ class MeshTrack:
         surface: Surface,
         clock: Clock,
         meters_per_unit: float,
+        *,
+        velocities: bool = True,
     ) -> None:
         self.path = Sdf.Path(surface.path)
         self.notes: list[str] = []
@@ -65,7 +69,11 @@ class MeshTrack:
         over = cache.OverridePrim(self.path)
         self._points = over.CreateAttribute("points", Types.Point3fArray, False)
         self._extent = over.CreateAttribute("extent", Types.Float3Array, False)
-        self._velocities = over.CreateAttribute("velocities", Types.Vector3fArray, False)
+        self._velocities, self.saved = None, Saved()
+        if velocities:
+            self._velocities = over.CreateAttribute("velocities", Types.Vector3fArray, False)
+        elif prim.GetAttribute("velocities").HasAuthoredValue():
+            over.CreateAttribute("velocities", Types.Vector3fArray, False).Block()
         self._normals = None
         self._shading = None
         if surface.type_name in KEPT:
@@ -93,7 +101,7 @@ class MeshTrack:
         check(pose.velocities, expected, f"velocities of <{self.path}>", time_code)
         x, v = pose.points[self._own], pose.velocities[self._own]
         points = f32(self.space.points(x, time_code))
-        velocities = self.space.velocities(x, v, time_code)
+        velocities = f32(self.space.velocities(x, v, time_code))
         self.low, self.high = corners(points)
         if self._widths is not None:  # in single precision, as USD computes it of points and widths
             half = self._widths * np.float32(0.5)
@@ -101,7 +109,10 @@ class MeshTrack:
         extent = f32(np.stack([self.low, self.high]))
         self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
         self._extent.Set(Vt.Vec3fArray.FromNumpy(extent), time_code)
-        self._velocities.Set(Vt.Vec3fArray.FromNumpy(f32(velocities)), time_code)
+        if self._velocities is not None:
+            self._velocities.Set(Vt.Vec3fArray.FromNumpy(velocities), time_code)
+        else:
+            self.saved.count(velocities, velocities.nbytes)
         normals = self._local_normals(pose, points, time_code)
         if self._normals is not None and normals is not None:
             self._normals.Set(Vt.Vec3fArray.FromNumpy(f32(normals)), time_code)

@@ -9,6 +9,7 @@ their transform, which is in double precision.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
@@ -31,6 +32,7 @@ from gf_usd.layers.stage import Clock, Home, f32, quaternions
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
+from gf_usd.layers.tracks.sparse import Saved
 from gf_usd.layers.tracks.tets import TetTrack
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
@@ -49,6 +51,7 @@ class ParticleTrack:
     cache : stage whose root layer is the cache.
     root : the home's root prim in the source.
     home, asset, particles, info, clock, choices, tets : of the bake.
+    shape : (N,) [stage units] that rounding may move the shape of each; None: none is rounded.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class ParticleTrack:
         clock: Clock,
         choices: Choices,
         tets: Sequence[TetLattice] = (),
+        shape: Floats | None = None,
     ) -> None:
         self._count = len(particles)
         self._unit = asset.facts.units.length
@@ -70,15 +74,20 @@ class ParticleTrack:
         self._origin = own_origin(particles) / self._unit
         UsdGeom.Scope.Define(cache, home.scope)
         self._splats = self._twin = None
+        both = {"gaussians", "points"} & set(choices.shapes)
+        self._rates, self._saved = choices.velocities or not both, Saved()
         if "gaussians" in choices.shapes:
             where = home.scope.AppendChild("Gaussians")
             self._splats = SplatTrack(
                 cache, where, particles, info.settings, asset.facts.units, choices.half,
                 [material.law for material in info.materials],
+                shape=shape, velocities=choices.velocities,
             )  # fmt: skip
         if "points" in choices.shapes:
             where = home.scope.AppendChild("Points")
-            self._twin = PointsTrack(cache, where, particles, self._unit)
+            self._twin = PointsTrack(
+                cache, where, particles, self._unit, velocities=choices.velocities
+            )
         prims = [track.prim for track in (self._splats, self._twin) if track]
         materials = write_materials(
             cache,
@@ -91,7 +100,7 @@ class ParticleTrack:
             one.key: TetTrack(
                 cache, home.scope.AppendChild(f"Tets{one.body}" if one.body else "Tets"), one,
                 particles, info, asset.facts.units, self._origin, materials,
-                still=not choices.clip_frames,
+                still=not choices.clip_frames, velocities=choices.velocities,
             )
             for one in tets
         }  # fmt: skip
@@ -124,6 +133,9 @@ class ParticleTrack:
             check(getattr(pose, name), (self._count, 3), what, time_code)
         positions = np.asarray(pose.positions, np.float64) / self._unit - self._origin
         velocities = Vt.Vec3fArray.FromNumpy(f32(np.asarray(pose.velocities) / self._unit))
+        if not self._rates:
+            single = np.asarray(velocities)
+            self._saved.count(single, single.nbytes)
         if self._splats:
             self._splats.write(pose, positions, velocities, time_code)
         if self._twin:
@@ -139,15 +151,42 @@ class ParticleTrack:
             for transform in self._transforms:
                 transform.Set(matrix, time_code)
 
-    @property
-    def errors(self) -> list[float]:
-        """See `SplatTrack.errors`."""
-        return self._splats.errors if self._splats else []
+    def state(self) -> dict[str, Any]:
+        """What another track of the same bake goes on from."""
+        tets = {key: vars(track.saved) for key, track in self._tets.items()}
+        splats = self._splats.state() if self._splats else {}
+        return {"splats": splats, "tets": tets, "saved": vars(self._saved)}
 
-    @errors.setter
-    def errors(self, known: Sequence[float]) -> None:
+    def go_on(self, state: Mapping[str, Any]) -> None:
+        """Take over the state of the track that wrote what is there."""
         if self._splats:
-            self._splats.errors = known
+            self._splats.go_on(state["splats"])
+        self._saved = Saved(**state["saved"])
+        for key, saved in state["tets"].items():
+            self._tets[key].saved = Saved(**saved)
+
+    @property
+    def saved(self) -> tuple[int, int]:
+        """[bytes] that half precision saves, and that no velocities do."""
+        without = self._saved.bytes + sum(track.saved.bytes for track in self._tets.values())
+        return self._splats.saved if self._splats else 0, without
+
+    @property
+    def shape_error(self) -> float:
+        """[stage units] the largest error of a shape by rounding."""
+        return self._splats.shape_error if self._splats else 0.0
+
+    @property
+    def rounded(self) -> bool:
+        """Whether shapes are in half precision because that is within what was asked for."""
+        return self._splats is not None and self._splats.rounded
+
+    @property
+    def groups(self) -> list[tuple[list[Sdf.Path], int | None]]:
+        """Prims that move as one: those of the particles, and each TetMesh with its body."""
+        ours = [track.prim.GetPath() for track in (self._splats, self._twin) if track]
+        tets = [([track.path], track.body) for track in self._tets.values()]
+        return [*([(ours, None)] if ours else []), *tets]
 
     @property
     def notes(self) -> tuple[str, ...]:

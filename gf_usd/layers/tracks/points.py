@@ -18,16 +18,23 @@ class PointsTrack:
     cache, path : stage and prim path of the Points.
     p : the particles.
     meters_per_unit : [m] per stage length.
+    velocities : whether they are written.
     """
 
     def __init__(
-        self, cache: Usd.Stage, path: Sdf.Path, p: Particles, meters_per_unit: float
+        self,
+        cache: Usd.Stage,
+        path: Sdf.Path,
+        p: Particles,
+        meters_per_unit: float,
+        *,
+        velocities: bool = True,
     ) -> None:
         points = UsdGeom.Points.Define(cache, path)
         self.prim = points.GetPrim()
         self.low = self.high = np.zeros(3)
         self._points = points.CreatePointsAttr()
-        self._velocities = points.CreateVelocitiesAttr()
+        self._velocities = points.CreateVelocitiesAttr() if velocities else None
         self._extent = points.CreateExtentAttr()
         widths = np.cbrt(6.0 * np.asarray(p.V0, np.float64) / np.pi) / meters_per_unit
         self._widths = f32(widths)
@@ -42,7 +49,8 @@ class PointsTrack:
         # in single precision, so that it is bit for bit what USD computes from points and widths
         single = f32(positions)
         self._points.Set(Vt.Vec3fArray.FromNumpy(single), time_code)
-        self._velocities.Set(velocities, time_code)
+        if self._velocities is not None:
+            self._velocities.Set(velocities, time_code)
         half = self._widths[:, None] * np.float32(0.5)
         self.low, self.high = corners(single - half)[0], corners(single + half)[1]
         self._extent.Set(box(self.low, self.high), time_code)

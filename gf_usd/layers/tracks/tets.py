@@ -20,6 +20,7 @@ from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import bind
 from gf_usd.layers.stage import box, f32
 from gf_usd.layers.tracks.meshes import check
+from gf_usd.layers.tracks.sparse import Saved
 
 Types = Sdf.ValueTypeNames
 BODY_APIS = ("PhysicsDeformableBodyAPI", "OmniPhysicsDeformableBodyAPI")
@@ -38,6 +39,7 @@ class TetTrack:
     units : of the stage.
     origin : (3,) [stage units] what positions are counted from.
     materials : Material prims in the order of the bake's materials.
+    velocities : whether they are written.
     still : give the points a default value, which is where readers without a time look; not with
         value clips, which it would hide.
     """
@@ -54,9 +56,10 @@ class TetTrack:
         materials: Sequence[Sdf.Path],
         *,
         still: bool,
+        velocities: bool = True,
     ) -> None:
         mesh = UsdGeom.TetMesh.Define(cache, path)
-        self.path, self.prim = path, mesh.GetPrim()
+        self.path, self.prim, self.body = path, mesh.GetPrim(), tets.body
         self.low = self.high = np.zeros(3)
         self._count, self._unit, self._origin = len(tets.X), units.length, origin
         mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
@@ -87,7 +90,8 @@ class TetTrack:
             lift = np.asarray(info.settings.lift, float)
             at = Vt.Vec3fArray.FromNumpy(f32(self._local(tets.X + lift)))
             self._points.Set(at)
-        self._velocities = mesh.CreateVelocitiesAttr()
+        self._velocities = mesh.CreateVelocitiesAttr() if velocities else None
+        self.saved = Saved()
         self._extent = mesh.CreateExtentAttr()
 
     def write(self, pose: MeshPose, time_code: float) -> None:
@@ -98,7 +102,10 @@ class TetTrack:
         velocities = f32(np.asarray(pose.velocities) / self._unit)
         self.low, self.high = corners(points)
         self._points.Set(Vt.Vec3fArray.FromNumpy(points), time_code)
-        self._velocities.Set(Vt.Vec3fArray.FromNumpy(velocities), time_code)
+        if self._velocities is not None:
+            self._velocities.Set(Vt.Vec3fArray.FromNumpy(velocities), time_code)
+        else:
+            self.saved.count(velocities, velocities.nbytes)
         self._extent.Set(box(self.low, self.high), time_code)
 
     def _local(self, x: Floats) -> np.ndarray:

@@ -127,6 +127,11 @@ class ParticleLaws:
     rest: Floats  # (set.internals, N) internal variables at rest
 
     @property
+    def unbounded(self) -> Ints:
+        """(N,) whether each particle's law flows without end."""
+        return np.array([law.spec.unbounded for law in self.set.laws])[self.of]
+
+    @property
     def constants(self) -> Floats:
         """(N, set.constants) as the kernels have them."""
         number = [self.of] if self.set.several else []

@@ -92,6 +92,7 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
         max_stretch=float(stretch.max()),
         inverted=int((J <= 0.0).sum()),
         plastic_dissipation=0.0 if body.law.set.flows else None,
+        settling_dissipation=0.0 if body.settings.settles else None,
     )
 
 

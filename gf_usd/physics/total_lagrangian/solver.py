@@ -20,7 +20,6 @@ from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials import G0, Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
-from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.embedding import pose
@@ -29,7 +28,8 @@ from gf_usd.physics.total_lagrangian.energies import measure, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.limits import touched
 from gf_usd.physics.total_lagrangian.rest_and_flight import Shortcuts, strained_substeps
-from gf_usd.physics.total_lagrangian.setup import build_body
+from gf_usd.physics.total_lagrangian.settling import Settling
+from gf_usd.physics.total_lagrangian.setup import Body, build_body
 from gf_usd.physics.total_lagrangian.shape_correction import ShapeCorrection
 from gf_usd.physics.total_lagrangian.state import State
 
@@ -57,6 +57,7 @@ class TotalLagrangian(Solver):
     Raises InputError for pins that hold nothing, or everything.
     """
 
+    body: Body
     state: State
 
     def __init__(
@@ -96,7 +97,10 @@ class TotalLagrangian(Solver):
         self.pairs = BodyContact(body) if body.contact_setup else None
         self.correction = ShapeCorrection(body)
         self.shortcuts = Shortcuts(body, self.state)
-        self.state.parts += [*([self.pairs] if self.pairs else []), self.shortcuts]
+        self.settling = Settling(body)
+        self.state.parts += [
+            *([self.pairs] if self.pairs else []), self.shortcuts, self.settling
+        ]  # fmt: skip
         self.launches = Launches(body, self.state)
         self.fields = Fields(settings)
         self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
@@ -104,18 +108,6 @@ class TotalLagrangian(Solver):
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
         return self.state.view().not_finite()
-
-    @property
-    def damping_ratio(self) -> float:
-        """See `Solver`."""
-        return 0.5 * self.body.step.viscous_time * self.body.step.elastic
-
-    def pressed(self, depth: float) -> int:
-        """See `Solver`."""
-        if self.settings.substeps:
-            return 1
-        step = pressed_step(self.body.contact, self.body.step, depth)
-        return int(np.ceil(self.frame_time / step.dt))
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
@@ -150,7 +142,8 @@ class TotalLagrangian(Solver):
         self.active.move_springs(state, 0.5 * last)
         state.time += substeps * whole
         state.recenter()
-        stats = replace(self._stats(index, active), substeps=taken)
+        settled = self.settling.frame(state)
+        stats = replace(self._stats(index, active), substeps=taken, settling_dissipation=settled)
         self.shortcuts.note(state, stats)
         return stats
 
@@ -197,6 +190,7 @@ class TotalLagrangian(Solver):
         """Replace the body force of the frames to come: (free, 3) [m/s^2] besides gravity."""
         self.state.accelerate(np.asarray(acceleration, float))
         self.shortcuts.wake(self.state)
+        self.settling.wake()
 
     def throw(self, velocities: Floats) -> None:
         """Replace the velocities (free, 3) [m/s] of the nodes that nothing holds."""
@@ -204,6 +198,7 @@ class TotalLagrangian(Solver):
         v[: len(velocities)] = velocities
         self.state.put("v", v)
         self.shortcuts.wake(self.state)
+        self.settling.wake()
 
     def read(self, index: int) -> Frame:
         """See `Solver`."""
@@ -213,9 +208,7 @@ class TotalLagrangian(Solver):
         now.strains(index, particles.F)
         stretch, J = now.elastic_strains(index)
         depth = float(state.get("sample_depth").max())
-        strained = strained_substeps(body, stretch, J, now, depth)
-        pressed = self.pressed(depth)
-        self.strained = max(strained, pressed) if pressed > self.coarse else strained
+        self.strained = self.asked(strained_substeps(body, stretch, J, now, depth), depth)
         return Frame(
             index=index,
             time=time,

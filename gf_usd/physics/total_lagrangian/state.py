@@ -15,6 +15,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
+from gf_usd.physics.bodies import node_sums
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
@@ -182,7 +183,7 @@ class State(DeviceState):
         u, v = self.rows("u"), self.rows("v")
         nodes, m = self._body.stencil.node_body, self._body.stencil.mass
         mine = nodes[: len(m)]
-        mean = np.stack([np.bincount(mine, m * v[: len(m), a], len(flying)) for a in range(3)], 1)
+        mean = node_sums(m[:, None] * v[: len(m)], mine, len(flying))
         mean /= np.bincount(mine, m, len(flying))[:, None]
         way = np.where(flying[:, None], mean * time + 0.5 * g * time**2, 0.0)
         # What moves all bodies moves the frame of u, which then keeps its digits.

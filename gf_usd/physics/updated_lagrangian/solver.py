@@ -71,18 +71,6 @@ class UpdatedLagrangian(Solver):
         """See `Solver`."""
         return self.state.not_finite()
 
-    @property
-    def damping_ratio(self) -> float:
-        """See `Solver`."""
-        return 0.5 * self.body.step.viscous_time * self.body.step.elastic
-
-    def pressed(self, depth: float) -> int:
-        """See `Solver`."""
-        if self.settings.substeps:
-            return 1
-        step = pressed_step(self.body.contact, self.body.step, depth)
-        return int(np.ceil(self.frame_time / step.dt))
-
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
         state = self.state
@@ -145,9 +133,12 @@ class UpdatedLagrangian(Solver):
         x, v, F, L = state.motion()
         cells = x / body.h - body.phase
         x = x + state.offset
+        flows = body.law.set.flows
+        if (grains := body.law.unbounded).any():
+            # Grains keep their shape: what a neighborhood was strained by says nothing of them.
+            F = np.where(grains[:, None, None], state.elastic, F)
         pose = Pose(x=x, v=v, F=F)
         stretch, J = strains(pose.F)
-        flows = body.law.set.flows
         elastic_strains = strains(state.elastic) if flows else (stretch, J)
         self.strained = self._strained(*elastic_strains, cells)
         C = state.rows("C", 9).reshape(-1, 3, 3)
@@ -180,8 +171,7 @@ class UpdatedLagrangian(Solver):
         depth = float(self.state.get("sample_depth").max())
         step = pressed_step(body.contact, body.step, depth)
         dt = strained_step(step, speed, body.h, per_cell(self.particles, body.h))
-        strained, pressed = int(np.ceil(self.frame_time / dt)), self.pressed(depth)
-        return max(strained, pressed) if pressed > self.coarse else strained
+        return self.asked(int(np.ceil(self.frame_time / dt)), depth)
 
     def von_mises(self) -> Floats:
         """sqrt(3/2 s:s) [Pa] of each particle, s the deviator of sigma = P F^T / J; (N,)."""

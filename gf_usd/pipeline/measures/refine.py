@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.pipeline.budget import duration
+from gf_usd.pipeline.cost.budget import duration
 from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.pipeline.measures.convergence import HIGHEST, LOWEST
 from gf_usd.pipeline.measures.figures import FIGURES

@@ -44,6 +44,13 @@ class Request(RequestOptions):
         return {name: PLANNED[name].value(text) for name, text in texts.items()}
 
     @property
+    def length_is_open(self) -> bool:
+        """Whether no option says how long is simulated, nor that it may not end at rest."""
+        said = (self.frames, self.range, self.handles, self.flesh, self.preset, self.settle_only)
+        acts = self.solver != "ul" and not (self.wls or self.procrustes or self.rigid)
+        return acts and not any(said) and not self.no_settling
+
+    @property
     def until_rest(self) -> bool:
         """Whether the bake ends when everything is at rest."""
         return self.parsed["frames"] is not None and self.parsed["frames"].rest
@@ -106,6 +113,7 @@ class Request(RequestOptions):
                 " --wls or --procrustes",
                 "leave them out: what they do once a frame would be done at every sample",
             )
+        self._check_precision()
         self._check_settling()
         self._check_certify()
         self._check_sweep()
@@ -122,6 +130,19 @@ class Request(RequestOptions):
             )
         _ = self.parsed  # raises for a text that says nothing
 
+    def _check_precision(self) -> None:
+        """Raise UsageError for two precisions at once, and for samples left out without one."""
+        if self.half and self.precision is not None:
+            raise UsageError(
+                f"--half and --precision {self.precision} were both given",
+                "give one: --precision uses half precision where it is precise enough",
+            )
+        if self.adaptive_samples and self.precision is None:
+            raise UsageError(
+                "--adaptive-samples leaves out what is within --precision, and none was given",
+                "add an error, such as --precision 0.5%",
+            )
+
     def _check_settling(self) -> None:
         """Raise UsageError for options that ask for frames of a bake that writes one pose."""
         for option, given in (
@@ -129,6 +150,7 @@ class Request(RequestOptions):
             ("--handles", self.handles),
             ("--samples-per-frame", (self.samples_per_frame or 1) > 1),
             ("--clip-frames", self.clip_frames),
+            ("--adaptive-samples", self.adaptive_samples),
             ("--flesh", self.flesh),
         ):
             if self.settle_only and given:
@@ -235,6 +257,7 @@ class Request(RequestOptions):
             ("--self-contact", self.self_contact),
             ("--wls", self.wls),
             ("--procrustes", self.procrustes),
+            ("--rolling-resistance", self.rolling_resistance),
         ):
             if given:
                 raise UsageError(

@@ -101,7 +101,8 @@ class RequestOptions:
     frames: Annotated[int | str | None, Option(
         TIME, "Simulate this many frames, at --fps; rest: until everything is at rest, and rest:480"
         " 480 frames at most.",
-        shown="13.6 T of the body; with rest 54.4 T at most", noun="number of frames",
+        shown="rest, 108.8 T of the body at most; 13.6 T with pins, fields or without a floor",
+        noun="number of frames",
         parse=texts.parse_frames, commands=INSPECT, write=values.frames,
     )] = None
     fps: Annotated[float | None, Option(
@@ -160,6 +161,14 @@ class RequestOptions:
         SCENE, "Slow all motion down by this drag [1/s], as air does.",
         shown="0", low=0.0, high=1e6,
     )] = None
+    rolling_resistance: Annotated[float | None, Option(
+        SCENE, "Coefficient of rolling resistance on the floor: its moment over that of the weight"
+        " at an arm of one radius.",
+        shown="0.05; 0 with --preset paper", low=0.0, high=1.0,
+    )] = None
+    no_settling: Annotated[bool, Option(
+        SCENE, "Leave out the damping by which motion too small to be seen comes to an end.",
+    )] = False
     device: Annotated[Literal["cpu", "cuda"], Option(
         METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),
     )] = "cpu"
@@ -313,6 +322,18 @@ class RequestOptions:
     half: Annotated[bool, Option(
         WRITE, "Store Gaussians in half precision where it is safe.",
     )] = False
+    precision: Annotated[float | str | None, Option(
+        WRITE, "Store what moves to this precision, as a share of the radius of each body or a"
+        " length: 0.5%, 0.2mm. Gaussians have half precision where that is within it.",
+        shown="single precision", parse=texts.parse_precision, write=values.precision,
+    )] = None
+    adaptive_samples: Annotated[bool, Option(
+        WRITE, "Leave out time samples of each prim that linear interpolation gives back within"
+        " --precision.",
+    )] = False
+    no_velocities: Annotated[bool, Option(
+        WRITE, "Leave out velocities: motion blur then has the time samples alone.",
+    )] = False
     samples_per_frame: Annotated[int | None, Option(
         WRITE, "Write this many simulated states per frame, for motion blur.", shown="1", low=1,
     )] = None
@@ -383,6 +404,7 @@ FITTED = (
     "frames", "fps", "start", "time_scale", "drop", "gravity", "fields", "floor", "velocity",
     "spin", "colliders", "drag", "device", "pins", "rigid", "combine", "self_contact",
     "damping_time", "friction", "restitution", "filter_rate", "solver", "no_shortcuts", "limits",
+    "rolling_resistance", "no_settling",
 )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.units import STRONGEST, number, positive
+from gf_usd.core.units import STRONGEST, Precision, number, positive
 from gf_usd.prepare.options.fields import GravityKeys, is_key_file, read_gravity_keys
 
 LONGEST = 1e9  # of a fall, in stage units or radii: a faster one has no step
@@ -259,3 +259,31 @@ def parse_only(text: str) -> tuple[str, ...]:
                 f"give one or more of {', '.join(SHAPES)}, with commas between",
             )
     return tuple(shape for shape in SHAPES if shape in words)
+
+
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+COARSEST = 0.1  # share of the radius: what is off by more is another motion
+
+
+def parse_precision(text: str) -> Precision:
+    """What stored values may be off by, of "0.5%" of the radius, "0.2mm", "1cm" or "0.001m".
+
+    Raises UsageError for anything else, and for more than a tenth of the radius.
+    """
+    hint = "give a share of the radius or a length: --precision 0.5%, --precision 0.2mm"
+    said = text.strip().lower()
+    unit = next((unit for unit in ("%", *LENGTHS) if said.endswith(unit)), "")
+    if not unit:
+        raise UsageError(f"--precision {text!r} has no unit", hint)
+    try:
+        value = float(said.removesuffix(unit))
+    except ValueError as error:
+        raise UsageError(f"--precision {text!r} is no length", hint) from error
+    value *= 0.01 if unit == "%" else LENGTHS[unit]
+    if not (math.isfinite(value) and value > 0.0):
+        raise UsageError(f"--precision {text!r} is no length above 0", hint)
+    if unit == "%" and value > COARSEST:
+        raise UsageError(
+            f"--precision {text} is more than {100 * COARSEST:g} % of the radius", hint
+        )
+    return Precision(value=value, relative=unit == "%")

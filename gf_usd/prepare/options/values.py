@@ -230,6 +230,12 @@ def cap(name: str, value: Any) -> str:
     return "none" if value is False else digits(real(name, value, "a stress [Pa], or False"))
 
 
+def precision(name: str, value: Any) -> str:
+    """A length [m], or a text such as "0.5%" or "0.2mm"."""
+    wanted = "a length [m], or a text such as '0.5%' (of the radius) or '0.2mm'"
+    return value if isinstance(value, str) else f"{digits(real(name, value, wanted))}m"
+
+
 def words(name: str, value: Any) -> str:
     """Several words with commas between."""
     wanted = "a word, or a list of words"

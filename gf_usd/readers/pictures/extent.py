@@ -20,10 +20,14 @@ SAMPLED_TIMES = (
     48  # times at which a longer motion is looked at, evenly spread, first and last included
 )
 POINTS = ("points", "positions", "positionsh")
+HEALTH = "gaussianFlesh:health:kineticEnergy"  # has a sample at every frame of a bake
 
 
 def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
-    """Every time code at which points, transforms or skeletons of the prims have a sample."""
+    """Every time code at which points, transforms or skeletons of the prims have a sample.
+
+    A bake that leaves samples out has those of its frames still, in its health.
+    """
     times: set[float] = set()
     seen: set[str] = set()
     for prim in prims:
@@ -35,6 +39,8 @@ def sample_times(prims: Sequence[Usd.Prim]) -> list[float]:
             seen.add(str(above.GetPath()))
             if xformable := UsdGeom.Xformable(above):
                 times.update(xformable.GetTimeSamples())
+            if health := above.GetAttribute(HEALTH):
+                times.update(health.GetTimeSamples())
             if above.IsA(UsdSkel.Root):
                 times.update(_skeleton_times(above))
             above = above.GetParent()

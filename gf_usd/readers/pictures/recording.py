@@ -33,6 +33,7 @@ from gf_usd.readers.usd.stage import (
     stage_facts,
 )
 
+ONE_SET = "only these Gaussians are shown"  # a note: a recording has one set
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
 
@@ -167,7 +168,7 @@ class BakedMotion:
         clouds = [p for p in prims if str(p.GetTypeName()) == SPLAT_TYPE]
         clouds.sort(key=lambda p: not is_ours(p))
         if len(clouds) > 1:
-            self._notes.add("only these Gaussians are shown", str(clouds[0].GetPath()))
+            self._notes.add(ONE_SET, str(clouds[0].GetPath()))
         self._cloud = clouds[0] if clouds else Usd.Prim()
         candidates = [p for p in prims if has_surface(p)]
         ours = clouds[:1] if clouds and is_ours(clouds[0]) else []

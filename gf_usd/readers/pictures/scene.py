@@ -6,13 +6,14 @@ A UsdGeomCamera of a stage as pictures see through it.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom
 
-from gf_usd.core.arrays import triple
+from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import Texture
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import (
@@ -25,7 +26,7 @@ from gf_usd.core.scene import (
     Scene,
 )
 from gf_usd.readers.notes import Notes
-from gf_usd.readers.pictures.extent import motion_bounds, sample_times
+from gf_usd.readers.pictures.extent import HEALTH, motion_bounds, sample_times
 from gf_usd.readers.pictures.prims import (
     SPLAT_TYPE,
     as_ellipsoids,
@@ -186,6 +187,15 @@ class PictureStage:
                 f"--frame {time_code:g} is outside the motion of {self._path}.",
                 f"its time codes run from {times[0]:g} to {times[-1]:g}",
             )
+
+    def speeds(self, codes: Sequence[float]) -> Floats | None:
+        """(n,) how fast bodies move at time codes, the root of a bake's kinetic energy.
+
+        None where the stage says nothing of it.
+        """
+        found = [a for prim in self._stage.Traverse() if (a := prim.GetAttribute(HEALTH))]
+        kinetic = [[a.Get(code) or 0.0 for code in codes] for a in found]
+        return np.sqrt(np.maximum(np.sum(kinetic, axis=0), 0.0)) if kinetic else None
 
     def camera(self, time_code: float | None, aspect: float) -> Camera | None:
         """The stage's camera at a time, for pictures of a width / height; None: none was named.

@@ -47,6 +47,8 @@ REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
     "neoHookean": neo_hookean,
     "vonMises": hencky,  # far below its yield stress
     "crushable": hencky,
+    "paste": hencky,
+    "druckerPrager": hencky,  # within the cone
     "vonMisesNeoHookean": neo_hookean,
     "vonMisesCorotated": corotated,
 }

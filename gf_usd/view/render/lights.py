@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
+from gf_usd.core.matrices import across
 from gf_usd.core.scene import Light
 
 KEY_SAMPLES = 32
@@ -87,7 +88,7 @@ def _disc(direction: Floats, angle: float) -> Floats:
     """(K, 3) directions that fill a cone of half `angle` [deg] evenly: a sunflower."""
     i = np.arange(KEY_SAMPLES)
     radius = np.tan(np.radians(angle)) * np.sqrt((i + 0.5) / KEY_SAMPLES)
-    u, v = _across(direction)
+    u, v = across(direction)
     turn = i * GOLDEN_ANGLE
     rays = direction + radius[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -103,7 +104,7 @@ def _sphere(up: Floats) -> Floats:
         [np.sqrt(1.0 - (i + 0.5) / DOME_ABOVE), -np.sqrt(1.0 - (j + 0.5) / DOME_BELOW)]
     )
     ring = np.sqrt(1.0 - height**2)
-    u, v = _across(up)
+    u, v = across(up)
     turn = np.concatenate([i, j]) * GOLDEN_ANGLE
     return (
         ring[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v)
@@ -111,18 +112,11 @@ def _sphere(up: Floats) -> Floats:
     )
 
 
-def _across(d: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors that complete d to a right-handed frame."""
-    u = np.cross(np.eye(3)[int(np.argmin(np.abs(d)))], d)
-    u = u / np.linalg.norm(u)
-    return u, np.cross(d, u)
-
-
 def _frames(directions: Floats, weights: Floats) -> NDArray[np.float32]:
     """(L, 10) axes and weight of each map, turned so that the maps' grids do not align."""
     frames = np.empty((len(directions), 10), dtype=np.float32)
     for i, d in enumerate(directions):
-        u, v = _across(d)
+        u, v = across(d)
         c, s = np.cos(i * GOLDEN_ANGLE), np.sin(i * GOLDEN_ANGLE)
         frames[i] = np.concatenate([c * u + s * v, c * v - s * u, d, weights[i : i + 1]])
     return frames

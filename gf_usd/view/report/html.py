@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from html import escape
+from importlib.resources import files
 from typing import Any
 
 from gf_usd.view.report.labels import (
@@ -173,17 +174,7 @@ def _controls(speed: str) -> Html:
     kinds = (("mesh", "mesh"), ("gaussians", "Gaussians"), ("both", "both"))
     return tag(
         "div",
-        tag(
-            "div",
-            _button("play", "play", "start", "stop"),
-            _button("back", "one frame back", "back"),
-            _button("next", "one frame on", "next"),
-            tag(
-                "input", type="range", id="slider", min="0", max="0", value="0", aria_label="frame"
-            ),
-            tag("span", id="counter"),
-            class_="scrub",
-        ),
+        scrub_bar(),
         tag(
             "div",
             *(
@@ -193,8 +184,8 @@ def _controls(speed: str) -> Html:
             class_="group",
             id="kinds",
         ),
-        tag("label", "color ", _choice("mode", list(MODES.items()), "color")),
-        tag("label", "speed ", _choice("speed", [(s, f"{s}×") for s in SPEEDS], speed)),
+        tag("label", "color ", choice("mode", list(MODES.items()), "color")),
+        tag("label", "speed ", choice("speed", [(s, f"{s}×") for s in SPEEDS], speed)),
         tag(
             "label",
             "size ",
@@ -318,6 +309,7 @@ def _strip(pictures: Sequence[tuple[int, str, str]]) -> Html:
 
 
 def _button(name: str, text: str, *icons: str) -> Html:
+    """A button that shows one of ICONS, or two by its state."""
     drawn = join(
         tag("svg", tag("path", d=ICONS[icon]), viewBox="0 0 16 16", class_=icon, aria_hidden="true")
         for icon in icons
@@ -325,7 +317,21 @@ def _button(name: str, text: str, *icons: str) -> Html:
     return tag("button", drawn, type="button", id=name, class_="icon", aria_label=text)
 
 
-def _choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
+def scrub_bar() -> Html:
+    """What transport.js drives: play, single steps, the slider and the counter."""
+    return tag(
+        "div",
+        _button("play", "play", "start", "stop"),
+        _button("back", "one frame back", "back"),
+        _button("next", "one frame on", "next"),
+        tag("input", type="range", id="slider", min="0", max="0", value="0", aria_label="frame"),
+        tag("span", id="counter"),
+        class_="scrub",
+    )
+
+
+def choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
+    """A list of (value, text) to choose from."""
     return tag(
         "select",
         *(tag("option", text, value=value, selected=value == chosen) for value, text in options),
@@ -336,3 +342,35 @@ def _choice(name: str, options: Sequence[tuple[str, str]], chosen: str) -> Html:
 def _of(number: int, *parts: str) -> Html:
     """Shown only with variant number `number`."""
     return tag("div", *parts, data_variant=str(number), hidden=number != 0)
+
+
+def document(
+    title: str,
+    body: Sequence[Html],
+    page: str,
+    blobs: Sequence[Html],
+    ours: Sequence[str],
+    theirs: Sequence[str] = (),
+) -> str:
+    """A whole page.
+
+    page : JSON that our scripts read.  blobs : data scripts.  ours : names of our scripts, which
+    share one scope.  theirs : texts of scripts that run before.
+    """
+    folder = files("gf_usd.view.report") / "page"
+    text = "\n".join((folder / name).read_text(encoding="utf-8") for name in ours)
+    text = f'(() => {{\n"use strict";\n{text}\n}})();'
+    style = (folder / "page.css").read_text(encoding="utf-8")
+    head = join(
+        [
+            tag("meta", charset="utf-8"),
+            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            tag("meta", http_equiv="Content-Security-Policy", content=policy([*theirs, text])),
+            tag("link", rel="icon", href="data:,"),
+            tag("title", title),
+            Html(f"<style>{style}</style>"),
+        ]
+    )
+    scripts = [script(one) for one in (*theirs, text)]
+    rest = join([*body, data_script("page", page), *blobs, *scripts])
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{rest}</body></html>\n'

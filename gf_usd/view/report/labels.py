@@ -171,6 +171,12 @@ ROWS: tuple[Row, ...] = (
         "summed over frames, divided by the reference energy",
     ),
     Row("plastic_dissipation_J", "Plastic dissipation", "J", "energy of permanent deformation"),
+    Row(
+        "settling_dissipation_J",
+        "Settling dissipation",
+        "J",
+        "by rolling resistance and the damping of motion too small to be seen",
+    ),
     Row("momentum_end", "Momentum at the end", "kg m/s", "in the last frame"),
     Row("angular_momentum_end", "Angular momentum at the end", "kg m²/s", "about the origin"),
     Row("free_flight_frames", "Free flight", "", "frames before the first contact"),
@@ -186,7 +192,7 @@ FIRST = {
     "energy_start_J", "energy_end_J", "energy_gain_max_share",
 }  # fmt: skip
 
-# which rows a warning is about, by the names of gf_usd.pipeline.health.RULES
+# which rows a warning is about, by the names of gf_usd.pipeline.health.warnings.RULES
 MARKS: dict[str, tuple[str, ...]] = {
     "untouched": ("first_contact_frame", "shift_max_m"),
     "still": ("kinetic_max_J",),
@@ -222,6 +228,8 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "seed": ("Seed", ""),
     "filter_rate": ("Filter rate", "1/s"),
     "drag": ("Drag", "1/s"),
+    "rolling": ("Coefficient of rolling resistance", ""),
+    "settling": ("Small motion damped", ""),
     "safety": ("Fraction of the stable time step", ""),
     "device": ("Device", ""),
     "threads": ("Threads", ""),

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.matrices import ellipsoids
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording
 from gf_usd.view.report.surface import Skin, make_skin, sample
 
@@ -85,7 +85,7 @@ class _Kept:
         self.codes.append(frame.time_code)
         row: dict[str, Floats] = {"points": points, "stretch": stretch}
         if frame.positions is not None and frame.axes is not None and ratio is not None:
-            turns, scales = _ellipsoids(frame.axes[chosen])
+            turns, scales = ellipsoids(frame.axes[chosen])
             if self._last is not None:
                 # q and -q are one rotation: the nearer to the last frame's packs better
                 turns *= np.where((turns * self._last).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
@@ -156,22 +156,6 @@ class _Curves:
             row |= {"ratio_min": ratio.min(), "ratio_max": ratio.max()}
         for name, value in row.items():
             self.values.setdefault(name, []).append(float(value))
-
-
-def _ellipsoids(axes: Floats) -> tuple[Floats, Floats]:
-    """Quaternions (N, 4) (x, y, z, w) and semi-axes (N, 3) of A (N, 3, 3), whose columns may lean.
-
-    x = A s, |s| = 1, is the same ellipsoid as U S s with A = U S V^T.
-    """
-    scales = np.linalg.norm(axes, axis=1)
-    safe = np.where(scales > 0.0, scales, 1.0)
-    Q = axes / safe[:, None, :]
-    square = np.einsum("nij,nik->njk", Q, Q)
-    if np.abs(square - np.eye(3)).max(initial=0.0) > 1e-3:
-        Q, scales, _ = np.linalg.svd(axes)
-    mirrored = np.linalg.det(Q) < 0.0
-    Q = np.where(mirrored[:, None, None], -Q, Q)
-    return Rotation.from_matrix(Q).as_quat(), scales
 
 
 class SurfaceStretch:

@@ -64,15 +64,15 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
     packer.add("source", skin.source.astype(np.uint32))
     packer.add("shade", skin.shade.astype(np.uint32))
     packer.add("meshColors", skin.colors)
-    _add_places(packer, "points", motion.points)
+    add_places(packer, "points", motion.points)
     packer.add("stretch", octaves(motion.stretch), moving=True)
     if motion.gaussians is not None:
         colors = np.clip(motion.gaussians.colors[motion.chosen], 0.0, 1.0)
         # linear light in 8 bits would show steps in the dark
         packer.add("gaussianColors", np.round(np.sqrt(colors) * 255.0).astype(np.uint8))
-        _add_places(packer, "positions", motion.positions)
+        add_places(packer, "positions", motion.positions)
         packer.add("turns", np.round(motion.turns * 127.0).astype(np.int8), moving=True)
-        _add_scales(packer, motion.scales)
+        add_scales(packer, motion.scales)
         packer.add("ratio", octaves(motion.ratio), moving=True)
     for name, values in motion.measured.items():
         top = float(np.percentile(values, 99.5)) or 1.0
@@ -87,7 +87,7 @@ def octaves(values: Floats) -> NDArray[np.uint8]:
     return np.round(128.0 + 127.0 * np.clip(log, -1.0, 1.0)).astype(np.uint8)
 
 
-def _add_places(packer: Packer, name: str, values: NDArray[np.float32]) -> None:
+def add_places(packer: Packer, name: str, values: NDArray[np.float32]) -> None:
     """Positions (F, n, 3) in 65536 steps over the box of the whole motion."""
     flat = values.reshape(-1, 3)
     low = flat.min(axis=0) if len(flat) else np.zeros(3)
@@ -97,13 +97,18 @@ def _add_places(packer: Packer, name: str, values: NDArray[np.float32]) -> None:
     packer.add(name, code, moving=True, low=low.tolist(), step=step.tolist())
 
 
-def _add_scales(packer: Packer, scales: NDArray[np.float32]) -> None:
-    """Semi-axes (F, n, 3) by their logarithm, 255 steps from the smallest to the largest."""
+def add_scales(packer: Packer, scales: NDArray[np.float32], least: float = 0.0) -> float:
+    """Semi-axes (F, n, 3) by their logarithm, 255 steps from the smallest to the largest.
+
+    least : [m] smaller ones are as large as that; 0: a thousandth of the largest.  Returns the
+    largest relative error of those that are not.
+    """
     top = float(scales.max(initial=0.0)) or 1.0
     # an ellipsoid that is a thousandth as thick as the largest is a disc to the eye
-    log = np.log(np.maximum(scales, 1e-3 * top))
+    log = np.log(np.maximum(scales, least or 1e-3 * top))
     low, high = (float(log.min()), float(log.max())) if log.size else (0.0, 0.0)
     step = (high - low) / 255.0 or 1.0
     packer.add(
         "scales", np.round((log - low) / step).astype(np.uint8), moving=True, low=low, step=step
     )
+    return 0.5 * step

@@ -19,7 +19,7 @@ class Warned:
     message: str
     hint: str = ""
     about: str = (
-        ""  # the rule of gf_usd.pipeline.health that it came from; "" where that is not said
+        ""  # the rule of pipeline.health.warnings that it came from; "" where that is not said
     )
 
 

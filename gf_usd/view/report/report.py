@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from typing import Any, Protocol
 
 from gf_usd.core.scene import MotionFrame, Recording
@@ -14,11 +13,9 @@ from gf_usd.view.report.curves import LENGTHS, Plot, comparison_plots, plots, un
 from gf_usd.view.report.html import (
     Html,
     data_script,
+    document,
     header,
-    join,
     json_text,
-    policy,
-    script,
     tables,
     tag,
     viewer,
@@ -30,8 +27,8 @@ from gf_usd.view.report.record import Record, make_record
 from gf_usd.view.report.surface import spread
 
 LARGEST = 20_000_000  # bytes of a page: what a mail or a chat still takes
-SCRIPTS = ("data.js", "camera.js", "shaders.js", "draw.js", "viewer.js", "player.js", "plots.js",
-           "main.js")  # fmt: skip
+SCRIPTS = ("data.js", "camera.js", "steer.js", "shaders.js", "draw.js", "viewer.js", "player.js",
+           "transport.js", "plots.js", "main.js")  # fmt: skip
 FEWEST = 1500  # vertices or Gaussians: below that frames are left out instead
 CELLS = 12  # about as many cells of the floor's grid across the motion
 
@@ -130,7 +127,7 @@ def _page(
     blobs = [data_script(f"motion-{i}", blob) for i, (_, blob) in enumerate(packed)]
     named = " and ".join(name for name in names if name)
     title = f"{recordings[0].name}: {named}" if named else recordings[0].name
-    return _document(title, body, json_text({"variants": variants}), blobs, plotly)
+    return document(title, body, json_text({"variants": variants}), blobs, SCRIPTS, [plotly])
 
 
 def _fit(
@@ -251,27 +248,6 @@ def _footer(records: Sequence[Record]) -> Html:
         "footer",
         f"{baked}{of}{keys} zoom, shift or the right button to move, double click to see all.",
     )
-
-
-def _document(
-    title: str, body: Sequence[Html], page: str, blobs: Sequence[Html], plotly: str
-) -> str:
-    folder = files("gf_usd.view.report") / "page"
-    ours = "\n".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
-    ours = f'(() => {{\n"use strict";\n{ours}\n}})();'
-    style = (folder / "page.css").read_text(encoding="utf-8")
-    head = join(
-        [
-            tag("meta", charset="utf-8"),
-            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            tag("meta", http_equiv="Content-Security-Policy", content=policy([plotly, ours])),
-            tag("link", rel="icon", href="data:,"),
-            tag("title", title),
-            Html(f"<style>{style}</style>"),
-        ]
-    )
-    rest = join([*body, data_script("page", page), *blobs, script(plotly), script(ours)])
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{rest}</body></html>\n'
 
 
 def _plotly() -> str:

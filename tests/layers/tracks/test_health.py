@@ -22,12 +22,13 @@ from gf_usd.layers.tracks.health import (
     FLOW,
     FRAME,
     PREFIX,
+    SETTLING,
     TOTAL,
     author_certificate,
     author_totals,
 )
 from gf_usd.layers.variants import BakedVariant
-from gf_usd.pipeline.health import HealthLog
+from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.system import usd_schema
 from gf_usd.system.atomic_files import publish
 
@@ -91,7 +92,7 @@ def test_tables_and_schema_say_the_same() -> None:
         spec.name.removeprefix(PREFIX): (spec.typeName, spec.variability)
         for spec in definitions.GetPrimAtPath(f"/{usd_schema.HEALTH_API}").properties
     }
-    frame = FRAME | FLOW
+    frame = FRAME | FLOW | SETTLING
     ours = {name: (kind, Sdf.VariabilityVarying) for name, (kind, _, _) in frame.items()}
     for name, (kind, _, _) in TOTAL.items():
         ours[f"total:{name}"] = (kind, Sdf.VariabilityUniform)
@@ -103,11 +104,11 @@ def test_tables_and_schema_say_the_same() -> None:
 
 
 def test_tables_read_what_there_is(tmp_path: Path) -> None:
-    flowed = replace(HEALTH, plastic_dissipation=1.0)
+    flowed = replace(HEALTH, plastic_dissipation=1.0, settling_dissipation=1.0)
     known = totals(info_of(PLAIN.asset(tmp_path)), flowed)
     assert {key for _, key, _ in TOTAL.values()} <= set(known)
     assert "plastic_dissipation_J" not in totals(info_of(PLAIN.asset(tmp_path)), HEALTH)
-    fields = {field for _, field, _ in (FRAME | FLOW).values()}
+    fields = {field for _, field, _ in (FRAME | FLOW | SETTLING).values()}
     assert fields <= set(Health.__dataclass_fields__)
     left = set(Health.__dataclass_fields__) - fields
     # The particles have their masses; what is inside is looked at in a few frames alone; what

@@ -11,7 +11,8 @@ from recordings import FallingBox, report_of
 
 from gf_usd.core.frames import Field, Health, Settings
 from gf_usd.core.materials import Material
-from gf_usd.pipeline.health import RULES, HealthLog
+from gf_usd.pipeline.health.log import HealthLog
+from gf_usd.pipeline.health.warnings import RULES
 from gf_usd.view.report.labels import (
     MARKS,
     MATERIAL,

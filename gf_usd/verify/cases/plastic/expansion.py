@@ -176,9 +176,9 @@ def expansion(
 
 
 def full(device: str) -> Iterator[Measure]:
-    """Softer moduli to the end; the own ones as far as 10 cells bear it."""
+    """Softer moduli and the own ones, which need twice as many cells."""
     yield from expansion((4, 6, 10), (10e-3, 20e-3, 40e-3), 0.015)(device)
-    yield from expansion((4, 6, 10), (10e-3, 20e-3), 0.015, own=True)(device)
+    yield from expansion((10, 14, 20), (10e-3, 20e-3, 40e-3), 0.015, own=True)(device)
 
 
 CASES = (

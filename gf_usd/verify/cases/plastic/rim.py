@@ -102,11 +102,14 @@ def landing(*cells: int, bounds: tuple[float, float, float]) -> Callable[[str], 
         modulus = float(
             plane_modulus(np.array(COPPER.youngs_modulus), np.array(COPPER.poissons_ratio))
         )
+        hit = 2.0 * shock / (HALF_SPACE * modulus)
+        again = SPEED / np.sqrt(HALF_SPACE * modulus / COPPER.density)
         yield Measure(
-            name="depth", value=finest.depth, target=0.0,
-            bound=2.0 * shock / (HALF_SPACE * modulus) * spacing, unit="m",
+            name="depth", value=finest.depth, target=0.0, bound=float(hit + again) * spacing,
+            unit="m",
             why="of the foot in the floor: twice what its springs yield to the pressure rho c v of"
-            " the impact, since they are hit at once",
+            " the impact, since they are hit at once, and what stops a sample that has left the"
+            " floor and comes back at most as fast",
         )  # fmt: skip
         start = finest.energy[0]
         yield Measure(

@@ -11,20 +11,21 @@ async function start() {
     $("trouble").hidden = false;
     $("trouble").textContent = `${error.message} The curves and tables below are all there.`;
   }
-  const controls = new Controls(page, viewer, $);
+  const controls = new Controls(viewer, $);
   const plots = new Plots($("plots"), (seconds) => controls.seekSeconds(seconds));
   const player = new Player(page.variants, viewer, [controls, plots]);
   controls.player = player;
   await player.open(0);
-  controls.connect();
+  controls.connect(player, viewer);
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (viewer && !calm && !location.hash.includes("paused")) player.play();
   return player;
 }
 
-class Controls {
-  constructor(page, viewer, $) {
-    Object.assign(this, { page, viewer, $ });
+class Controls extends Transport {
+  constructor(viewer, $) {
+    super($);
+    this.viewer = viewer;
   }
 
   seekSeconds(seconds) {
@@ -40,14 +41,8 @@ class Controls {
   // ---- what the player tells ----
 
   variant(variant, number) {
+    super.variant(variant, number);
     const { $ } = this;
-    $("slider").max = variant.seconds.length - 1;
-    for (const part of document.querySelectorAll("[data-variant]")) {
-      part.hidden = part.dataset.variant !== String(number);
-    }
-    for (const tab of document.querySelectorAll("[data-open]")) {
-      tab.setAttribute("aria-selected", tab.dataset.open === String(number));
-    }
     const has = { mesh: variant.arrays.points.row > 0, gaussians: variant.arrays.positions?.row > 0 };
     $("kinds").hidden = !(has.mesh && has.gaussians);
     for (const option of $("mode").options) {
@@ -59,42 +54,20 @@ class Controls {
   }
 
   frame(frame, variant) {
-    const { $ } = this;
-    $("slider").value = frame;
-    $("counter").textContent = `${frame + 1} / ${variant.seconds.length}`;
-    $("clock").textContent = `time code ${variant.codes[frame]} · ${variant.seconds[frame].toFixed(2)} s`;
+    super.frame(frame, variant);
     for (const picture of document.querySelectorAll("[data-variant]:not([hidden]) [data-frame]")) {
       picture.toggleAttribute("data-now", picture.dataset.frame === String(frame));
     }
   }
 
-  playing(playing) {
-    const button = this.$("play");
-    button.dataset.playing = playing;
-    button.setAttribute("aria-label", playing ? "pause" : "play");
-  }
-
   // ---- what the person does ----
 
-  connect() {
-    const { $, player, viewer } = this;
-    $("play").addEventListener("click", () => player.toggle());
-    $("back").addEventListener("click", () => player.step(-1));
-    $("next").addEventListener("click", () => player.step(1));
-    $("slider").addEventListener("input", () => {
-      player.pause();
-      player.seek(Number($("slider").value));
-    });
-    $("speed").addEventListener("change", () => { player.speed = Number($("speed").value); });
-    player.speed = Number($("speed").value);
+  connect(player, viewer) {
+    super.connect(player, viewer);
+    const { $ } = this;
     $("mode").addEventListener("change", () => this.setMode($("mode").value));
-    $("reset").addEventListener("click", () => { viewer?.refit(); viewer?.draw(); });
-    $("size").addEventListener("input", () => this.setSize(Number($("size").value)));
     for (const kind of document.querySelectorAll("[data-show]")) {
       kind.addEventListener("click", () => this.setShow(kind.dataset.show));
-    }
-    for (const tab of document.querySelectorAll("[data-open]")) {
-      tab.addEventListener("click", () => player.open(Number(tab.dataset.open)));
     }
     for (const picture of document.querySelectorAll("[data-frame]")) {
       picture.addEventListener("click", () => {
@@ -102,25 +75,7 @@ class Controls {
         player.seek(Number(picture.dataset.frame));
       });
     }
-    document.addEventListener("keydown", (e) => this.key(e));
     this.setShow(this.viewer?.show ?? "mesh");
-  }
-
-  key(e) {
-    if (e.ctrlKey || e.metaKey || e.altKey || e.target.tagName === "SELECT") return;
-    const { player } = this;
-    const act = {
-      " ": () => player.toggle(),
-      ArrowLeft: () => player.step(-1),
-      ArrowRight: () => player.step(1),
-      Home: () => player.step(-player.frame),
-      End: () => player.step(player.count - 1 - player.frame),
-    }[e.key];
-    if (!act) return;
-    e.preventDefault();
-    // a button that has the focus would be pressed by the space as well
-    document.activeElement?.blur();
-    act();
   }
 
   setShow(show) {
@@ -133,13 +88,6 @@ class Controls {
     this.setSize(show === "both" ? 0.5 : 1);
     this.legend();
     this.viewer?.draw();
-  }
-
-  setSize(size) {
-    this.$("size").value = size;
-    if (!this.viewer) return;
-    this.viewer.size = size;
-    this.viewer.draw();
   }
 
   setMode(mode) {

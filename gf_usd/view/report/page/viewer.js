@@ -5,39 +5,15 @@ class Viewer {
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
     if (!gl) throw new Error("This browser offers no WebGL 2, which the 3D view needs.");
     Object.assign(this, { canvas, gl, orbit: new Orbit(), show: "mesh", mode: "color", size: 1 });
-    this.mesh = this.program(MESH_VERTEX, MESH_FRAGMENT);
-    this.balls = this.program(BALL_VERTEX, BALL_FRAGMENT);
-    this.meshShadow = this.program(MESH_VERTEX, SHADOW_FRAGMENT);
-    this.ballShadow = this.program(BALL_VERTEX, SHADOW_FRAGMENT);
-    this.floor = this.program(FLOOR_VERTEX, FLOOR_FRAGMENT);
+    this.mesh = program(gl, MESH_VERTEX, MESH_FRAGMENT);
+    this.balls = program(gl, BALL_VERTEX, BALL_FRAGMENT);
+    this.meshShadow = program(gl, MESH_VERTEX, SHADOW_FRAGMENT);
+    this.ballShadow = program(gl, BALL_VERTEX, SHADOW_FRAGMENT);
+    this.floor = program(gl, FLOOR_VERTEX, FLOOR_FRAGMENT);
     this.buffers = {};
     this.makeShadowMap();
-    this.steer();
+    steer(this);
     new ResizeObserver(() => this.draw()).observe(canvas);
-  }
-
-  program(vertex, fragment) {
-    const gl = this.gl;
-    const made = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(made, shader);
-    }
-    gl.linkProgram(made);
-    if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
-    const at = {};
-    for (let i = 0; i < gl.getProgramParameter(made, gl.ACTIVE_UNIFORMS); i++) {
-      const name = gl.getActiveUniform(made, i).name.replace("[0]", "");
-      at[name] = gl.getUniformLocation(made, name);
-    }
-    const inputs = {};
-    for (let i = 0; i < gl.getProgramParameter(made, gl.ACTIVE_ATTRIBUTES); i++) {
-      const { name } = gl.getActiveAttrib(made, i);
-      inputs[name] = gl.getAttribLocation(made, name);
-    }
-    return { made, at, inputs };
   }
 
   makeShadowMap() {
@@ -169,31 +145,5 @@ class Viewer {
       this.waiting = null;
       if (this.variant && this.frame !== undefined) drawScene(this);
     });
-  }
-
-  steer() {
-    const { canvas, orbit } = this;
-    canvas.addEventListener("pointerdown", (e) => {
-      canvas.setPointerCapture(e.pointerId);
-      this.hand = { x: e.clientX, y: e.clientY, pan: e.button !== 0 || e.shiftKey };
-    });
-    canvas.addEventListener("pointermove", (e) => {
-      if (!this.hand) return;
-      const [dx, dy] = [e.clientX - this.hand.x, e.clientY - this.hand.y];
-      if (this.hand.pan) orbit.pan(dx / canvas.clientHeight, dy / canvas.clientHeight);
-      else orbit.turn(dx * 0.008, dy * 0.008);
-      Object.assign(this.hand, { x: e.clientX, y: e.clientY });
-      this.draw();
-    });
-    for (const end of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(end, () => { this.hand = null; });
-    }
-    canvas.addEventListener("wheel", (e) => {
-      e.preventDefault();
-      orbit.zoom(Math.exp(Math.sign(e.deltaY) * Math.min(0.25, Math.abs(e.deltaY) * 0.0015)));
-      this.draw();
-    }, { passive: false });
-    canvas.addEventListener("contextmenu", (e) => e.preventDefault());
-    canvas.addEventListener("dblclick", () => { this.refit(); this.draw(); });
   }
 }

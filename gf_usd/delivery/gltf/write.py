@@ -1,4 +1,4 @@
-"""A bake as a binary glTF 2.0 file: skins, morph targets, and one animation.
+"""A bake as a binary glTF 2.0 file: skins, morph targets, Gaussians, and one animation.
 
 Nodes hold joints and meshes; the topmost one turns the world's up axis to +Y.  Rotations are
 normalized 16-bit integers and weights normalized bytes, which the standard allows.
@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core import __version__
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import BakeError
+from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.scene import Recording
-from gf_usd.delivery.gltf_surface import Primitive, encoded, primitives_of, sampler_of
+from gf_usd.delivery.gltf.splats import NAME, POINTS, attributes, extension
+from gf_usd.delivery.gltf.surface import Primitive, encoded, primitives_of, sampler_of
 from gf_usd.delivery.rig import Rig
+from gf_usd.delivery.splats.clouds import Cloud
 from gf_usd.delivery.transforms import Hierarchy, hierarchy
 from gf_usd.system.atomic_files import partial_path
 
@@ -30,12 +33,16 @@ VERTICES, INDICES = 34962, 34963  # targets of buffer views
 SHORT = 32767
 
 
-def write_glb(target: Path, recording: Recording, rigs: Sequence[Rig]) -> tuple[str, ...]:
+def write_glb(
+    target: Path, recording: Recording, rigs: Sequence[Rig], clouds: Sequence[Cloud] = ()
+) -> tuple[str, ...]:
     """Write `target` under its partial name; returns notes in words.
+
+    clouds : the sets of Gaussians that bodies have parts of.
 
     Raises BakeError where the disk refuses.
     """
-    writer = _Writer(recording)
+    writer = _Writer(recording, clouds)
     for rig in rigs:
         writer.add(rig)
     partial = partial_path(target)
@@ -59,15 +66,17 @@ def up_rotation(up: Sequence[float]) -> Floats:
 
 
 class _Writer:
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
+    def __init__(self, recording: Recording, clouds: Sequence[Cloud]) -> None:
+        self._recording, self._clouds = recording, clouds
         self._data = bytearray()
         self._views: list[dict[str, Any]] = []
         self._accessors: list[dict[str, Any]] = []
         self._nodes: list[dict[str, Any]] = [{"name": recording.name, "children": []}]
         turn = up_rotation(recording.up)
+        self._upright = np.eye(3)  # what node 0 does
         if abs(turn[3]) < 1.0 - 1e-12:
             self._nodes[0]["rotation"] = turn.tolist()
+            self._upright = matrix_from_quaternion(turn[[3, 0, 1, 2]][None])[0]
         self._roots = [0]
         self._meshes: list[dict[str, Any]] = []
         self._skins: list[dict[str, Any]] = []
@@ -95,23 +104,20 @@ class _Writer:
                 self._animate(root + j, joints, j)
         meshes = [self._mesh(rig, i) for i in rig.body.meshes]
         if rig.skinning is not None:
-            skin = len(self._skins)
-            inverse = np.tile(np.eye(4), (len(joints), 1, 1))
-            inverse[:, 3, :3] = -joints.bind  # by columns
-            self._skins.append(
-                {
-                    "inverseBindMatrices": self._accessor(
-                        inverse.reshape(-1, 16).astype(np.float32)
-                    ),
-                    "skeleton": root,
-                    "joints": [root, *below],
-                }
-            )
+            skin = self._skin(joints, root, below, np.eye(3)) if meshes else -1
             for mesh in meshes:
-                self._roots.append(len(self._nodes))
-                self._nodes.append({"mesh": mesh, "skin": skin, **self._named(mesh)})
+                self._skinned(mesh, skin)
+            for number, single in enumerate(rig.single):
+                self._on_nodes(rig, number, single, joints, root, below)
+            bound = () if rig.single else range(len(rig.body.splats))
+            splats = [self._splats(rig, n, self._upright) for n in bound]
+            if splats and not (meshes and np.array_equal(self._upright, np.eye(3))):
+                skin = self._skin(joints, root, below, self._upright)
+            for mesh in splats:
+                self._skinned(mesh, skin)
         else:
-            for mesh in meshes:
+            splats = [self._splats(rig, n, np.eye(3)) for n in range(len(rig.body.splats))]
+            for mesh in (*meshes, *splats):
                 below.append(len(self._nodes))
                 place = {"translation": _floats(-joints.bind[0])}
                 self._nodes.append({"mesh": mesh, **place, **self._named(mesh)})
@@ -121,6 +127,21 @@ class _Writer:
                     self._channel(below[-1], "weights", self._accessor(keys))
         if below:
             self._nodes[root]["children"] = below
+
+    def _skin(self, joints: Hierarchy, root: int, below: Sequence[int], turn: Floats) -> int:
+        """turn : (3, 3) how the points of the meshes are turned against the world."""
+        inverse = np.tile(np.eye(4), (len(joints), 1, 1))
+        inverse[:, :3, :3] = turn  # by columns
+        inverse[:, 3, :3] = -joints.bind
+        matrices = self._accessor(inverse.reshape(-1, 16).astype(np.float32))
+        self._skins.append(
+            {"inverseBindMatrices": matrices, "skeleton": root, "joints": [root, *below]}
+        )
+        return len(self._skins) - 1
+
+    def _skinned(self, mesh: int, skin: int) -> None:
+        self._roots.append(len(self._nodes))
+        self._nodes.append({"mesh": mesh, "skin": skin, **self._named(mesh)})
 
     def _named(self, mesh: int) -> dict[str, Any]:
         return {"name": self._meshes[mesh]["name"]}
@@ -144,10 +165,63 @@ class _Writer:
             self._primitive(rig, number, primitive, images) for primitive in primitives_of(shape)
         ]
         made: dict[str, Any] = {"name": shape.name.rpartition("/")[2], "primitives": rows}
+        return self._add_mesh(rig, made)
+
+    def _add_mesh(self, rig: Rig, made: dict[str, Any]) -> int:
         if rig.blend_shapes:
             made["weights"] = [0.0] * rig.blend_shapes
         self._meshes.append(made)
         return len(self._meshes) - 1
+
+    def _splats(self, rig: Rig, number: int, turn: Floats) -> int:
+        """A mesh of the Gaussians `rig.body.splats[number]`, turned (3, 3) against the world.
+
+        Under a skin they are upright by themselves, not by node 0: a loader that knows no skins
+        of points shows the rest pose.
+        """
+        cloud_number, rows = rig.body.splats[number]
+        cloud = self._clouds[cloud_number]
+        at = np.arange(len(rig.body.rest))[rig.body.splats_of(number)]
+        points = (rig.body.rest[at] @ turn.T).astype(np.float32)
+        named = {"POSITION": self._accessor(points, VERTICES, bounds=True)}
+        for name, (values, normalized) in attributes(cloud, rows, turn).items():
+            named[name] = self._accessor(values, VERTICES, normalized=normalized)
+        named |= self._influences(rig, at)
+        return self._add_mesh(rig, _splat_mesh(cloud, named, self._targets(rig, at)))
+
+    def _on_nodes(
+        self,
+        rig: Rig,
+        number: int,
+        single: Ints,
+        joints: Hierarchy,
+        root: int,
+        below: list[int],
+    ) -> None:
+        """The Gaussians `rig.body.splats[number]` as a mesh below each joint that some follow."""
+        cloud_number, rows = rig.body.splats[number]
+        cloud = self._clouds[cloud_number]
+        order = np.argsort(single, kind="stable")
+        used, starts = np.unique(single[order], return_index=True)
+        ends = [*starts[1:].tolist(), len(order)]
+        rest = rig.body.rest[rig.body.splats_of(number)]
+        points = (rest - joints.bind[single])[order].astype(np.float32)
+        whole = {"POSITION": (points, False), **attributes(cloud, rows[order], np.eye(3))}
+        views = {name: self._view(_bytes(rows), VERTICES) for name, (rows, _) in whole.items()}
+        for name, (values, _) in whole.items():  # which views of many accessors must say
+            self._views[views[name]]["byteStride"] = values.itemsize * values.shape[1]
+        for joint, start, end in zip(used.tolist(), starts.tolist(), ends):
+            named = {
+                name: self._accessor(
+                    values[start:end], normalized=normalized, bounds=name == "POSITION",
+                    shared=(views[name], start * values.itemsize * values.shape[1]),
+                )
+                for name, (values, normalized) in whole.items()
+            }  # fmt: skip
+            mesh = self._add_mesh(rig, _splat_mesh(cloud, named, {}))
+            children = below if joint == 0 else self._nodes[root + joint].setdefault("children", [])
+            children.append(len(self._nodes))
+            self._nodes.append({"mesh": mesh, **self._named(mesh)})
 
     def _primitive(
         self, rig: Rig, number: int, primitive: Primitive, images: Sequence[int]
@@ -159,27 +233,38 @@ class _Writer:
                              ("COLOR_0", primitive.colors)):  # fmt: skip
             if values is not None:
                 named[name] = self._accessor(values.astype(np.float32), VERTICES)
-        if rig.skinning is not None:
-            skin = rig.skinning
-            joints = np.where(skin.weights > 0, skin.joints + 1, 0)[at]
-            kind = np.uint8 if len(skin) < 256 else np.uint16
-            named["JOINTS_0"] = self._accessor(joints.astype(kind), VERTICES)
-            named["WEIGHTS_0"] = self._accessor(
-                skin.weights[at].astype(np.uint8), VERTICES, normalized=True
-            )
+        named |= self._influences(rig, at)
         kind = np.uint16 if len(points) < 65535 else np.uint32
         row: dict[str, Any] = {
             "attributes": named,
             "indices": self._accessor(primitive.triangles.reshape(-1, 1).astype(kind), INDICES),
             "material": self._material(primitive, images),
         }
-        if rig.blend_shapes:
-            assert rig.shapes is not None
-            row["targets"] = [
-                {"POSITION": self._accessor(s[at].astype(np.float32), VERTICES, bounds=True)}
-                for s in rig.shapes
-            ]
-        return row
+        return row | self._targets(rig, at)
+
+    def _influences(self, rig: Rig, at: Ints) -> dict[str, int]:
+        """The attributes of a skin at points `at` of a body."""
+        if rig.skinning is None:
+            return {}
+        skin = rig.skinning
+        joints = np.where(skin.weights > 0, skin.joints + 1, 0)[at]
+        kind = np.uint8 if len(skin) < 256 else np.uint16
+        weights = skin.weights[at].astype(np.uint8)
+        return {
+            "JOINTS_0": self._accessor(joints.astype(kind), VERTICES),
+            "WEIGHTS_0": self._accessor(weights, VERTICES, normalized=True),
+        }
+
+    def _targets(self, rig: Rig, at: Ints) -> dict[str, Any]:
+        """The morph targets of points `at` of a body."""
+        if not rig.blend_shapes:
+            return {}
+        assert rig.shapes is not None
+        rows = [
+            {"POSITION": self._accessor(s[at].astype(np.float32), VERTICES, bounds=True)}
+            for s in rig.shapes
+        ]
+        return {"targets": rows}
 
     def _material(self, primitive: Primitive, images: Sequence[int]) -> int:
         surface: dict[str, Any] = {
@@ -224,10 +309,16 @@ class _Writer:
         *,
         normalized: bool = False,
         bounds: bool = False,
+        shared: tuple[int, int] | None = None,
     ) -> int:
-        """An array (n, width) of one of TYPES."""
+        """An array (n, width) of one of TYPES.
+
+        shared : the buffer view that has it already, and from which byte on.
+        """
+        view, offset = shared or (self._view(_bytes(values), target), 0)
         row: dict[str, Any] = {
-            "bufferView": self._view(np.ascontiguousarray(values).tobytes(), target),
+            "bufferView": view,
+            **({"byteOffset": offset} if offset else {}),
             "componentType": TYPES[values.dtype.type],
             "count": len(values),
             "type": WIDTHS[values.shape[1]],
@@ -249,7 +340,6 @@ class _Writer:
                 {k: v for k, v in node.items() if k != "children" or v} for node in self._nodes
             ],
             "meshes": self._meshes,
-            "materials": self._materials,
             "accessors": self._accessors,
             "bufferViews": self._views,
             "buffers": [{"byteLength": len(self._data) + (-len(self._data) % 4)}],
@@ -259,11 +349,13 @@ class _Writer:
                 {"name": "bake", "samplers": self._curves, "channels": self._channels}
             ]
         for key, rows in (
-            ("skins", self._skins), ("textures", self._textures), ("images", self._images),
-            ("samplers", self._samplers),
+            ("materials", self._materials), ("skins", self._skins), ("textures", self._textures),
+            ("images", self._images), ("samplers", self._samplers),
         ):  # fmt: skip
             if rows:
                 tree[key] = rows
+        if any("extensions" in row for mesh in self._meshes for row in mesh["primitives"]):
+            tree["extensionsUsed"] = [NAME]
         text = json.dumps(tree, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         data = bytes(self._data) + b"\0" * (-len(self._data) % 4)
@@ -271,6 +363,16 @@ class _Writer:
             struct.pack("<II", len(text), JSON) + text + struct.pack("<II", len(data), BIN) + data
         )
         return struct.pack("<III", MAGIC, 2, 12 + len(chunks)) + chunks
+
+
+def _bytes(values: Any) -> bytes:
+    return np.ascontiguousarray(values).tobytes()
+
+
+def _splat_mesh(cloud: Cloud, named: dict[str, int], targets: dict[str, Any]) -> dict[str, Any]:
+    """A mesh of one primitive of Gaussians.  named : accessors of its attributes."""
+    row = {"attributes": named, "mode": POINTS, "extensions": extension(cloud), **targets}
+    return {"name": cloud.name.rpartition("/")[2], "primitives": [row]}
 
 
 def _floats(values: Any) -> list[float]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gf_usd.core.errors import OutOfResources
-from gf_usd.pipeline.budget import Cost, duration
+from gf_usd.pipeline.cost.budget import Cost, duration
 
 SURPRISE = 2.0  # times as long as was said last; the estimate holds within that (`budget`)
 MATTERS = 60.0  # [s] longer, at least: less is no news

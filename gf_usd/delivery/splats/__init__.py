@@ -1,0 +1,1 @@
+"""Gaussians of a bake in delivered files: bound to the joints of bodies, or as samples."""

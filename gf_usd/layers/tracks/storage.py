@@ -1,0 +1,259 @@
+"""What a cache stores in place of every sample in single precision, and what that saves.
+
+The tolerance of a mesh is that of the smallest body that fills it; particles have each their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pxr import Sdf
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Particles, Settings
+from gf_usd.core.units import Precision
+from gf_usd.layers.tracks.accuracy import (
+    BOX,
+    LENGTHS,
+    NORMALS,
+    POSITIONS,
+    SHAPES,
+    VELOCITIES,
+    Allowed,
+)
+from gf_usd.layers.tracks.sparse import Sparse, Tally, Values
+
+ROUNDING = 0.5  # of the tolerance of shapes, for half precision, where samples are left out as well
+STILL = 0.5  # a shutter of 180 degrees is open for so much of a frame
+
+Sample = tuple[Sdf.Path, float, Any]  # path of an attribute, time code and value
+
+
+class Tolerance:
+    """What the values of a bake may be off by, in stage units.
+
+    precision : as asked; particles : with their bodies; unit : [m] per stage length.
+    """
+
+    def __init__(self, precision: Precision, particles: Particles, unit: float) -> None:
+        self._body = np.zeros(len(particles), int) if particles.body is None else particles.body
+        self._surface = np.asarray(particles.surface)
+        radii = particles.radii
+        self.radius = float(radii[radii > 0.0].min())  # [m]
+        self._each = np.array([precision.meters(float(r)) for r in radii]) / unit
+        self._least = float(self._each[radii > 0.0].min())
+        self.share = precision.meters(self.radius) / self.radius
+
+    @property
+    def particles(self) -> Floats:
+        """(N,) of each particle."""
+        return self._each[self._body]
+
+    @property
+    def most(self) -> float:
+        """Of the largest body."""
+        return float(self._each.max())
+
+    def body(self, body: int) -> float:
+        """Of one body."""
+        return float(self._each[body])
+
+    def surface(self, number: int) -> float:
+        """Of a surface of the asset; what no particle stands for moves with any body."""
+        bodies = np.unique(self._body[self._surface == number])
+        return float(self._each[bodies].min() if len(bodies) else self._least)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Prims that move as one, and have their samples at the same times."""
+
+    paths: tuple[Sdf.Path, ...]
+    allowed: Allowed
+    turn: Callable[[float], Floats]  # (3, 3) to the world at a time code, for rows
+
+
+def allowed(
+    length: Floats | float, share: float, settings: Settings, *, shape: float = 1.0
+) -> Allowed:
+    """A tolerance [stage units] as what samples of a prim may be off by.
+
+    share : the tolerance over the radius, which is that of a turn [rad] too; shape : what of it is
+    left for shapes.
+    """
+    each = np.asarray(length, float)
+    return Allowed(
+        length=each,
+        shape=shape * each,
+        angle=share,
+        share=share,
+        shutter=STILL / settings.fps / settings.samples_per_frame,
+    )
+
+
+def take_samples(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, Any]:
+    """The samples of a layer at a time code, which are erased there."""
+    sites: list[Sdf.Path] = []
+    layer.Traverse(Sdf.Path.absoluteRootPath, sites.append)
+    found: dict[Sdf.Path, Any] = {}
+    for path in sites:
+        value = layer.QueryTimeSample(path, time_code) if path.IsPropertyPath() else None
+        if value is not None:
+            found[path] = value
+            layer.EraseTimeSample(path, time_code)
+    return found
+
+
+class AdaptiveSamples:
+    """Chooses the samples of a cache.  What belongs to no group, and single values, stay as is.
+
+    window : samples of a group that are held at most.
+    """
+
+    def __init__(self, groups: Sequence[Group], window: int) -> None:
+        self._groups = {group.paths: Sparse(group.allowed, window, group.turn) for group in groups}
+        self._of = {path: group.paths for group in groups for path in group.paths}
+
+    @property
+    def tallies(self) -> dict[str, Tally]:
+        """Of each group, by the path of its first prim."""
+        return {str(paths[0]): sparse.tally for paths, sparse in self._groups.items()}
+
+    def begin(self, time_code: float, values: Values) -> None:
+        """Go on from samples that are written already, at the end of a clip."""
+        for paths, mine in self._sorted(values)[0].items():
+            self._groups[paths].begin(time_code, mine)
+
+    def take(self, time_code: float, values: Values, *, last: bool = False) -> Iterator[Sample]:
+        """Samples to write, now that those of another time code are there; see `Sparse.take`."""
+        moving, rest = self._sorted(values)
+        yield from ((path, time_code, value) for path, value in rest.items())
+        for paths, mine in moving.items():
+            for code, kept in self._groups[paths].take(time_code, mine, last=last):
+                yield from ((path, code, value) for path, value in kept.items())
+
+    def close(self) -> Iterator[Sample]:
+        """The samples that are still to be written."""
+        for sparse in self._groups.values():
+            for code, kept in sparse.close():
+                yield from ((path, code, value) for path, value in kept.items())
+
+    def state(self) -> dict[str, Any]:
+        """What others go on from, at the end of a clip; plain values."""
+        return {name: vars(tally) for name, tally in self.tallies.items()}
+
+    def go_on(self, state: Mapping[str, Any]) -> None:
+        """Take over the state of those that chose what is there."""
+        for paths, sparse in self._groups.items():
+            sparse.tally = Tally(**state[str(paths[0])])
+
+    def _sorted(self, values: Values) -> tuple[dict[tuple[Sdf.Path, ...], Values], Values]:
+        moving: dict[tuple[Sdf.Path, ...], dict[Sdf.Path, Any]] = {}
+        rest: dict[Sdf.Path, Any] = {}
+        for path, value in values.items():
+            group = self._of.get(path.GetPrimPath())
+            if group is not None and hasattr(value, "FromNumpy"):
+                moving.setdefault(group, {})[path] = value
+            else:
+                rest[path] = value
+        return dict(moving), rest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Storage:
+    """What storing less came to."""
+
+    precision: Precision | None
+    bytes: int  # of the cache, or of its clips
+    samples_left_out: int = 0  # [bytes] that this saved
+    half_precision: int = 0
+    velocities_left_out: int = 0
+    samples: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # kept, of all; by prim
+    errors: Mapping[str, float] = field(default_factory=dict)  # largest; see ERRORS
+    radius: float = 0.0  # [m] of the smallest body
+
+    @property
+    def bytes_without(self) -> int:
+        """[bytes] of every sample in single precision."""
+        saved = self.samples_left_out + self.half_precision + self.velocities_left_out
+        return self.bytes + saved
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; docs/guide.md has the keys."""
+        return {
+            "precision": self.precision.said if self.precision else None,
+            "bytes": self.bytes,
+            "bytes_without": self.bytes_without,
+            "saved": {
+                "samples_left_out": self.samples_left_out,
+                "half_precision": self.half_precision,
+                "velocities_left_out": self.velocities_left_out,
+            },
+            "samples": {path: {"kept": k, "of": n} for path, (k, n) in self.samples.items()},
+            "errors": dict(self.errors),
+        }
+
+    @property
+    def said(self) -> str:
+        """In a sentence."""
+        parts = [
+            f"{_size(size)} by {how}"
+            for size, how in (
+                (self.samples_left_out, "samples left out" + self._left()),
+                (self.half_precision, "half precision"),
+                (self.velocities_left_out, "leaving velocities out"),
+            )
+            if size
+        ]
+        if self.samples and not self.samples_left_out:
+            parts.append("nothing by samples: none could be left out")
+        saved = f"{', '.join(parts)}" if parts else "nothing could be saved"
+        said = f"{_size(self.bytes)} in place of {_size(self.bytes_without)}: {saved}"
+        if "positions_m" in self.errors:
+            off = self.errors["positions_m"]
+            said += f"; points are off by {off:.3g} m at most"
+            if self.precision is not None and self.precision.relative:
+                said += f", {100.0 * off / self.radius:.2g} % of the radius"
+        return said
+
+    def _left(self) -> str:
+        kept, of = (sum(pair[i] for pair in self.samples.values()) for i in (0, 1))
+        return f" ({of - kept} of {of})"
+
+
+# kind -> (key of `Storage.errors`, what an error is multiplied by: length or angle)
+ERRORS = {
+    POSITIONS: "positions_m",
+    VELOCITIES: "velocities_m",
+    SHAPES: "shapes_m",
+    BOX: "boxes_m",
+    NORMALS: "normals_deg",
+}
+
+
+def errors_of(tallies: Sequence[Tally], rounding: float | None, unit: float) -> dict[str, float]:
+    """The largest errors, by the keys of ERRORS; those of all else as "others_share".
+
+    rounding : [stage units] of shapes, in half precision; unit : [m] per stage length.
+    """
+    total = Tally()
+    for tally in tallies:
+        total.note(tally.largest)
+    if rounding is not None:
+        total.largest[SHAPES] = total.largest.get(SHAPES, 0.0) + rounding
+    found: dict[str, float] = {}
+    for kind, error in sorted(total.largest.items()):
+        key = ERRORS.get(kind, "others_share")
+        size = unit if kind in LENGTHS else np.degrees(1.0) if kind == NORMALS else 1.0
+        found[key] = max(found.get(key, 0.0), float(error * size))
+    return found
+
+
+def _size(count: float) -> str:
+    for unit, size in (("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"

@@ -1,0 +1,1 @@
+"""What a bake costs: an estimate before it begins, and a forecast while it runs."""

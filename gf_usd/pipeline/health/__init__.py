@@ -1,0 +1,1 @@
+"""Health of a bake: the log of its frames, and warnings about what is in it."""

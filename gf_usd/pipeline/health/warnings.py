@@ -1,0 +1,275 @@
+"""What of a bake's health deserves a warning, in plain words.
+
+Energy that contact made out of nothing is an error: what moves then is wrong, although nothing else
+shows it.
+
+A warning is for numbers that a sound bake does not have, so that ``--strict`` may stop a farm on
+them.  What the solver met and corrected, or what is usual, is told in the report and warned of by
+nobody: a few frames that were redone, and friction at its limit, which is how a sample sticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+HealthSummary = Mapping[str, Any]
+
+# Of the energy scale, in one frame.  Sound bakes of all looks stay under 1e-4 (measured); at 2e-2
+# the solver redoes the frame.
+ENERGY_GAIN = 1e-3
+# Of the energy scale, in a whole bake, given by new contact planes.  Arms that close at 6 m/s are
+# given 1e-4 (measured).
+PLANES_GAIN = 1e-3
+REDONE = 0.1  # of the frames: more often than at a hard landing or two
+INSIDE = 0.01  # of the surface: limbs stand in each other, visibly
+DEEP = 1.0  # [spacings] the surface visibly sinks in
+RESTING = (
+    0.25  # [spacings] the contact is laid out for 0.08; a narrow foot sinks deeper than a ball
+)
+# Of m v: float32 loses digits where a substep adds less to a velocity than its last digit holds.
+DRIFT = 0.01
+STILL = 1e-9  # of the energy scale: a body that never had more motion than this did not move
+NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
+ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
+
+
+WARNING, ERROR = "warning", "error"
+ERRORS = ("planes",)  # of RULES
+
+
+@dataclass(frozen=True, kw_only=True)
+class HealthWarning:
+    """One warning, or an error, which needs no --strict."""
+
+    about: str  # the row of RULES that it came from
+    message: str
+    hint: str
+    level: str = WARNING
+
+    def as_json(self) -> dict[str, str]:
+        """Plain values."""
+        return asdict(self)
+
+
+def health_warnings(health: HealthSummary) -> tuple[HealthWarning, ...]:
+    """The warnings that a summary of `HealthLog` deserves, in the order of RULES."""
+    found = []
+    for about, rule in RULES.items():
+        if (said := rule(health)) is not None:
+            level = ERROR if about in ERRORS else WARNING
+            found.append(HealthWarning(about=about, message=said[0], hint=said[1], level=level))
+    return tuple(found)
+
+
+def plan_warnings(odd: str) -> tuple[HealthWarning, ...]:
+    """That of a body whose size is not plausible in a unit that nobody wrote down."""
+    if not odd:
+        return ()
+    return (HealthWarning(about="size", message=odd, hint="give the unit with --meters-per-unit"),)
+
+
+Said = tuple[str, str] | None
+
+
+def _energy(h: HealthSummary) -> Said:
+    share = h["energy_gain_max_share"]
+    if share <= ENERGY_GAIN:
+        return None
+    return (
+        f"energy was made out of nothing: {h['energy_gain_max_J']:.3g} J in one frame,"
+        f" {100.0 * share:.2g} % of what the body has to move and strain with",
+        "lower the impact (--drop), or take a softer material",
+    )
+
+
+def _inverted(h: HealthSummary) -> Said:
+    count = h["inverted_particle_frames"]
+    if not count:
+        return None
+    left = h["inverted_at_end"]
+    end = f"{left} still are at the end" if left else "none is at the end"
+    return (
+        f"particles were turned inside out: up to {h['inverted_max']} at once, from frame"
+        f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
+        "lower the impact (--drop), use --law neoHookean, a stiffer material or more --particles",
+    )
+
+
+def _rollbacks(h: HealthSummary) -> Said:
+    if h["rollbacks"] <= max(1.0, REDONE * h["frames"]):
+        return None
+    return (
+        f"the step was too long {h['rollbacks']} times in {h['frames']} frames, which were redone"
+        " with half of it",
+        "lower the impact (--drop), or use --law neoHookean",
+    )
+
+
+def _clamped(h: HealthSummary) -> Said:
+    if h["clamped_share"] <= ALTERED:
+        return None
+    return (
+        f"stretches were clamped in {100.0 * h['clamped_share']:.2g} % of all particles and frames:"
+        " there the body is not of the material asked for",
+        "widen the limits (--clamp), or lower the impact (--drop)",
+    )
+
+
+def _capped(h: HealthSummary) -> Said:
+    if h["stress_capped_share"] <= ALTERED:
+        return None
+    return (
+        f"stress was cut in {100.0 * h['stress_capped_share']:.2g} % of all particles and frames:"
+        " there the body is not of the material asked for",
+        "raise --stress-cap, or lower the impact (--drop)",
+    )
+
+
+def _injected(h: HealthSummary) -> Said:
+    given = h["injected_J"] - h["planes_J"]
+    share = abs(given) / h["energy_scale_J"] if h["energy_scale_J"] else 0.0
+    if share <= ALTERED:
+        return None
+    done = f"put {given:.3g} J into" if given > 0.0 else f"took {-given:.3g} J out of"
+    return (
+        f"corrections of the shape {done} the body, {100.0 * share:.2g} % of what it has to move"
+        " and strain with",
+        "lower --procrustes, or use --no-wls",
+    )
+
+
+def _planes(h: HealthSummary) -> Said:
+    share = h["planes_gain_share"]
+    if share < PLANES_GAIN:
+        return None
+    return (
+        f"contact between bodies put {share * h['energy_scale_J']:.3g} J into them,"
+        f" {100.0 * share:.2g} % of what they have to move and strain with",
+        "lower the impact (--drop), or take more --particles",
+    )
+
+
+def _deep(h: HealthSummary) -> Said:
+    if h["deepest_penetration_spacings"] <= DEEP:
+        return None
+    return (
+        f"the surface sank {h['deepest_penetration_spacings']:.2g} spacings"
+        f" ({h['deepest_penetration_m']:.3g} m) into the floor",
+        "lower the impact (--drop)",
+    )
+
+
+def _overlap(h: HealthSummary) -> Said:
+    if h["deepest_overlap_spacings"] <= DEEP:
+        return None
+    return (
+        f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
+        f" ({h['deepest_overlap_m']:.3g} m)",
+        "lower the impact (--drop), or take more --particles; bodies that overlap at the start are"
+        " moved apart in the asset",
+    )
+
+
+def _let_go(h: HealthSummary) -> Said:
+    if not h["let_go_max"]:
+        return None
+    return (
+        f"{h['let_go_max']} contact points at once seemed deeper in another surface than they can"
+        " have come, where it was folded or turned inside out, and were let go: there the bodies"
+        " may stand in each other",
+        "lower the impact (--drop), take a stiffer material, or more --particles",
+    )
+
+
+def _inside(h: HealthSummary) -> Said:
+    share = h["inside_at_end_share"]
+    if share is None or share <= INSIDE:
+        return None
+    return (
+        f"{100.0 * share:.2g} % of the surface lies half a spacing and more inside a body at the"
+        f" end, up to {1000.0 * h['inside_at_end_m']:.3g} mm deep",
+        "take more --particles, a stiffer material or a lower impact (--drop), and leave"
+        " --no-self-contact out",
+    )
+
+
+def _resting(h: HealthSummary) -> Said:
+    depth = h["resting_penetration_spacings"]
+    if depth is None or depth <= RESTING:
+        return None
+    return (
+        f"at rest the surface lies {depth:.2g} spacings deep in the floor",
+        "more --particles make a spacing smaller",
+    )
+
+
+def _drift(h: HealthSummary) -> Said:
+    linear, spin = h["momentum_drift"], h["angular_momentum_drift"]
+    if linear is None or spin is None or max(linear, spin) <= DRIFT:
+        return None
+    return (
+        f"the free flight is off: by {100.0 * linear:.2g} % of the momentum and"
+        f" {100.0 * spin:.2g} % of the angular momentum of the fastest motion; with"
+        f" {h['substeps_max_per_frame']} substeps a frame single precision loses digits",
+        "a softer or less damped material takes longer steps",
+    )
+
+
+def _untouched(h: HealthSummary) -> Said:
+    met = h["first_contact_frame"] is not None
+    if not h["falls"] or met or h["frames"] < 2 or _still(h) is not None:
+        return None
+    return (
+        f"nothing was touched in {h['frames']} frames: the body moved {h['shift_max_m']:.3g} m and"
+        " is still in the air",
+        "take more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
+    )
+
+
+def _still(h: HealthSummary) -> Said:
+    if h["frames"] < 2 or h["kinetic_max_J"] > STILL * h["energy_scale_J"]:
+        return None
+    return (
+        f"nothing moves in {h['frames']} frames",
+        "give the body something to do: a height (--drop), gravity, pins or colliders that move",
+    )
+
+
+def _loop(h: HealthSummary) -> Said:
+    share = h.get("loop_difference_share", 0.0)
+    if share <= NOT_PERIODIC:
+        return None
+    return (
+        f"after {h['loop_cycles']} times the cycle differs from the one before by"
+        f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: a step is seen"
+        " where it repeats",
+        "repeat it until it is periodic (--loop), or longer, and calm the flesh (--goal-frequency,"
+        " --damping-time)",
+    )
+
+
+RULES: dict[str, Callable[[HealthSummary], Said]] = {
+    "untouched": _untouched,
+    "still": _still,
+    "energy": _energy,
+    "inside-out": _inverted,
+    "redone": _rollbacks,
+    "clamp": _clamped,
+    "stress-cap": _capped,
+    "injected": _injected,
+    "planes": _planes,
+    "penetration": _deep,
+    "overlap": _overlap,
+    "let-go": _let_go,
+    "inside": _inside,
+    "resting-depth": _resting,
+    "free-flight": _drift,
+    "loop": _loop,
+}
+
+
+def warnings_json(warnings: Sequence[tuple[str, HealthWarning]]) -> list[dict[str, str]]:
+    """``[{look, about, message, hint, level}]`` as reports hold it."""
+    return [{"look": look, **warning.as_json()} for look, warning in warnings]

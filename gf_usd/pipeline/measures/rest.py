@@ -1,0 +1,53 @@
+"""When everything is at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gf_usd.core.errors import BakeError
+from gf_usd.core.frames import AT_REST, Health
+from gf_usd.core.materials import G0, time_scale
+
+
+class Rest:
+    """Sees when all bodies have been at rest for a time T; see `AT_REST`.
+
+    frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume; stirred : frames
+    at the start in which an obstacle moves, or may move again.
+    """
+
+    def __init__(self, frame_time: float, radius: float, stirred: int = 0) -> None:
+        self._step, self._radius, self._stirred = frame_time, radius, stirred
+        self.still = 0.0  # [s] since when all are at rest
+
+    def limit(self, health: Health) -> float:
+        """[J] of kinetic energy that counts as rest."""
+        return AT_REST * health.mass * G0 * self._radius
+
+    def reached(self, health: Health, index: int) -> bool:
+        """Whether this frame, the next one, ends a time T at rest."""
+        still = index >= self._stirred and health.kinetic <= self.limit(health)
+        self.still = self.still + self._step if still else 0.0
+        return self.still >= time_scale(self._radius)
+
+    def said(self, look: str, frames: Sequence[Health], most: int, *, settled: bool) -> str:
+        """When a material came to rest, in words; most : frames that it may take."""
+        if settled:
+            return f"{look}: at rest at frame {len(frames)}"
+        last = frames[-1]
+        return (
+            f"{look}: not at rest within {most} frames: the kinetic energy of the last one is"
+            f" {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest; --frames"
+            f" rest:{2 * most} simulates longer"
+        )
+
+    def refusal(self, look: str, last: Health, most: int, path: Path) -> BakeError:
+        """For --settle-only where something still moves in the last of `most` frames."""
+        return BakeError(
+            f"{path}, {look}: not at rest within {most} frames: the kinetic energy of the last one"
+            f" is {last.kinetic:.3g} J, and {self.limit(last):.3g} J counts as rest",
+            f"simulate longer with --frames {2 * most}, or calm it with --drag, --friction or"
+            " another material; what is driven by a moving pin or obstacle, or drifts without"
+            " gravity, never rests",
+        )

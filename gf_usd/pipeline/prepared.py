@@ -1,0 +1,200 @@
+"""A bake that is ready to run: its plan, its solvers, what it costs and where it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import sampled
+from gf_usd.core.scene import Scene
+from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
+from gf_usd.pipeline.cost.budget import (
+    Cost,
+    Solvers,
+    estimate,
+    first_contact,
+)
+from gf_usd.pipeline.cost.forecast import (
+    FILLING,
+    READING,
+    Stages,
+    Watch,
+)
+from gf_usd.prepare.plan import Plan, Variant
+from gf_usd.prepare.prepare import Refill
+from gf_usd.prepare.prepare import prepare as prepare_plan
+from gf_usd.prepare.settings import REST_WORK, shot_frames
+from gf_usd.system.taichi_runtime import watching
+
+if TYPE_CHECKING:
+    from gf_usd.physics.frame_loop import Solver
+    from gf_usd.readers.mesh.to_usd import MeshSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """A bake that is ready to run: its plan, and what is there only while the process is."""
+
+    plan: Plan
+    converted: MeshSource | None = None  # of an asset that is not USD; holds a temporary folder
+    resume: Resume = field(default_factory=Resume)
+    refill: Refill | None = None  # fills the same asset more coarsely; None: nobody needs it
+    warned: frozenset[str] = frozenset()  # what USD warned of, told in the plan's notes
+
+    @cached_property
+    def solvers(self) -> Solvers:
+        """The solvers of its variants."""
+        return Solvers(partial(solver_of, self.plan), len(self.plan.particles))
+
+    @cached_property
+    def cost(self) -> Cost:
+        """Of `budget.estimate`; builds the solvers."""
+        plan = self.plan
+        setup = plan.contact_setup
+        samples = plan.settings.samples_per_frame
+        surfaces = plan.asset.surfaces
+        return estimate(
+            plan.settings,
+            plan.materials,
+            [samples * self.solvers.substeps(variant) for variant in plan.variants],
+            particles=len(plan.particles),
+            vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
+            paired=len(plan.samples.X) if setup and setup.any else 0,
+            frame_bytes=plan.frame_bytes,
+            first_contact=None if pushed(plan) else first_contact(plan.settings, plan.drop),
+            flying=flying(plan),
+            fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
+            damping=[self.solvers.damping(variant) for variant in plan.variants],
+            crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
+        )
+
+
+def prepare(
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    watch: Watch | None = None,
+    **options: Any,
+) -> Prepared:
+    """A bake with the checkpoints that it goes on from, ready to run; see `gf_usd.bake`.
+
+    watch : is told what it is doing.
+    """
+    from gf_usd.layers.usd_warnings import gathered
+
+    stages = Stages(watch)
+    if resume and options.get("certify"):
+        raise UsageError(
+            "--certify does not go with --resume: it needs all frames of one run",
+            "bake anew with --overwrite, or leave --certify out",
+        )
+    stages.begin(READING, Path(path).name)
+    refills: list[Refill] = []
+    with gathered() as warned, watching(stages.compile):
+        plan, converted = prepare_plan(
+            path, overwrite=overwrite, resume=resume, draw=draw,
+            once_read=partial(stages.begin, FILLING), once_filled=refills.append, **options,
+        )  # fmt: skip
+    plan = replace(plan, notes=(*plan.notes, *warned.lines()))
+    told = frozenset(warned.said)
+    refill = refills[0] if plan.choices.certify else None
+    prepared = of_a_shot(Prepared(plan=plan, converted=converted, refill=refill, warned=told))
+    if not resume:
+        return prepared
+    plan = prepared.plan
+    clips = bool(plan.choices.clip_frames)
+    identify = partial(identity_of, plan)
+    found = find_resume(plan.variants, identify, clips=clips, overwrite=overwrite)
+    plan = replace(plan, notes=(*plan.notes, *found.notes))
+    return Prepared(plan=plan, converted=converted, resume=found, warned=told)
+
+
+def of_a_shot(prepared: Prepared) -> Prepared:
+    """A bake that nobody gave a length, as long as a shot where rest would take too much work.
+
+    By a count of substeps, so that the length is the same on every machine.
+    """
+    plan = prepared.plan
+    if not plan.choices.open_end:
+        return prepared
+    rows = prepared.cost["per_material"]
+    work = max(row["substeps"] for row in rows) * len(plan.particles)
+    if work <= REST_WORK:
+        return prepared
+    frames = shot_frames(plan.settings.frames)
+    note = (
+        f"{frames} frames are simulated, and not until rest: {plan.settings.frames} frames, which"
+        f" that may take, are about {work:.1g} substeps of a particle; --frames rest asks for it"
+    )
+    shorter = replace(
+        plan,
+        settings=replace(plan.settings, frames=frames),
+        each=tuple(replace(one, frames=frames) for one in plan.each),
+        choices=replace(plan.choices, until_rest=False, open_end=False),
+        notes=(*plan.notes, note),
+    )
+    return replace(prepared, plan=shorter)
+
+
+def identity_of(plan: Plan, variant: Variant) -> dict[str, str]:
+    """Of a checkpoint of a variant."""
+    return identity(
+        variant.settings, variant.table, plan.choices, plan.particles,
+        plan.contact_setup.colliders if plan.contact_setup else (),
+        asset=plan.asset.facts.path, command=plan.command,
+    )  # fmt: skip
+
+
+def draw(scene: Scene, size: tuple[int, int]) -> Any:
+    """The picture of an asset that an advisor is shown."""
+    from gf_usd.view.render.render import render
+
+    return render(scene, size=size)
+
+
+def pushed(plan: Plan) -> bool:
+    """Whether more than gravity and contact moves the bodies."""
+    return plan.held or bool(plan.settings.fields)
+
+
+def flying(plan: Plan) -> int:
+    """Frames at the start that need no substeps, since all bodies are in free flight."""
+    from gf_usd.physics.total_lagrangian.shape_correction import acts
+
+    s = plan.settings
+    held = plan.pins or plan.goals or s.fields or any(map(callable, plan.velocity))
+    if held or not s.shortcuts or s.solver != "tl" or s.drag or acts(s):
+        return 0
+    if plan.contact_setup is not None and plan.contact_setup.colliders:
+        return 0
+    frame = first_contact(s, plan.drop)
+    return s.frames if frame is None else max(0, frame - 2)  # one more is near enough
+
+
+def solver_of(plan: Plan, variant: Variant) -> Solver:
+    """The solver of a variant, at its start."""
+    from gf_usd.physics.solvers import make_solver
+
+    more: dict[str, Any] = {}
+    if plan.velocity:
+        more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
+    if plan.settings.solver == "tl" and plan.bodies is not None:
+        more |= {
+            "contact_setup": plan.contact_setup,
+            "goals": plan.goals,
+            "embedded_body": {**plan.bodies.embedded, **{t.key: t.body for t in plan.tets}},
+            "embedded_copy": plan.embedded_copies,
+        }
+    return make_solver(
+        sampled(variant.settings),
+        plan.particles,
+        variant.table,
+        samples=plan.samples,
+        embedded=plan.points if plan.settings.skin == "embed" else {},
+        pins=plan.pins,
+        **more,
+    )

@@ -1,0 +1,199 @@
+"""A cache that leaves samples out is within what was asked for, as plain USD reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd
+from small_sources import PLAIN, SOURCES, Source
+from small_stages import bake, frames_of, info_of, particles_of, world, write_cache
+
+from gf_usd.core.frames import Choices
+from gf_usd.core.units import Precision
+from gf_usd.layers.cache import CacheWriter
+from gf_usd.layers.check.run import check_file
+from gf_usd.system.atomic_files import publish
+
+FRAMES = 40
+SHARE = 0.06  # coarse, for the motion of these tests turns by 5 degrees a frame
+COARSE = Precision(value=SHARE, relative=True)
+ADAPTIVE = Choices(precision=COARSE, adaptive=True)
+
+
+def roots(asset, folder: Path, choices: Choices, **more) -> tuple[Path, Path]:
+    """The bake with all samples, and the one with these choices."""
+    found = []
+    for name, chosen in (("all", Choices()), ("few", choices)):
+        where = folder / name
+        where.mkdir()
+        found.append(bake(asset, where, choices=chosen, frames=FRAMES, **more)[0].path)
+    return found[0], found[1]
+
+
+# at this rate nothing is straight under a parent that turns, or far from the axis of the motion
+TURNING = [SOURCES["moving"], SOURCES["several_roots"]]
+
+
+@pytest.fixture(params=SOURCES)
+def source(request: pytest.FixtureRequest) -> Source:
+    return SOURCES[request.param]
+
+
+@pytest.mark.parametrize("clips", [0, 7])
+def test_points_are_within_the_error_at_every_frame(
+    source: Source, clips: int, tmp_path: Path
+) -> None:
+    asset = source.asset(tmp_path)
+    every, few = roots(asset, tmp_path, Choices(precision=COARSE, adaptive=True, clip_frames=clips))
+    true, mine = Usd.Stage.Open(str(every)), Usd.Stage.Open(str(few))
+    limit = SHARE * particles_of(asset).radii.min() / asset.facts.units.length
+    left = 0
+    for prim in true.Traverse(Usd.TraverseInstanceProxies()):
+        for name in ("points", "positions"):
+            attribute = prim.GetAttribute(name)
+            if attribute and attribute.GetNumTimeSamples() > 1:
+                path = str(prim.GetPath())
+                samples = mine.GetPrimAtPath(path).GetAttribute(name).GetTimeSamples()
+                left += attribute.GetNumTimeSamples() - len(samples)
+                for code in attribute.GetTimeSamples():
+                    apart = world(true, path, name, code) - world(mine, path, name, code)
+                    assert np.linalg.norm(apart, axis=1).max() <= limit, (path, code)
+    assert left > 0 or source in TURNING
+    found = [{(f.rule, f.prim_path) for f in check_file(root).findings} for root in (every, few)]
+    assert found[0] == found[1]
+
+
+def test_the_error_that_is_told_is_the_largest_that_is_read(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    (tmp_path / "all").mkdir()
+    write_cache(tmp_path / "all" / "c.usdc", asset, frames=FRAMES)
+    summary, particles, _ = write_cache(tmp_path / "c.usdc", asset, frames=FRAMES, choices=ADAPTIVE)
+    true = Usd.Stage.Open(str(tmp_path / "all" / "c.usdc"))
+    mine = Usd.Stage.Open(str(tmp_path / "c.usdc"))
+    worst = 0.0
+    for path, name in (
+        ("/duck/geo/body", "points"),
+        ("/duck/GaussianFlesh/Gaussians", "positions"),
+    ):
+        attribute = true.GetPrimAtPath(path).GetAttribute(name)
+        other = mine.GetPrimAtPath(path).GetAttribute(name)
+        assert other.GetNumTimeSamples() < attribute.GetNumTimeSamples()
+        for code in attribute.GetTimeSamples():
+            apart = np.array(attribute.Get(code)) - np.array(other.Get(code))
+            worst = max(worst, float(np.linalg.norm(apart, axis=1).max()))
+    told = summary.storage
+    assert told is not None
+    # what is told holds the rounding of single precision, which is 1e-6 here
+    assert worst <= told.errors["positions_m"] <= worst + 1e-5
+    assert told.errors["positions_m"] <= SHARE * particles.radii.min()
+    # every value has a sample at every frame: the health is complete
+    health = mine.GetPrimAtPath("/duck").GetAttribute("gaussianFlesh:health:kineticEnergy")
+    assert health.GetNumTimeSamples() == FRAMES
+
+
+def test_prims_of_the_particles_have_their_samples_together(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    write_cache(tmp_path / "c.usdc", asset, frames=FRAMES, choices=ADAPTIVE)
+    stage = Usd.Stage.Open(str(tmp_path / "c.usdc"))
+    scope = stage.GetPrimAtPath("/duck/GaussianFlesh")
+    sampled = {
+        tuple(attribute.GetTimeSamples())
+        for name in ("Gaussians", "Points")
+        for attribute in scope.GetChild(name).GetAuthoredAttributes()
+        if attribute.GetNumTimeSamples()
+    }
+    assert len(sampled) == 1
+
+
+def test_the_bytes_that_are_told_are_those_of_the_other_bake(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    choices = Choices(precision=COARSE, adaptive=True, velocities=False)
+    (tmp_path / "all").mkdir()
+    # in one save, after which nothing is stored twice
+    asked = {"frames": FRAMES, "save_every": FRAMES}
+    plain, _, _ = write_cache(tmp_path / "all" / "c.usdc", asset, **asked)
+    less, _, _ = write_cache(tmp_path / "c.usdc", asset, choices=choices, **asked)
+    told = less.storage
+    assert told is not None
+    assert plain.storage is None
+    assert told.bytes == (tmp_path / "c.usdc").stat().st_size
+    assert told.samples_left_out > 0
+    assert told.half_precision > 0
+    assert told.velocities_left_out > 0
+    # these arrays are so small that what is about them counts, which is not told
+    assert told.bytes_without == pytest.approx(plain.bytes, rel=0.1)
+
+
+def test_another_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    for name in ("a.usdc", "b.usdc"):
+        write_cache(tmp_path / name, asset, frames=FRAMES, choices=ADAPTIVE)
+    assert (tmp_path / "a.usdc").read_bytes() == (tmp_path / "b.usdc").read_bytes()
+
+
+def test_a_writer_goes_on_from_a_full_clip_with_the_same_bytes(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    choices = Choices(precision=COARSE, adaptive=True, velocities=False, clip_frames=6)
+    info, particles = info_of(asset, frames=FRAMES), particles_of(asset)
+    frames = list(frames_of(asset, particles, info))
+    told = []
+    for name in ("whole", "parts"):
+        cache = tmp_path / name / "c.usdc"
+        cache.parent.mkdir()
+        with CacheWriter(cache, asset, particles, info, choices=choices) as writer:
+            for frame in frames:
+                writer.write(frame)
+                if name == "parts" and writer.full and frame.index > 15:
+                    break
+            state = writer.state() if name == "parts" else None
+        if state is not None:
+            left = [one for one in frames if one.index >= state["samples"]]
+            with CacheWriter(cache, asset, particles, info, choices=choices, since=state) as writer:
+                for frame in left:
+                    writer.write(frame)
+        publish(cache)
+        told.append(writer.close().storage)
+    assert told[0] == told[1]
+    clips = sorted((tmp_path / "whole" / "c.clips").iterdir())
+    assert len(clips) > 6
+    for clip in clips:
+        other = tmp_path / "parts" / "c.clips" / clip.name
+        assert other.read_bytes() == clip.read_bytes(), clip.name
+
+
+def test_velocities_are_left_out_and_those_of_the_source_do_not_show(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    stage = Usd.Stage.Open(str(asset.facts.path))
+    mesh = stage.GetPrimAtPath("/duck/geo/body")
+    from pxr import UsdGeom, Vt
+
+    theirs = Vt.Vec3fArray(len(UsdGeom.Mesh(mesh).GetPointsAttr().Get()))
+    UsdGeom.Mesh(mesh).CreateVelocitiesAttr(theirs)
+    stage.Save()
+    root, _, _ = bake(asset, tmp_path, choices=Choices(velocities=False), frames=6)
+    baked = Usd.Stage.Open(str(root.path))
+    named = [
+        attribute.GetPath()
+        for prim in baked.Traverse()
+        for attribute in prim.GetAuthoredAttributes()
+        if attribute.GetName().endswith("velocities") and attribute.HasAuthoredValue()
+    ]
+    assert named == []
+    assert not check_file(root.path).errors
+
+
+def test_halves_are_used_within_the_error_only(tmp_path: Path) -> None:
+    asset = PLAIN.asset(tmp_path)
+    for share, name in ((0.05, "orientationsh"), (1e-5, "orientations")):
+        choices = Choices(precision=Precision(value=share, relative=True))
+        path = tmp_path / f"{name}.usdc"
+        summary, particles, _ = write_cache(path, asset, choices=choices)
+        stage = Usd.Stage.Open(str(path))
+        prim = stage.GetPrimAtPath("/duck/GaussianFlesh/Gaussians")
+        assert prim.GetAttribute(name).GetNumTimeSamples() > 1
+        assert summary.storage is not None
+        assert summary.storage.errors.get("shapes_m", 0.0) <= share * particles.radii.min()
+        said = any("stay in single precision" in note for note in summary.notes)
+        assert said == (name == "orientations")

@@ -1,0 +1,123 @@
+"""Rolling resistance, and the damping of motion too small to be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gf_usd.core.materials import G0, time_scale
+from gf_usd.physics.total_lagrangian.settling import AMPLITUDE, CALM, Settling, resistance
+
+UP = np.array([0.0, 1.0, 0.0])
+R = 0.3
+
+
+def _ball(seed: int = 1, n: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """Masses and places of nodes around (1, R, 2)."""
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(n, 3))
+    q *= (R * rng.random(n) ** (1 / 3) / np.linalg.norm(q, axis=1))[:, None]
+    m = rng.random(n)
+    q -= m @ q / m.sum()
+    return m, q + [1.0, R, 2.0]
+
+
+def _kinetic(m: np.ndarray, v: np.ndarray) -> float:
+    return float(0.5 * m @ (v**2).sum(1))
+
+
+def test_the_moment_of_a_rolling_body_falls_by_the_impulse() -> None:
+    m, x = _ball()
+    w = np.array([2.0, 0.0, -1.0])
+    P = np.array([[1.0, 0.0, 2.0]])
+    v = np.cross(w, x - P)
+    body = np.zeros(len(m), int)
+    spin = (m[:, None] * np.cross(x - P, v)).sum(0)[[0, 2]]
+    most = 0.2 * np.linalg.norm(spin)
+    change = resistance(m, x, v, body, P, UP, np.array([most]))
+    after = (m[:, None] * np.cross(x - P, v + change)).sum(0)[[0, 2]]
+    # along the rotation, so that w falls by a fifth; I couples its axes
+    np.testing.assert_allclose(after, 0.8 * spin, rtol=1e-12)
+    np.testing.assert_allclose(change, -0.2 * v, atol=1e-12)
+    assert _kinetic(m, v + change) == pytest.approx(0.64 * _kinetic(m, v))
+
+
+def test_it_stops_a_body_and_does_not_turn_it_back() -> None:
+    m, x = _ball()
+    P = np.array([[1.0, 0.0, 2.0]])
+    v = np.cross([0.1, 0.0, 0.2], x - P)
+    change = resistance(m, x, v, np.zeros(len(m), int), P, UP, np.array([1e9]))
+    np.testing.assert_allclose(v + change, 0.0, atol=1e-14)
+
+
+def test_it_takes_energy_from_any_motion() -> None:
+    rng = np.random.default_rng(2)
+    m, x = _ball()
+    P = np.array([[1.0, 0.0, 2.0]])
+    body = np.zeros(len(m), int)
+    for most in (1e-4, 1e-2, 1.0, 100.0):
+        v = rng.normal(size=x.shape) + rng.normal(size=3)
+        change = resistance(m, x, v, body, P, UP, np.array([most]))
+        assert _kinetic(m, v + change) < _kinetic(m, v)
+
+
+def test_spin_about_the_normal_and_what_does_not_turn_are_left() -> None:
+    m, x = _ball()
+    P = np.array([[1.0, 0.0, 2.0]])
+    body = np.zeros(len(m), int)
+    # the third moments about P couple the axes of a body that is not symmetric: one that is
+    x = np.concatenate([x, 2.0 * P * [1, 0, 1] + x * [-1, 1, -1]])
+    m, body = np.concatenate([m, m]), np.zeros(2 * len(body), int)
+    for v in (np.cross([0.0, 3.0, 0.0], x - P), np.tile([0.0, -2.0, 0.0], (len(x), 1))):
+        change = resistance(m, x, v, body, P, UP, np.array([1e-2]))
+        np.testing.assert_allclose(change, 0.0, atol=1e-15)
+
+
+def test_each_body_feels_its_own() -> None:
+    (m1, x1), (m2, x2) = _ball(1), _ball(2)
+    x2 = x2 + [5.0, 0.0, 0.0]
+    m, x = np.concatenate([m1, m2]), np.concatenate([x1, x2])
+    body = np.repeat([0, 1], [len(m1), len(m2)])
+    P = np.array([[1.0, 0.0, 2.0], [6.0, 0.0, 2.0]])
+    v = np.cross([1.0, 0.0, 0.0], x - P[body])
+    both = resistance(m, x, v, body, P, UP, np.array([0.0, 1e9]))
+    np.testing.assert_allclose(both[body == 0], 0.0, atol=1e-15)
+    np.testing.assert_allclose(both[body == 1], -v[body == 1], atol=1e-14)
+
+
+class _Calm(Settling):
+    """Without a solver: what `_calmed` needs."""
+
+    def __init__(self, frame_time: float) -> None:
+        from types import SimpleNamespace
+
+        self._body = SimpleNamespace(settings=SimpleNamespace(frame_time=frame_time))
+        self._radius, self._patience = np.array([R]), np.array([time_scale(R)])
+        self._limit = np.array([CALM * 2.0 * G0 * R])
+        self.calm, self.place = np.zeros(1), np.full((1, 3), np.inf)
+
+    def after(self, kinetic: float, at: float) -> bool:
+        return bool(self._calmed(np.array([kinetic]), np.array([[0.0, at, 0.0]]))[0])
+
+
+def test_calm_is_little_energy_in_one_place_for_a_time_T() -> None:
+    T = time_scale(R)
+    little, much = 0.99 * CALM * 2.0 * G0 * R, 1.01 * CALM * 2.0 * G0 * R
+    calm = _Calm(0.25 * T)
+    assert [calm.after(little, 0.0) for _ in range(5)] == [False] * 4 + [True]
+    assert not calm.after(much, 0.0)
+    assert [calm.after(little, 0.0) for _ in range(4)] == [False] * 3 + [True]
+    # one that slides leaves the place
+    calm = _Calm(0.25 * T)
+    assert not any(calm.after(little, 0.6 * AMPLITUDE * R * i) for i in range(12))
+
+
+def test_nothing_in_free_fall_is_calm() -> None:
+    """From the top of its flight a body has too much energy before T."""
+    T = time_scale(R)
+    calm, dt = _Calm(T / 50), T / 50
+    seen = []
+    for i in range(-100, 101):
+        t = i * dt
+        seen.append(calm.after(0.5 * 2.0 * (G0 * t) ** 2, -0.5 * G0 * t * t))
+    assert not any(seen)

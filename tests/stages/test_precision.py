@@ -1,0 +1,119 @@
+"""A bake within a stated error, against the same bake with everything in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+from small_bakes import BLOCK
+
+import gf_usd
+from gf_usd.core.errors import UsageError
+
+SHARE = 0.01
+ASKED = {"precision": "1%", "adaptive_samples": True, "no_velocities": True}
+# so slow that most of the fall is straight within the error
+SLOW = {"particles": 200, "frames": 30, "drop": "0.2r", "time_scale": 0.1, "threads": 1}
+MESH, SPLATS = "/World/Block", "/World/GaussianFlesh/Gaussians"
+
+
+@pytest.fixture(scope="module")
+def bakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, gf_usd.BakeResult]:
+    folder = tmp_path_factory.mktemp("bakes")
+    block = folder / "block.usda"
+    block.write_text(BLOCK, encoding="utf-8")
+    return {
+        name: gf_usd.bake(block, output=folder / name / "block.usda", **SLOW, **asked)
+        for name, asked in {"all": {}, "few": ASKED}.items()
+        if (folder / name).mkdir() is None
+    }
+
+
+def in_meters(stage: Usd.Stage, path: str, name: str, code: float) -> np.ndarray:
+    """Points in the world, read by USD alone."""
+    prim = stage.GetPrimAtPath(path)
+    matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(prim))
+    x = np.array(prim.GetAttribute(name).Get(code), np.float64)
+    return 0.01 * (x @ matrix[:3, :3] + matrix[3, :3])
+
+
+def test_an_independent_reader_finds_the_error_that_is_told(bakes) -> None:
+    true, mine = (Usd.Stage.Open(str(bakes[name].root)) for name in ("all", "few"))
+    storage = json.loads(bakes["few"].report.read_text())["bakes"][0]["storage"]
+    radius = json.loads(bakes["few"].report.read_text())["radius_m"]
+    worst = 0.0
+    for path, name in ((MESH, "points"), (SPLATS, "positions")):
+        codes = true.GetPrimAtPath(path).GetAttribute(name).GetTimeSamples()
+        kept = mine.GetPrimAtPath(path).GetAttribute(name).GetTimeSamples()
+        assert set(kept) < set(codes)
+        if path == MESH:
+            assert storage["samples"][path] == {"kept": len(kept), "of": len(codes)}
+        for code in codes:
+            apart = in_meters(true, path, name, code) - in_meters(mine, path, name, code)
+            worst = max(worst, float(np.linalg.norm(apart, axis=1).max()))
+    told = storage["errors"]["positions_m"]
+    assert worst <= told <= SHARE * radius
+    assert told == pytest.approx(worst, rel=0.01)
+    about = mine.GetRootLayer().customLayerData["gaussianFlesh"]["looks"]["rubber"]["storage"]
+    assert about["errors"]["positions_m"] == told
+    assert any(f"{told:.3g} m" in note for note in bakes["few"].notes)
+
+
+def test_the_sizes_are_those_of_the_files(bakes) -> None:
+    storage = bakes["few"].bakes[0].storage
+    assert storage["bytes"] == bakes["few"].cache.stat().st_size
+    assert storage["bytes_without"] == pytest.approx(bakes["all"].cache.stat().st_size, rel=0.05)
+    assert storage["bytes"] < 0.6 * storage["bytes_without"]
+    assert all(size > 0 for size in storage["saved"].values())
+    assert bakes["all"].bakes[0].storage is None
+
+
+def test_everything_that_reads_a_bake_sees_all_frames(bakes, tmp_path: Path) -> None:
+    for name in ("all", "few"):
+        with_all = gf_usd.read(bakes[name].root)
+        assert len(with_all.time_codes) == SLOW["frames"]
+        assert len(with_all.health["kinetic"]) == SLOW["frames"]
+    found = gf_usd.compare(bakes["all"].root, bakes["few"].root)
+    assert len(found.time_codes) == SLOW["frames"]
+    limit = bakes["few"].bakes[0].storage["errors"]["positions_m"]
+    assert 0.0 < found.error <= limit
+    assert found.notes == ()
+    assert not gf_usd.check(bakes["few"].root).findings
+
+
+def test_a_retimed_bake_is_still_within_the_error(bakes, tmp_path: Path) -> None:
+    slow = [
+        gf_usd.retime(bakes[name].root, tmp_path / f"{name}.usda", speed=0.5)
+        for name in ("all", "few")
+    ]
+    assert slow[0].frames == slow[1].frames
+    found = gf_usd.compare(slow[0].path, slow[1].path)
+    assert found.error <= bakes["few"].bakes[0].storage["errors"]["positions_m"] * 1.02
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"precision": "0.5"}, "has no unit"),
+        ({"precision": "x%"}, "is no length"),
+        ({"precision": "0%"}, "is no length above 0"),
+        ({"precision": "-2mm"}, "is no length above 0"),
+        ({"precision": "nanmm"}, "is no length above 0"),
+        ({"precision": "50%"}, "more than 10 % of the radius"),
+        ({"precision": 1e-12}, "points have single precision"),
+        ({"adaptive_samples": True}, "none was given"),
+        ({"precision": "1%", "half": True}, "were both given"),
+        ({"precision": "1%", "adaptive_samples": True, "settle_only": True}, "--settle-only"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(tmp_path: Path, options, words: str) -> None:
+    block = tmp_path / "block.usda"
+    block.write_text(BLOCK, encoding="utf-8")
+    with pytest.raises(UsageError) as caught:
+        gf_usd.bake(block, particles=100, frames=2, output=tmp_path / "o.usda", **options)
+    flat = caught.value.message.replace("_", "-").replace("settle-only", "--settle-only")
+    assert words in caught.value.message or words in flat
+    assert caught.value.hint
