@@ -94,7 +94,7 @@ def test_a_result_that_another_run_writes_is_left_to_it(
 @pytest.fixture
 def running(here: Path, block: Path) -> Iterator[subprocess.Popen[str]]:
     """A batch of many long bakes, of which the first frame was had."""
-    words = ["batch", block, "-m", "rubber", "--seed", "0,1,2,3", "--particles", "300",
+    words = ["batch", block, "-m", "rubber", "--seed", "0,1,2,3", "--particles", "3000",
              "--frames", "3000", "-j", "1", "-o", "out", "--json", "-q", "--no-report"]  # fmt: skip
     process = subprocess.Popen(
         [sys.executable, "-m", "gf_usd", *map(str, words)],

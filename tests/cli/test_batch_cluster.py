@@ -87,7 +87,7 @@ def test_sigterm_ends_the_bakes_on_the_workers(
     here: Path, block: Path, address: str, workers: list[subprocess.Popen[bytes]]
 ) -> None:
     process = batch(here, address, str(block), "-m", "rubber", "--seed", "0,1,2",
-                    "--particles", "300", "--frames", "3000")  # fmt: skip
+                    "--particles", "3000", "--frames", "3000")  # fmt: skip
     assert process.stdout is not None
     while '"frame"' not in process.stdout.readline():
         assert process.poll() is None

@@ -55,10 +55,10 @@ def test_its_tasks_bake_and_tell_and_its_report_shows(here: Path, block: Path) -
 
 
 def test_sigterm_ends_a_task_within_its_notice(here: Path, block: Path) -> None:
-    command = bundle(here, block, "--particles", "300", "--frames", "3000")
+    command = bundle(here, block, "--particles", "1000", "--frames", "6000")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    while "frame 300 of" not in process.stdout.readline():
+    while "frame 600 of" not in process.stdout.readline():
         assert process.poll() is None
     began = time.monotonic()
     process.send_signal(signal.SIGTERM)
