@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from gf_usd.core.frames import Health, Settings
-    from gf_usd.core.materials import Material
+    from gf_usd.core.materials.material import Material
     from gf_usd.delivery.deliver import Delivered, DeliveredBody, DeliveredSplats
     from gf_usd.delivery.retime import Retimed
     from gf_usd.fitting.result import Estimate, FitResult, Reproduced
@@ -71,7 +71,7 @@ _HOMES = {
     "FitResult": "gf_usd.fitting.result",
     "Health": "gf_usd.core.frames",
     "Inspection": "gf_usd.pipeline.inspect",
-    "Material": "gf_usd.core.materials",
+    "Material": "gf_usd.core.materials.material",
     "Preview": "gf_usd.api.drawing.preview",
     "Reproduced": "gf_usd.fitting.result",
     "Retimed": "gf_usd.delivery.retime",

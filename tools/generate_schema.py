@@ -1,7 +1,7 @@
 """Generate the schema library and its reference from schemas/gaussianFlesh/schema.usda.
 
 The tokens of gaussianFlesh:law and the attributes of the laws' parameters come from the rows of
-gf_usd.core.materials.LAWS.
+gf_usd.core.materials.laws.LAWS.
 
     python tools/generate_schema.py            write generatedSchema.usda, plugInfo.json, schema.md
     python tools/generate_schema.py --check    write nothing; exit 1 if any of them differs
@@ -24,7 +24,7 @@ from pathlib import Path
 import pxr
 from pxr import Sdf
 
-from gf_usd.core.materials import LAWS, Parameter, law_internals, law_parameters
+from gf_usd.core.materials.laws import LAWS, Parameter, law_internals, law_parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 LIBRARY = ROOT / "schemas" / "gaussianFlesh"

@@ -14,7 +14,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
-    from gf_usd.core.materials import Preset
+    from gf_usd.core.materials.presets import Preset
     from gf_usd.fitting.fit import Wanted
     from gf_usd.fitting.result import FitResult
 
@@ -35,7 +35,7 @@ def materials() -> Mapping[str, Preset]:
     of every size squash alike; the others have numbers of real materials in SI.
     `material(radius)` is the `Material` that a preset gives on a body, to change and to bake with.
     """
-    from gf_usd.core.materials import presets
+    from gf_usd.core.materials.presets import presets
 
     return MappingProxyType(presets())
 

@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import G0, find_preset
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Collider, PhysicsMaterialSpec, Region, Triple
 from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
-    from gf_usd.core.materials import Material
+    from gf_usd.core.materials.material import Material
     from gf_usd.pipeline.scene import SceneSpec
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from gf_usd.prepare.options import values
 
 if TYPE_CHECKING:
     from gf_usd.core.frames import Frame, Particles, Settings
-    from gf_usd.core.materials import Material
+    from gf_usd.core.materials.material import Material
 
 Array = NDArray[np.float64]
 FRAMES = 48

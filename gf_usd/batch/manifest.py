@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gf_usd.core import materials
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.materials.laws import check_law
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.prepare.advice import AUTO
 from gf_usd.prepare.advice.advise import parse_auto
 from gf_usd.prepare.options.option import Option
@@ -231,7 +232,7 @@ def clean(given: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
     try:
         Request.of({name: value for name, value in out.items() if name in fields}).check()
         if "law" in out:
-            materials.check_law(out["law"])
+            check_law(out["law"])
         parse_limits(out.get("limits"))
         if "material" in out:
             out["material"] = _materials(out["material"], folder)
@@ -289,7 +290,7 @@ def _materials(text: str, folder: Path) -> str:
         if Path(part).suffix.lower() in USD:
             parts.append(str((folder / part).resolve()))
         else:
-            parts.append(materials.find_preset(part).name)
+            parts.append(find_preset(part).name)
     return ",".join(parts)
 
 

@@ -30,7 +30,9 @@ def materials(
     Dimensionless presets deform alike at any size: moduli are in units of rho g0 r and times in
     T = sqrt(r / g0), with r the radius of a ball of the body's volume and g0 = 9.81 m/s^2.
     """
-    from gf_usd.core.materials import DIMENSIONLESS, LAWS, PHYSICAL
+    from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+    from gf_usd.core.materials.laws import LAWS
+    from gf_usd.core.materials.physical import PHYSICAL
 
     if as_json:
         presets = [asdict(preset) for preset in DIMENSIONLESS.values()]

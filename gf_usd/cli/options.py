@@ -25,7 +25,7 @@ def _completion(option: Option) -> Callable[[str], list[str]] | None:
 
 
 def _presets(incomplete: str) -> list[str]:
-    from gf_usd.core.materials import presets
+    from gf_usd.core.materials.presets import presets
 
     return [name for name in ("auto", *presets()) if name.startswith(incomplete)]
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import Material, law_parameters, young_poisson
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.material import Material, young_poisson
 from gf_usd.core.units import Precision
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import Material, flowing_law
+from gf_usd.core.materials.laws import flowing_law
+from gf_usd.core.materials.material import Material
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

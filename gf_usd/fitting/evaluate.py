@@ -21,7 +21,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import GfUsdError, InputError, SolverError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.fitting.observation import Followed, Observation, Scene, rest_points, save
 from gf_usd.fitting.unknowns import with_values
 from gf_usd.pipeline.checkpoint import identity

@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.measures.figures import Series
 from gf_usd.system import exchange
 from gf_usd.system.atomic_files import partial_path, publish

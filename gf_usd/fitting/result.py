@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.fitting.figures import FIGURES, Number
 from gf_usd.fitting.observation import Observation
 from gf_usd.fitting.search import Minimum

@@ -19,7 +19,9 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import Material, law_parameters, time_scale
+from gf_usd.core.materials.dimensionless import time_scale
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.material import Material
 
 DECADES = 1.5  # of a modulus or a yield stress, to either side of the material that is started from
 POISSON = (0.05, 0.48)  # presets have 0.17 to 0.47; above it a displacement method locks

@@ -23,7 +23,7 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles, TetLattice
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.layers.clips import ClipStore, moving_layer
 from gf_usd.layers.stage import (
     author_facts,

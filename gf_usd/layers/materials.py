@@ -15,7 +15,8 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.materials import Material, law_parameters
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import NEWTONS
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import new_layer, refresh, save, to_metadata

@@ -31,7 +31,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import BakeError, Unfinished, UsageError
 from gf_usd.core.frames import Choices, Health, Particles, Settings
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Collider
 from gf_usd.pipeline.health.log import health_of
 from gf_usd.prepare.outputs import Outputs

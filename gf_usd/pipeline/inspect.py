@@ -36,7 +36,7 @@ from typing import Any
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.units import check_unit
 from gf_usd.geometry.diagnosis import Diagnosis, diagnose, faults
 from gf_usd.geometry.repair import Repairs

@@ -9,7 +9,7 @@ from typing import Any
 
 from gf_usd.core.errors import UnhealthyError
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.health.warnings import ERROR, HealthWarning, warnings_json
 from gf_usd.pipeline.measures.certify import Certificate
 from gf_usd.prepare.plan import settings_json

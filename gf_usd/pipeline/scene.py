@@ -12,7 +12,7 @@ import numpy as np
 
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import (
     BodyPhysics,
     Collider,

@@ -27,7 +27,9 @@ from gf_usd.core.frames import (
     sampled,
     written,
 )
-from gf_usd.core.materials import LAWS, Material, Preset
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.presets import Preset
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.core.units import PLAUSIBLE, Precision
 from gf_usd.prepare import materials as body_materials

@@ -18,16 +18,10 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
-from gf_usd.core.materials import (
-    LAWS,
-    DimensionlessPreset,
-    Fixed,
-    Material,
-    find_preset,
-    flowing_law,
-    lame,
-    law_parameters,
-)
+from gf_usd.core.materials.dimensionless import DimensionlessPreset
+from gf_usd.core.materials.laws import LAWS, flowing_law, law_parameters
+from gf_usd.core.materials.material import Material, lame
+from gf_usd.core.materials.presets import Fixed, find_preset
 from gf_usd.core.stage import BodyPhysics, PhysicsMaterialSpec, StageSpec, SubsetMaterial
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.regions import Region

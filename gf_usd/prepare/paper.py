@@ -12,7 +12,8 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import G0, Material
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.material import Material
 
 PAPER_CLAMP = (0.2, 5.0)
 PAPER_CAP = 100.0 / 0.156 / G0  # [rho g0 r] tau = 100 where r = 1 and, as fitted, rho = 0.156

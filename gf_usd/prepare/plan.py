@@ -24,7 +24,8 @@ from gf_usd.core.frames import (
     summary,
     written,
 )
-from gf_usd.core.materials import Material, law_internals
+from gf_usd.core.materials.laws import law_internals
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
 from gf_usd.prepare.bodies import BodyPlan
 from gf_usd.prepare.options.table import arguments

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gf_usd.core import materials
 from gf_usd.core.asset import ASSUMED, Asset
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.laws import check_law
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.presets import Fixed, find_preset
 from gf_usd.core.stage import StageSpec
 from gf_usd.core.units import check_unit
 from gf_usd.prepare.advice import Auto
@@ -279,7 +280,7 @@ def parse_request(
     request = Request.of(options)
     request.check()
     if law is not None:
-        materials.check_law(law)
+        check_law(law)
     from gf_usd.system import usd_schema  # noqa: F401  (registers itself before any stage opens)
 
     if material is None and request.preset == "paper":
@@ -315,7 +316,7 @@ def names_of(material: str | tuple[str | Material, ...] | None) -> str | None:
 def _find(name: str | Material, request: Request) -> Any:
     """A preset, or a material of a file or of given values in the clothes of one."""
     if isinstance(name, Material):
-        return materials.Fixed(
+        return Fixed(
             name,
             (
                 f"the values of the material {name.name} were given by the"
@@ -327,7 +328,7 @@ def _find(name: str | Material, request: Request) -> Any:
     if is_material_file(name):
         notes: list[str] = []
         given = read_material(Path(name), notes.append)
-        return materials.Fixed(given, tuple(notes))
-    look = materials.find_preset(name.strip())
+        return Fixed(given, tuple(notes))
+    look = find_preset(name.strip())
     # The paper has every solid corotated.
     return replace(look, law="corotated") if request.preset == "paper" else look

@@ -16,7 +16,7 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 
 BOX_OPTION = "--material-box"
 

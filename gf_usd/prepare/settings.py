@@ -19,7 +19,7 @@ from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import CONSISTENT, LUMPED, Field, Settings
-from gf_usd.core.materials import FILTER_RATE, G0, SHOT_LENGTH, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare import materials
 from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field

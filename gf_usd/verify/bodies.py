@@ -17,7 +17,9 @@ from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset, StageFacts, Surface
 from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
-from gf_usd.core.materials import DIMENSIONLESS, LAWS, Material
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
 from gf_usd.core.mesh import triangulate
 from gf_usd.core.stage import Pin
 from gf_usd.core.units import StageUnits

@@ -10,7 +10,7 @@ import trimesh
 from contact_scenes import bricks, contact_solver, depth, half_space, momenta, obstacle, tilted
 from solids import cube, sphere, surface
 
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.contact.pairs import APART
 from gf_usd.physics.contact.self_contact import OFFSET
 from gf_usd.pipeline.health.log import gain_of_frames

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from solids import fill, look, settings, solid, sphere
 
-from gf_usd.core.materials import FILTER_RATE, G0, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.pipeline.health.log import restitution
 

@@ -6,7 +6,7 @@ import pytest
 from limbed import octopus
 from solids import fill, look, settings, solid, surface
 
-from gf_usd.core.materials import FILTER_RATE, G0, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 

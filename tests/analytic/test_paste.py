@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.core.materials import Material, presets
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.presets import presets
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 from gf_usd.verify.bodies import block, settings
 

@@ -13,7 +13,7 @@ from von_mises_law import HARDENING
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.total_lagrangian import layout

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gf_usd.core.materials import LAWS, YIELD_STRESS
+from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 from gf_usd.verify.bodies import block, elastic, settings

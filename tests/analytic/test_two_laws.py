@@ -11,7 +11,7 @@ from slow_parameters import slow_but
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Frame, Particles
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import block, elastic, settings
 

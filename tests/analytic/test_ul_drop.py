@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from solids import fill, look, settings, solid, sphere
 
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

@@ -8,7 +8,7 @@ from law_references import ENERGIES, A, reference_stress, von_mises
 from slow_parameters import slow_but
 from solids import ball, look, settings
 
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import gf_usd
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 # few particles and one impact: 0.2 s each

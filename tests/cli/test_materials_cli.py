@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 import gf_usd as package
-from gf_usd.core.materials import DIMENSIONLESS, LAWS, PHYSICAL, presets
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.physical import PHYSICAL
+from gf_usd.core.materials.presets import presets
 
 
 def numbers(row: str) -> list[float]:

@@ -248,7 +248,8 @@ def test_the_panel_says_what_can_be_done_and_what_went_wrong(drive: Callable[[st
 
 def test_materials_are_those_of_gf_usd_and_all_unregisters(drive: Callable[[str], Any]) -> None:
     told = drive("listed")
-    from gf_usd.core.materials import DIMENSIONLESS, PHYSICAL
+    from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+    from gf_usd.core.materials.physical import PHYSICAL
 
     assert told["materials"] == [*DIMENSIONLESS, *PHYSICAL]
     assert told["gone"]

@@ -18,7 +18,7 @@ from client_assets import Baked
 from client_runs import PROBES, needs, programs, run
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 
 pytestmark = [pytest.mark.clients, needs("newton")]
 

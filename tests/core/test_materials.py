@@ -9,19 +9,11 @@ from pathlib import Path
 import pytest
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import (
-    DIMENSIONLESS,
-    LAWS,
-    PHYSICAL,
-    Fixed,
-    Material,
-    Physical,
-    check_law,
-    find_preset,
-    law_parameters,
-    presets,
-    time_scale,
-)
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS, time_scale
+from gf_usd.core.materials.laws import LAWS, check_law, law_parameters
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.physical import PHYSICAL, Physical
+from gf_usd.core.materials.presets import Fixed, find_preset, presets
 
 G0 = 9.81
 CHOICES = (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.fitting.observation import Scene
 from gf_usd.fitting.read_targets import read_motion
 from gf_usd.fitting.targets import parse

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.fitting.figures import FIGURES, Number, check_number, number
 from gf_usd.fitting.observation import Followed, Observation, Scene, corner, load, save
 from gf_usd.fitting.read_targets import spread

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import find_preset, presets
+from gf_usd.core.materials.presets import find_preset, presets
 from gf_usd.fitting.unknowns import starts, unknowns, value_of, values_at, with_values
 
 RADIUS = 0.1

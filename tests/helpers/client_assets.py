@@ -31,7 +31,7 @@ class Baked:
     source: Path  # the USD form of the asset
     root: Path
     caches: tuple[Path, ...]
-    materials: tuple[object, ...]  # gf_usd.core.materials.Material, one for each look
+    materials: tuple[object, ...]  # gf_usd.core.materials.material.Material, one for each preset
 
     def moved_to(self, folder: Path) -> Baked:
         """The same in another folder, to be damaged there."""

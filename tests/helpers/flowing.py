@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gf_usd.core import materials
-from gf_usd.core.materials import YIELD_STRESS, Internal, LawSpec
+from gf_usd.core.materials.laws import LAWS, YIELD_STRESS, Internal, LawSpec
 from gf_usd.verify.cases import patch
 
 ROW = LawSpec(
@@ -22,9 +21,9 @@ ROW = LawSpec(
 @contextmanager
 def registered() -> Iterator[LawSpec]:
     """The law is one of LAWS, with its reference formula, as long as this lasts."""
-    materials.LAWS[ROW.token] = ROW
+    LAWS[ROW.token] = ROW
     patch.REFERENCE[ROW.token] = patch.hencky
     try:
         yield ROW
     finally:
-        del materials.LAWS[ROW.token], patch.REFERENCE[ROW.token]
+        del LAWS[ROW.token], patch.REFERENCE[ROW.token]

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import taichi as ti
 
-from gf_usd.core.materials import LAWS, LawSpec, law_parameters
+from gf_usd.core.materials.laws import LAWS, LawSpec, law_parameters
 from gf_usd.physics.laws.registry import MODULI, ParticleLaws, law_set, load
 from gf_usd.physics.laws.simd3x3 import LANES, rotation
 from gf_usd.system.taichi_runtime import init_taichi

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from lane_kernels import evaluate
 
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.verify.cases.patch import stress
 
 # Laws with an energy of their own: what flows over another has its functions.

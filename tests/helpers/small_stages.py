@@ -20,7 +20,7 @@ from gf_usd.core.frames import (
     Particles,
     Settings,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.cache import CacheSummary, CacheWriter
 from gf_usd.layers.root import RootSummary, write_root

@@ -14,7 +14,8 @@ from gf_usd.core.frames import (
     Settings,
     SurfaceSamples,  # fmt: skip
 )
-from gf_usd.core.materials import DIMENSIONLESS, Material
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.material import Material
 from gf_usd.core.mesh import signed_volume, weld
 from gf_usd.core.units import StageUnits
 from gf_usd.geometry.sampling.contact_samples import sample_surface

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pxr import Usd
 
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.layers.materials import write_material_file
 from gf_usd.readers.usd_bake.material_file import read_material
 

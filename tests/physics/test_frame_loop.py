@@ -13,7 +13,7 @@ from solids import ball, look, settings
 
 from gf_usd.core.errors import BakeError, SolverError
 from gf_usd.core.frames import Frame, Health, Pose
-from gf_usd.core.materials import FILTER_RATE, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, time_scale
 from gf_usd.physics.frame_loop import CALM_FRAMES, ESCAPE, GAIN, RETRIES, Guard, energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 

@@ -8,7 +8,7 @@ from lane_kernels import alike
 from law_references import LAM, MU, felt, unit
 from solids import ball, look, settings
 
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.time_step import stable_step, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

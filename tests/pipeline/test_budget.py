@@ -14,7 +14,7 @@ import pytest
 from solids import asset, facts, fill, look, settings, solid, sphere
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.pipeline.cost import budget
 from gf_usd.pipeline.cost.budget import PAIR_SECONDS, Solvers, duration, require_affordable

@@ -12,7 +12,8 @@ import pytest
 
 import gf_usd
 from gf_usd.core.errors import OutOfResources, SolverError
-from gf_usd.core.materials import PHYSICAL, find_preset
+from gf_usd.core.materials.physical import PHYSICAL
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.physics.total_lagrangian import launch
 from gf_usd.pipeline import run as runs
 from gf_usd.pipeline.cost import forecast as forecasts

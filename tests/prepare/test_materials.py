@@ -11,7 +11,8 @@ from physics_stages import bound, mesh, prim
 from planned import SOFT, at, cubes, mass, noted, plan_fixture, table  # noqa: F401
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import DIMENSIONLESS, Material
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.material import Material
 from gf_usd.prepare.materials import FLAT, SPREADS, require_standing
 
 MASS = "PhysicsMassAPI"

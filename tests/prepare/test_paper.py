@@ -9,7 +9,7 @@ from solids import settings
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import DIMENSIONLESS, G0
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS, G0
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import NONE
 from gf_usd.prepare.paper import notes, of_material

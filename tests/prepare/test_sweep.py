@@ -10,7 +10,7 @@ from PIL import Image
 
 import gf_usd
 from gf_usd.core.errors import UsageError
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.sweep import MOST, PROPERTIES, parse_sweep, swept
 from gf_usd.prepare.prepare import parse_request

@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom
 import gf_usd
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import Health
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
 from gf_usd.layers.stage import hold_still
 from gf_usd.physics.total_lagrangian.settling import CALM

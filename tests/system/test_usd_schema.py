@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gf_usd.core.materials import law_internals, law_parameters
+from gf_usd.core.materials.laws import law_internals, law_parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATOR = ROOT / "tools" / "generate_schema.py"

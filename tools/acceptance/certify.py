@@ -33,7 +33,7 @@ from pxr import Usd, UsdGeom, Vt
 from scipy.spatial.transform import Rotation
 
 import gf_usd
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from tools.acceptance.record import PAGE, Outcome, git, newest, page, record, save, write
 from tools.bench import scene as bench
 

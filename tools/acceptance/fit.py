@@ -21,7 +21,7 @@ import numpy as np
 from pxr import Usd, Vt
 
 import gf_usd
-from gf_usd.core.materials import find_preset
+from gf_usd.core.materials.presets import find_preset
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 TRUTH = {"youngs_modulus": 4e5, "poissons_ratio": 0.33, "damping_time": 6.4e-3}

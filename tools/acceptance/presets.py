@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from gf_usd.core.materials import presets
+from gf_usd.core.materials.presets import presets
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 ASSETS = ("sphere.usda", "duck.usda", "creature.usda", "deformed_sphere.usda", "ten_ducks.usda")

@@ -157,7 +157,7 @@ def bake(pair: Pair, folder: Path) -> Outcome:
 
 def warm(pairs: Sequence[Pair], folder: Path) -> None:
     """Have the kernels of every law compiled."""
-    from gf_usd.core.materials import find_preset
+    from gf_usd.core.materials.presets import find_preset
 
     seen = set()
     for pair in pairs:

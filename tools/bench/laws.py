@@ -18,7 +18,9 @@ from statistics import median
 import numpy as np
 
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import DIMENSIONLESS, LAWS, Material
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
 from gf_usd.physics.laws.registry import law_set
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from tools.bench.solver import ball, twist

@@ -31,7 +31,7 @@ from gf_usd.core.frames import (
     Particles,
     Settings,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.layers.cache import CacheWriter
 from gf_usd.readers import read_asset
 

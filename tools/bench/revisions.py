@@ -28,7 +28,7 @@ import sys, time
 from dataclasses import replace
 import numpy as np
 from gf_usd.core.frames import Settings
-from gf_usd.core.materials import DIMENSIONLESS
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from tools.bench.solver import ball, twist
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles, Settings
-from gf_usd.core.materials import DIMENSIONLESS
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.total_lagrangian import launch, solver
 from gf_usd.system.taichi_runtime import cores
 from tools.bench.tables import Sample, median

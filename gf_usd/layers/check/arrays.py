@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from pxr import Usd, UsdGeom, UsdVol
 
-from gf_usd.core.materials import law_internals
+from gf_usd.core.materials.laws import law_internals
 from gf_usd.layers.check.base import Finding, about, once, rule
 from gf_usd.layers.check.read import (
     Array,

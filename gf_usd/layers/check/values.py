@@ -12,7 +12,7 @@ from math import isfinite
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics, UsdVol
 
-from gf_usd.core.materials import law_internals, law_parameters
+from gf_usd.core.materials.laws import law_internals, law_parameters
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.check.base import Finding, about, once, rule
 from gf_usd.layers.check.read import Array, array_of, authored, prims, samples, times

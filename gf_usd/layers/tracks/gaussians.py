@@ -21,7 +21,7 @@ from pxr import Sdf, Usd, UsdVol, Vt
 from gf_usd.core.arrays import Floats, corners
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import GaussianPose, Particles, Settings
-from gf_usd.core.materials import law_internals
+from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import box, f32, xyzw

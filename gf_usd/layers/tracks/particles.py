@@ -25,7 +25,7 @@ from gf_usd.core.frames import (
     TetLattice,
     spread,
 )
-from gf_usd.core.materials import law_parameters
+from gf_usd.core.materials.laws import law_parameters
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, Home, f32, quaternions

@@ -16,7 +16,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import time_scale
+from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import AttachedPoints, FleshLimits, Goals
 
 STIFFEST = 1.0  # [1/dt] of w: as stiff as the grid's own highest frequency

@@ -1,4 +1,4 @@
-"""The code of the laws whose rows stand in `gf_usd.core.materials.LAWS`, and the laws of a body.
+"""The code of the laws whose rows stand in `gf_usd.core.materials.laws`, and the laws of a body.
 
 The module that a row names holds, of an elastic deformation gradient F and the values
 q = (mu, lam, then the row's own parameters):
@@ -28,7 +28,8 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import ELASTIC_STRAIN, LAWS, LawSpec, Material, check_law
+from gf_usd.core.materials.laws import ELASTIC_STRAIN, LAWS, LawSpec, check_law
+from gf_usd.core.materials.material import Material
 from gf_usd.physics import taichi_arrays
 
 MODULI = 2  # of the values of every law: mu, lam

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
 from gf_usd.physics.bodies import bodies_of, node_sums
 from gf_usd.physics.total_lagrangian.energies import cross, kinetic_energies

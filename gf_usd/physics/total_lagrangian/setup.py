@@ -20,7 +20,7 @@ from gf_usd.core.frames import (
     SurfaceSamples,
     spread,
 )
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity

@@ -17,7 +17,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
-from gf_usd.core.materials import G0, Material
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact

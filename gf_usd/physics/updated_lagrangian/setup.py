@@ -11,7 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil

@@ -19,7 +19,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Frame, Particles, Pose, Settings, SurfaceSamples
-from gf_usd.core.materials import G0, Material
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import pressed_step

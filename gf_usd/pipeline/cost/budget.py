@@ -22,7 +22,8 @@ import numpy as np
 
 from gf_usd.core.errors import InputError, OutOfResources
 from gf_usd.core.frames import Settings, written
-from gf_usd.core.materials import LAWS, Material
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
 from gf_usd.prepare.plan import Variant
 from gf_usd.system.memory_and_disk import free_disk, free_memory, free_swap
 from gf_usd.system.taichi_runtime import cores, epoch

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 from gf_usd.core.frames import Health, Settings, shortened
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 
 REST = 1e-3  # of the energy scale: a body that moves with less has come to rest
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import AT_REST, Frame, Health, Particles, Pose, Settings
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.pipeline.measures.figures import Recorder, Series
 
 # Times the kinetic energy that counts as rest: what still moves so little changes a height by less

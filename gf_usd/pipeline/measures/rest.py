@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import AT_REST, Health
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials.dimensionless import G0, time_scale
 
 
 class Rest:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core import materials
 from gf_usd.core.asset import Asset, Surface, Texture
 from gf_usd.core.errors import UsageError
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
+from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.scene import RenderMesh, Scene
 from gf_usd.core.stage import Advice, StageSpec, Subject
 from gf_usd.prepare.advice import AUTO, Auto, Question
@@ -115,10 +116,10 @@ def _ask(asset: Asset, subjects: tuple[Subject, ...], auto: Auto, draw: Draw) ->
 
 def described() -> dict[str, str]:
     """Every preset in words."""
-    looks = {look.name: look.note for look in materials.DIMENSIONLESS.values()}
+    looks = {look.name: look.note for look in DIMENSIONLESS.values()}
     return looks | {
         p.name: f"E = {p.youngs_modulus:.2g} Pa, {p.density:g} kg/m^3; {p.source}"
-        for p in materials.PHYSICAL.values()
+        for p in PHYSICAL.values()
     }
 
 

@@ -9,7 +9,8 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.units import number
 
 if TYPE_CHECKING:
-    from gf_usd.core.materials import Fixed, Material, Preset
+    from gf_usd.core.materials.material import Material
+    from gf_usd.core.materials.presets import Fixed, Preset
 
 # name -> field of `Material`, least and largest value, spaced by ratios
 PROPERTIES: dict[str, tuple[str, float, float, bool]] = {

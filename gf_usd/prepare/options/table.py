@@ -17,7 +17,7 @@ from gf_usd.prepare.options.sweep import parse_sweep
 from gf_usd.prepare.options.values import Corners, Vector
 
 if TYPE_CHECKING:
-    from gf_usd.core.materials import Material
+    from gf_usd.core.materials.material import Material
     from gf_usd.system.sandbox import Limits
 
 # What Python may give where the command line has a text.

@@ -330,7 +330,7 @@ def pins(name: str, value: Any) -> tuple[str, ...]:
 
 def material(name: str, value: Any) -> Any:
     """Presets and material files with commas between; a tuple where a `Material` is among them."""
-    from gf_usd.core.materials import Material
+    from gf_usd.core.materials.material import Material
 
     wanted = "a preset such as 'rubber', a USD file, a gf_usd.Material, or a list of them"
     single = isinstance(value, str | os.PathLike | Material)
@@ -355,7 +355,7 @@ def material(name: str, value: Any) -> Any:
 
 def sound_material(given: Any) -> Any:
     """A `Material` whose numbers make sense.  Raises UsageError for others."""
-    from gf_usd.core.materials import LAWS, check_law, law_parameters
+    from gf_usd.core.materials.laws import LAWS, check_law, law_parameters
 
     where = f"material {given.name!r}"
     if not isinstance(given.name, str) or not given.name.replace("-", "_").isidentifier():

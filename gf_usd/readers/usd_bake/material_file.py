@@ -11,7 +11,8 @@ from typing import Any
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAWS, Material
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.usd_physics.materials import (
     Assume,

@@ -17,7 +17,8 @@ from pxr import Usd, UsdGeom, UsdSemantics, UsdShade
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import StageFacts, Surface, first_time_code
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import law_parameters, presets
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.presets import presets
 from gf_usd.core.stage import PrimBake, Subject
 from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading

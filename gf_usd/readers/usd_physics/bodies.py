@@ -15,7 +15,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 from gf_usd.core.arrays import Floats, Ints, triple
 from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import (
     WATER,
     BodyPhysics,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAWS, law_parameters
+from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.stage import NEWTONS, PhysicsMaterialSpec
 from gf_usd.core.units import StageUnits
 

@@ -15,7 +15,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gf_usd.core.asset import StageFacts, first_time_code
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import StagePhysics, Triple
 from gf_usd.core.units import STRONGEST
 from gf_usd.readers.notes import Notes

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, elastic, settings, sphere
 from gf_usd.verify.case import Case, Curve, Measure

@@ -9,7 +9,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import LUMPED, Health
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, look, put, settings
 from gf_usd.verify.case import AT_LEAST, Case, Measure

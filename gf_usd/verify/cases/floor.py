@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import DIMENSIONLESS, FILTER_RATE, G0, time_scale
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS, FILTER_RATE, G0, time_scale
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import ball, cloud, elastic, look, settings, sphere
 from gf_usd.verify.case import RELATIVE, Case, Measure

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.total_lagrangian.energies import elastic_energy
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings, virial

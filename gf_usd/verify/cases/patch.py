@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.geometry.skinning import make_skin
 from gf_usd.physics.total_lagrangian import energies
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian

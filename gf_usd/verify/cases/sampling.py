@@ -10,7 +10,7 @@ import trimesh
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Surface
-from gf_usd.core.materials import FILTER_RATE, G0, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.solvers import make_solver

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gf_usd.core.frames import LUMPED
-from gf_usd.core.materials import FILTER_RATE, G0, time_scale
+from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, time_scale
 from gf_usd.physics.frame_loop import energy
 from gf_usd.physics.solvers import make_solver
 from gf_usd.verify.bodies import ball, look, settings, sphere

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from gf_usd.core.materials import law_parameters
+from gf_usd.core.materials.laws import law_parameters
 
 
 @dataclass(frozen=True)

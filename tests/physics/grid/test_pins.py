@@ -12,7 +12,7 @@ from solids import cube, fill, look, settings, solid
 from gf_usd.core.arrays import Floats
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, Region
 from gf_usd.geometry.regions import box_region, make_pin
 from gf_usd.physics.grid.pins import (

@@ -11,7 +11,7 @@ from solids import settings
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import CONSISTENT, LUMPED, Health, Particles
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.grid import mass as nodal_mass
 from gf_usd.physics.grid.pins import PinnedPoints, axis_factors, mirror_points, pinned_by

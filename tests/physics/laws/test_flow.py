@@ -9,7 +9,7 @@ from lane_kernels import evaluate, flow
 from scipy.stats import special_ortho_group
 from von_mises_law import HARDENING
 
-from gf_usd.core.materials import LAWS, YIELD_STRESS
+from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
 from gf_usd.physics.laws.registry import load
 from gf_usd.physics.laws.von_mises import CLOSE
 from gf_usd.verify.cases.patch import stress

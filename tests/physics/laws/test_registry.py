@@ -8,7 +8,7 @@ from flowing import ROW, registered
 from lane_kernels import alike, evaluate, rotations
 from scipy.stats import special_ortho_group
 
-from gf_usd.core.materials import LAWS, LawSpec
+from gf_usd.core.materials.laws import LAWS, LawSpec
 from gf_usd.physics.laws.neo_hookean import J_EXTENSION
 from gf_usd.physics.laws.registry import load
 

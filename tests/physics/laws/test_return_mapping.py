@@ -9,7 +9,7 @@ import taichi as ti
 from lane_kernels import compile_anew
 from return_mapping import faults
 
-from gf_usd.core.materials import LAWS, YIELD_STRESS
+from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
 from gf_usd.physics.laws import crushable, radial_flow, von_mises
 from gf_usd.physics.laws.simd3x3 import let, unrolled
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.core.materials import G0, time_scale
+from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.physics.total_lagrangian.settling import AMPLITUDE, CALM, Settling, resistance
 
 UP = np.array([0.0, 1.0, 0.0])

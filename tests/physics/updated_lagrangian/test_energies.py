@@ -10,7 +10,7 @@ from lane_kernels import alike
 from law_references import ENERGIES, LAM, MU, felt, unit
 from solids import ball, look, settings
 
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.per_particle import strains
 from gf_usd.physics.updated_lagrangian.energies import cells_now, strained_speed, world_stiffness
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gf_usd.core.materials import presets
+from gf_usd.core.materials.presets import presets
 from gf_usd.core.stage import Advice, Subject
 from gf_usd.prepare.advice import LEAST, settled
 from gf_usd.prepare.advice.names import (

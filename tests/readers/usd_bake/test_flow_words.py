@@ -8,7 +8,9 @@ import pytest
 from pxr import Sdf, Usd
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import PHYSICAL, Material, flowing_law
+from gf_usd.core.materials.laws import flowing_law
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import write_materials
 from gf_usd.readers.usd_bake.material_file import read_material

@@ -9,7 +9,7 @@ from pxr import Sdf, Usd
 from small_stages import RUBBER
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import LAWS
+from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import write_materials
 from gf_usd.readers.usd_bake.material_file import is_material_file, read_material

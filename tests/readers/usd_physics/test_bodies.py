@@ -10,7 +10,7 @@ import pytest
 from physics_stages import BOX, head, mesh, physics_of, prim
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import BodyPhysics, StagePhysics
 
 Write = Callable[..., Path]

@@ -10,7 +10,7 @@ import pytest
 from recordings import FallingBox, report_of
 
 from gf_usd.core.frames import Field, Health, Settings
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import RULES
 from gf_usd.view.report.labels import (

@@ -9,7 +9,7 @@ Smith, de Goes and Kim (2018), without the term for degenerate elements, as newt
 import numpy as np
 import taichi as ti
 
-from gf_usd.core.materials import LAWS, LawSpec
+from gf_usd.core.materials.laws import LAWS, LawSpec
 from gf_usd.physics.laws.simd3x3 import cofactor, combination, determinant, double_dot
 
 

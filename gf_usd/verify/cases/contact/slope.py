@@ -8,7 +8,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import SurfaceSamples
-from gf_usd.core.materials import G0
+from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.stage import Collider, ContactSetup, PhysicsMaterialSpec, Skin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import FPS, GAUSS, block, elastic, motion, settings

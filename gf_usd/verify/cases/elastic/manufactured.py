@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import GAUSS, block, elastic, put, settings
 from gf_usd.verify.case import AT_LEAST, Case, Curve, Measure, order

@@ -18,7 +18,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials import Material, young_poisson
+from gf_usd.core.materials.material import Material, young_poisson
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import mirror_plane, plane_strain, settings, slice_of, strata

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from gf_usd.core.arrays import Floats
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import block, mirror_plane, settings
 from gf_usd.verify.case import RELATIVE, Case, Curve, Measure

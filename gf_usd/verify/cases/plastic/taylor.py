@@ -13,7 +13,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Frame, Particles
-from gf_usd.core.materials import Material
+from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.verify.bodies import GAUSS, cloud, mirror_plane, settings, strata

@@ -11,7 +11,7 @@ from slow_parameters import slow_but
 from solids import ball, look, settings
 
 from gf_usd.core.frames import CONSISTENT, LUMPED
-from gf_usd.core.materials import DIMENSIONLESS
+from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.physics.grid.reference import OFFSETS, weights
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 

@@ -1,0 +1,220 @@
+"""The laws as data: a row of `LAWS` says everything about a law but its formulas.
+
+The command line, readers, writers, check rules and the schema read it here, without Taichi; the
+formulas are in the module of gf_usd.physics.laws that the row names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from gf_usd.core.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A number of a law besides its moduli, constant in time."""
+
+    name: str  # of Material.parameters; the same in every law that has it
+    unit: str  # of `StageUnits.factor`, e.g. "Pa"
+    attribute: str  # in the namespace gaussianFlesh, on the Material and on particles
+    default: float  # [unit] where a material says nothing
+    meaning: str  # a sentence, for the schema
+    label: str  # for the report
+    low: float = 0.0  # [unit] least value
+    high: float = float("inf")  # [unit] largest value
+    required: bool = False  # a bake is refused where neither material nor paint states it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Internal:
+    """A number that a law remembers of each particle."""
+
+    name: str
+    rest: float  # before anything has happened
+    attribute: str = ""  # in the namespace gaussianFlesh, of particles; "": it is never written
+    meaning: str = ""  # a sentence, for the schema
+    label: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawSpec:
+    """A constitutive law as data."""
+
+    token: str  # the value of gaussianFlesh:law
+    code: str  # module of its functions, relative to gf_usd.physics.laws: see `registry` there
+    source: str
+    parameters: tuple[Parameter, ...] = ()  # besides mu and lam
+    flows: bool = False  # it has a flow rule, and so a history
+    isochoric: bool = False  # its flow keeps the volume, det F_p = 1
+    unbounded: bool = False  # it flows without end: for the Updated Lagrangian solver
+    over: str = ""  # the law whose energy it has; "": one of its own
+    internal: tuple[Internal, ...] = ()
+
+
+YIELD_STRESS = Parameter(
+    name="yield_stress", unit="Pa", attribute="yieldStress", default=1e9,
+    meaning="Stress at which the material begins to flow: equivalent, before any hardening.",
+    label="Yield stress", required=True,
+)  # fmt: skip
+HARDENING = Parameter(
+    name="hardening", unit="Pa", attribute="hardening", default=0.0,
+    meaning="Growth of the yield stress with the equivalent plastic strain, or, of crushable"
+    " materials, with the logarithm of the volume that they have lost for good.",
+    label="Hardening",
+)  # fmt: skip
+
+# Of every law that flows, besides its own: what the solvers work out of F_e.
+ELASTIC_STRAIN = Internal(
+    name="elastic_strain", rest=0.0, attribute="elasticStrain",
+    meaning="Largest |stretch - 1| of the elastic part F_e of each particle's deformation.",
+    label="Elastic Strain",
+)  # fmt: skip
+
+
+def _von_mises(token: str, code: str, over: str = "", *, unbounded: bool = False) -> LawSpec:
+    """Von Mises plasticity over the elastic energy of a module."""
+    return LawSpec(
+        token=token,
+        code=code,
+        source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
+        over=over,
+        unbounded=unbounded,
+        parameters=(
+            YIELD_STRESS,
+            HARDENING,
+            Parameter(
+                name="saturation", unit="Pa", attribute="saturation", default=0.0,
+                meaning="Hardening that saturates: what the yield stress gains by it at most.",
+                label="Saturating hardening",
+            ),
+            Parameter(
+                name="saturation_rate", unit="", attribute="saturationRate", default=0.0,
+                meaning="Plastic strains e-fold the rest of the saturating hardening this many"
+                " times per unit.",
+                label="Saturation rate",
+            ),
+            Parameter(
+                name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
+                meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
+                " once.",
+                label="Viscosity of flow",
+            ),
+        ),
+        flows=True,
+        isochoric=True,
+        internal=(
+            Internal(
+                name="plastic_strain", rest=0.0, attribute="plasticStrain",
+                meaning="Equivalent plastic strain of each particle, summed over its past.",
+                label="Plastic Strain",
+            ),
+        ),
+    )  # fmt: skip
+
+
+LAWS: dict[str, LawSpec] = {
+    row.token: row
+    for row in (
+        LawSpec(
+            token="corotated",
+            code=".corotated",
+            source="GaussianFlesh eq. 5; Stomakhin et al. 2012 (fixed corotated)",
+        ),
+        LawSpec(token="neoHookean", code=".neo_hookean", source="Bonet and Wood 2008, eq. 6.28"),
+        _von_mises("vonMises", ".von_mises"),
+        LawSpec(
+            token="crushable",
+            code=".crushable",
+            source="Deshpande and Fleck 2000 (isotropic crushable foam)",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                Parameter(
+                    name="cap_shape", unit="", attribute="capShape", default=2.12,
+                    meaning="Shape alpha of the yield surface, an ellipse of pressure and shear:"
+                    " 3 / sqrt(2) keeps the width of what is pressed along one axis.",
+                    label="Shape of the cap", low=0.1, high=2.9,
+                ),
+            ),
+            flows=True,
+            internal=(
+                Internal(
+                    name="lost_volume", rest=0.0, attribute="lostVolume",
+                    meaning="Logarithm of the volume that each particle has lost for good: rest"
+                    " volume over what is left of it.",
+                    label="Lost Volume",
+                ),
+            ),
+        ),
+        LawSpec(
+            token="druckerPrager",
+            code=".drucker_prager",
+            source="Drucker and Prager 1952; Klar et al. 2016; Tampubolon et al. 2017",
+            parameters=(
+                Parameter(
+                    name="internal_friction", unit="", attribute="internalFriction", default=0.6,
+                    meaning="Shear stress that a granular material bears over its pressure: the"
+                    " tangent of the steepest slope at which it stays.",
+                    label="Internal friction", low=0.01, high=5.0, required=True,
+                ),
+                Parameter(
+                    name="cohesion", unit="Pa", attribute="cohesion", default=0.0,
+                    meaning="Shear stress that a granular material bears without pressure.",
+                    label="Cohesion",
+                ),
+            ),
+            flows=True,
+            unbounded=True,
+            internal=(
+                Internal(
+                    name="loosening", rest=0.0, attribute="loosening",
+                    meaning="Logarithm of the volume that each particle gained as it came apart,"
+                    " which closes before it bears pressure again.",
+                    label="Loosening",
+                ),
+            ),
+        ),
+        _von_mises("paste", ".von_mises", unbounded=True),
+        _von_mises("vonMisesNeoHookean", ".von_mises_neo_hookean", over="neoHookean"),
+        _von_mises("vonMisesCorotated", ".von_mises_corotated", over="corotated"),
+    )
+}  # fmt: skip
+
+
+def law_parameters(tokens: Iterable[str] | None = None) -> tuple[Parameter, ...]:
+    """The parameters of laws, one of each name; None: of all laws."""
+    wanted = set(LAWS if tokens is None else tokens)
+    rows = [row for token, row in LAWS.items() if token in wanted]
+    return tuple({p.name: p for row in rows for p in row.parameters}.values())
+
+
+def law_internals(tokens: Iterable[str] | None = None) -> tuple[Internal, ...]:
+    """What is written of the state of laws that flow, one of each name; None: of all laws."""
+    wanted = set(LAWS if tokens is None else tokens)
+    rows = [row for token, row in LAWS.items() if token in wanted and row.flows]
+    own = [v for row in rows for v in row.internal if v.attribute]
+    return tuple({v.name: v for v in (own + [ELASTIC_STRAIN] if rows else own)}.values())
+
+
+def flowing_law(stated: Iterable[str], otherwise: str) -> str:
+    """The law of a material that states these parameters by name, and no law.
+
+    One that states what only laws that flow ask for (a yield stress) flows: by `otherwise` where
+    that asks for it, else by the first law that has all that is stated.
+    """
+    wanted = set(stated)
+    asked = {p.name for p in law_parameters() if p.required} & wanted
+    if not asked or asked <= {p.name for p in LAWS[otherwise].parameters}:
+        return otherwise
+    having = [t for t, row in LAWS.items() if asked <= {p.name for p in row.parameters}]
+    whole = [t for t in having if wanted <= {p.name for p in LAWS[t].parameters}]
+    return (whole or having)[0]
+
+
+def check_law(law: str) -> str:
+    """The law's token; UsageError where there is none of that name."""
+    if law in LAWS:
+        return law
+    raise UsageError(f"there is no law {law!r}", f"choose one of {', '.join(LAWS)}")
