@@ -174,8 +174,8 @@ class Settings:
     shortcuts: bool = False  # tl: no substeps where all bodies fly freely or sleep
     mass_scaling: float = 1.0  # the moduli of materials that flow were divided by it
     fields: tuple[Field, ...] = ()  # tl: what pushes besides gravity
-    rolling: float = 0.0  # tl: coefficient of rolling resistance on the floor
-    settling: bool = False  # tl: damp bodies whose motion is too small to be seen
+    rolling: float = 0.0  # tl: coefficient of rolling resistance on floor and obstacles
+    settling: bool = False  # tl: damp small bounces, and motion too small to be seen
 
     def time_code(self, index: float) -> float:
         """Time code of a frame."""
@@ -244,6 +244,9 @@ class Health:
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
+    # Bodies below every obstacle where there is no floor, and [J] of their motion; None: not so
+    fallen: int | None = None
+    fallen_kinetic: float | None = None
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
 

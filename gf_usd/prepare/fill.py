@@ -191,8 +191,8 @@ def fill(
     left_out = {*physics.attachments, *physics.soft_attachments} - {*attachments, *springs}
     if left_out:
         stated += (f"{len(left_out)} attachments are not read with --flesh and --solver ul",)
-    # Without a floor bodies may fall for ever.
-    falls = settings.floor is None or _weightless(settings)
+    # Without anything below them bodies fall for ever.
+    falls = (settings.floor is None and not physics.colliders) or _weightless(settings)
     pushed = bool(pins or springs or settings.fields)
     open_end = request.length_is_open and not (falls or pushed)
     shot = settings

@@ -111,6 +111,11 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(momentum_drift=0.001, angular_momentum_drift=0.011),
         "by 0.1 % of the momentum and 1.1 % of the angular momentum",
     ),
+    "fallen": (
+        summary(Health(fallen=0, fallen_kinetic=0.0)),
+        summary(Health(fallen=0), Health(fallen=1), Health(fallen=1)),
+        "1 of 1 bodies fell past every obstacle, the first by frame 2, and nothing is below them",
+    ),
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
         summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),

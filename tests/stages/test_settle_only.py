@@ -16,7 +16,7 @@ from gf_usd.core.frames import Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
 from gf_usd.layers.stage import hold_still
-from gf_usd.physics.total_lagrangian.settling import CALM
+from gf_usd.physics.total_lagrangian.settling import CALM, LOW
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.prepare.options.texts import Length, parse_frames
 from gf_usd.prepare.settings import settled_frames, shot_frames
@@ -39,6 +39,13 @@ def test_nothing_rests_while_an_obstacle_is_to_move() -> None:
     rest = Rest(0.5 * time_scale(2.0), 2.0, stirred=3)
     still = Health(mass=3.0, kinetic=0.0)
     assert [rest.reached(still, i) for i in range(5)] == [False] * 4 + [True]
+
+
+def test_what_fell_past_every_obstacle_does_not_keep_the_others_from_resting() -> None:
+    rest = Rest(time_scale(2.0), 2.0)
+    fell = Health(mass=3.0, kinetic=50.0, fallen=1, fallen_kinetic=50.0)
+    assert not Rest(time_scale(2.0), 2.0).reached(replace(fell, fallen_kinetic=49.0), 5)
+    assert rest.reached(fell, 5)
 
 
 def test_an_obstacle_stays_from_its_last_move_on() -> None:
@@ -213,6 +220,96 @@ def test_a_bake_ends_at_rest_and_says_what_that_took(tmp_path: Path) -> None:
     (other,) = alone.bakes
     assert "settling_dissipation_J" not in other.health
     assert other.per_frame[-1]["kinetic"] > bake.per_frame[-1]["kinetic"]
+
+
+TABLE = f"""#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def Xform "World"
+{{
+    def Xform "Ball" ( prepend apiSchemas = ["GaussianFleshBakeAPI"]
+                       references = @{SPHERE}@ )
+    {{
+        uniform bool gaussianFlesh:enabled = 1
+        double3 xformOp:translate = (0, 1.02, 0)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
+    def Cube "Table" ( prepend apiSchemas = ["PhysicsCollisionAPI"] )
+    {{
+        double size = 1
+        double3 xformOp:translate = (3, -0.5, 0)
+        float3 xformOp:scale = (20, 1, 6)
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:scale"]
+    }}
+}}
+"""
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """A ball on a table that is 20 m long, and no floor."""
+    path = tmp_path / "table.usda"
+    path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+def test_on_obstacles_rest_says_how_long(table: Path) -> None:
+    plan = gf_usd.inspect(table, **FEW).plan
+    assert plan.settings.floor is None
+    assert plan.choices.until_rest
+
+
+def test_without_gravity_slow_motion_is_left_as_it_is(tmp_path: Path) -> None:
+    speed = 0.05  # [m/s], which is calm: v^2 / 2 is a hundredth of CALM g0 r
+    done = gf_usd.bake(
+        SPHERE, output=tmp_path / "s.usda", only="mesh", gravity=0, frames=40,
+        velocity=(speed, 0.0, 0.0), **FEW,
+    )  # fmt: skip
+    first, last = done.bakes[0].per_frame[0], done.bakes[0].per_frame[-1]
+    # a float32 velocity is off by at most half an ulp a substep
+    steps = sum(row["substeps"] for row in done.bakes[0].per_frame)
+    assert last["momentum"][0] == pytest.approx(first["momentum"][0], rel=2.0**-24 * (1 + steps))
+    assert first["momentum"][0] == pytest.approx(speed * first["mass"], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_ball_of_rubber_comes_to_rest(tmp_path: Path) -> None:
+    done = gf_usd.bake(
+        SPHERE, output=tmp_path / "s.usda", only="mesh", particles=300, material="rubber"
+    )
+    (bake,) = done.bakes
+    assert bake.at_rest
+    # what is taken is of bounces of half a radius and less
+    assert bake.health["settling_dissipation_J"] < LOW * bake.per_frame[0]["mass"] * G0
+
+
+@pytest.mark.slow
+def test_a_ball_that_rolls_on_a_table_stops_on_it_or_falls(table: Path, tmp_path: Path) -> None:
+    """It stops after 5/7 v^2 / (2 c g) as on the floor; faster, it falls off the end at 13 m."""
+    common = {"only": "mesh", "particles": 300, "material": "metal", "friction": 1.0}
+    slow = gf_usd.bake(
+        table, output=tmp_path / "s.usda", velocity=(1.5, 0.0, 0.0), rolling_resistance=0.1,
+        **common,
+    )  # fmt: skip
+    (bake,) = slow.bakes
+    assert bake.at_rest
+    x = [row["center"][0] for row in bake.per_frame]
+    way = (5.0 / 7.0 * 1.5) ** 2 / (10.0 / 7.0 * 0.1 * G0)
+    assert 0.5 * way < x[-1] - x[0] < 1.5 * way
+    assert bake.health["fallen_bodies"] == 0
+    assert not [w for _, w in slow.warnings if w.about == "fallen"]
+    fast = gf_usd.bake(
+        table, output=tmp_path / "f.usda", velocity=(14.0, 0.0, 0.0), rolling_resistance=0.0,
+        **common,
+    )  # fmt: skip
+    (bake,) = fast.bakes
+    assert bake.at_rest  # nothing is left that could
+    assert bake.health["fallen_bodies"] == 1
+    (said,) = [w for _, w in fast.warnings if w.about == "fallen"]
+    assert "1 of 1 bodies fell past every obstacle" in said.message
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from tools.samples.bowl import bowl, rocking
 FPS, FRAMES = 24, 97
 SCALE = 0.2  # of a duck in centimeters in a stage in meters: it is two meters long
 G = 9.81
-BOWL_HEIGHT, GROUND = 1.2, 18.0  # [m]
+BOWL_HEIGHT, GROUND = 1.2, 60.0  # [m]
 FIRST, LAST = 0.4, 1.55  # [s] of the fall of the first duck and of the last one
 RING, TURN = 1.7, 137.5  # [m] from the middle, [deg] from duck to duck
 BEAK, EYES = (0.88, 0.17, 0.012), (0.006, 0.006, 0.008)

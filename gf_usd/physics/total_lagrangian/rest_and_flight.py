@@ -42,6 +42,11 @@ FLIGHT = 1e-5  # strain, and speed over that of waves; far below what is seen, a
 PRESSING = 1e-2  # [g0] gravity that would have moved a body without support within T
 
 
+def presses(gravity: Any) -> bool:
+    """Whether gravity (3,) [m/s^2] presses bodies on what is below them."""
+    return float(np.linalg.norm(gravity)) > PRESSING * G0
+
+
 class Shortcuts:
     """Which frames need no substeps: how long each body has been at rest, and who flies."""
 
@@ -54,7 +59,7 @@ class Shortcuts:
         self._g = np.asarray(s.gravity, float)
         self._free = asked and not held and s.drag == 0.0
         self._flies = self._free and not state.acceleration.any()
-        pressed = held or float(np.linalg.norm(self._g)) > PRESSING * G0
+        pressed = held or presses(self._g)
         self._sleeps = asked and pressed and not body.driven
         self._wave = float(body.per["wave_speed"].min())
         self._limit = AT_REST * bodies.mass * G0 * bodies.radius
@@ -135,6 +140,40 @@ class Shortcuts:
             of = self._body.contact.samples.body
             out[np.zeros(1, int) if of is None else of[near]] = True
         return out
+
+
+class Fallen:
+    """Which bodies have fallen past every obstacle, where there is no floor below.
+
+    A body is below where all its nodes are deeper, along gravity, than the lowest point that any
+    obstacle comes to.
+    """
+
+    def __init__(self, body: Body) -> None:
+        s, setup = body.settings, body.contact_setup
+        self._body = body
+        self._count = bodies_of(body.particles, body.per["density"]).count
+        self._level: float | None = None  # [m] along -g
+        colliders = setup.colliders if setup is not None else ()
+        if s.floor is None and colliders and presses(s.gravity) and not body.in_place:
+            self._up = -np.asarray(s.gravity, float) / np.linalg.norm(s.gravity)
+            if all(one.shape != "plane" for one in colliders):
+                self._level = min(
+                    float((one.positions(f) @ self._up).min())
+                    for one in colliders
+                    for f in range(one.frames)
+                )
+
+    def measured(self, now: StateView) -> dict[str, Any]:
+        """`fallen` and `fallen_kinetic` of `Health`; nothing where nothing can fall past."""
+        if self._level is None:
+            return {}
+        body = self._body.stencil.node_body[: self._body.stencil.free_count]
+        top = np.full(self._count, -np.inf)
+        np.maximum.at(top, body, now.x[: len(body)] @ self._up)
+        fallen = top < self._level
+        kinetic = kinetic_energies(self._body, now, self._count)
+        return {"fallen": int(fallen.sum()), "fallen_kinetic": float(kinetic[fallen].sum())}
 
 
 def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView, depth: float) -> int:

@@ -1,28 +1,42 @@
-"""What lets bodies come to rest on a floor: rolling resistance, and damping of the last trembling.
+"""What lets bodies come to rest: rolling resistance, and damping of small bounces and trembling.
 
 Rolling resistance is the moment by which the floor opposes the rolling of a body (Johnson 1985,
 section 9.4; Ai et al. 2011, model A):
 
-    |M| <= c m g_n r,    r = (3 V / 4 pi)^(1/3)
+    |M| <= c N r,    r = (3 V / 4 pi)^(1/3)
 
-with c the coefficient, m g_n the weight on the floor.  Over a frame its impulse changes the
+with c the coefficient and N the weight m g_n on the floor.  Over a frame its impulse changes the
 velocities by a rotation about the point P of the floor below the center of mass, where a body that
 rolls stands still:
 
-    v_i += dw x (x_i - P),    dw = -min(1, c m g_n r dt / |I w|) w,    I w = sum m_i (x_i - P) x v_i
+    v_i += dw x (x_i - P),    dw = -min(1, c N r dt / |I w|) w,    I w = sum m_i (x_i - P) x v_i
 
-w and I in the plane of the floor, so that it stops the body and does not turn it back.
+w and I in the plane of the floor, so that it stops the body and does not turn it back.  On an
+obstacle that stands still N is its force F = |sum f_s| on the body, P the mean of the places of the
+samples weighted by |f_s|, and the normal that of F.
 
-A viscous material loses ever less in slow vibrations, and never all.  A body that has been calm for
-T = sqrt(r / g0), with a kinetic energy of at most CALM m g0 r and its center of mass within
-AMPLITUDE r, is damped as a whole, dv/dt = -v / (2 T): its kinetic energy falls e-fold in T.  In
-flight no body is as slow for so long, and one that slides or rolls leaves that radius.  Game
-engines do the same before they put a body to sleep (the stabilization threshold of PhysX).
+A viscous material loses ever less in slow vibrations, and never all.  Two kinds of motion are
+damped between frames, as game engines do before they put a body to sleep (the bounce threshold and
+the stabilization threshold of PhysX):
+
+Small bounces.  A body whose kinetic energy has been at most LOW m g0 r for PATIENCE T, with
+T = sqrt(r / g0), its center of mass within REACH r, and which has left what it touched or come back
+to it since, loses translation, dv_c/dt = -3/4 (1 - e^2) v_c / T, e the restitution of its material.
+A bounce of height r / 2 takes 2 T in flight with a mean square speed of v_0^2 / 3, and so loses the
+share 1 - e^2 of its energy, as the restitution says.
+
+Trembling.  A body that has been calm for T, with a kinetic energy of at most CALM m g0 r and its
+center of mass within AMPLITUDE r, is damped as a whole, dv/dt = -v / (2 T): its kinetic energy
+falls e-fold in T.
+
+In flight no body is as slow for so long, and one that slides or rolls leaves these radii.  Without
+gravity nothing presses bodies on what they touch, and neither acts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,12 +45,17 @@ from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.matrices import across
 from gf_usd.physics.bodies import bodies_of, node_sums
+from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.total_lagrangian.energies import cross, kinetic_energies
+from gf_usd.physics.total_lagrangian.rest_and_flight import presses
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State
 
 CALM = 1e-2  # [m g0 r] a body with that energy bounces by a hundredth of its radius
 AMPLITUDE = 0.05  # [r]
+LOW = 0.5  # [m g0 r] of a bounce of half a radius
+REACH = 0.5  # [r]
+PATIENCE = 3.0  # [T] a flight takes 2 T to rise to and fall from half a radius
 
 
 class Settling:
@@ -47,52 +66,81 @@ class Settling:
         bodies = bodies_of(body.particles, body.per["density"])
         free = not body.in_place and body.regions is None and not s.fields
         self._body = body
-        self._rolls = free and s.rolling > 0.0 and body.contact is not None
-        self._calms = free and s.settling
+        self._touchable = body.contact is not None
+        self._rolls = free and s.rolling > 0.0 and self._touchable and s.floor is not None
+        setup = body.contact_setup
+        walls = setup is not None and bool(setup.colliders)
+        self._rolls_on_obstacles = free and s.rolling > 0.0 and self._touchable and walls
+        self._calms = free and s.settling and presses(s.gravity)
         self._mass, self._radius = bodies.mass, bodies.radius
-        self._patience = np.array([time_scale(float(r)) for r in bodies.radius])
-        self._limit = CALM * bodies.mass * G0 * bodies.radius
-        self.calm = np.zeros(bodies.count)  # [s] since each body last moved visibly
-        self.place = np.full((bodies.count, 3), np.inf)  # [m] of its center of mass then
+        self._scale = np.array([time_scale(float(r)) for r in bodies.radius])  # [s] T
+        self._energy = bodies.mass * G0 * bodies.radius  # [J]
+        restitution = body.per["density"] * body.particles.V0 * body.per["restitution"]
+        e = np.bincount(bodies.of, restitution, bodies.count) / bodies.mass
+        self._bounce_rate = 0.75 * (1.0 - e**2) / self._scale  # [1/s]
+        self.calm = Still(bodies.count)
+        self.low = Still(bodies.count)
+        self.touching = np.zeros(bodies.count, bool)  # at the end of the last frame
+        self.bounced = np.zeros(bodies.count, bool)  # while it has been low
 
     @property
     def active(self) -> bool:
         """Whether anything may be taken from any body."""
-        return self._rolls or self._calms
+        return self._rolls or self._rolls_on_obstacles or self._calms
 
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
-        return {"calm": self.calm.copy(), "calm_place": self.place.copy()}
+        return {
+            "calm": self.calm.since.copy(), "calm_place": self.calm.place.copy(),
+            "low": self.low.since.copy(), "low_place": self.low.place.copy(),
+            "touching": self.touching.copy(), "bounced": self.bounced.copy(),
+        }  # fmt: skip
 
     def load(self, saved: Mapping[str, Any]) -> None:
         """See `Saved`."""
-        self.calm = np.array(saved["calm"], float)
-        self.place = np.array(saved["calm_place"], float)
+        self.calm.load(saved["calm"], saved["calm_place"])
+        self.low.load(saved["low"], saved["low_place"])
+        self.touching = np.array(saved["touching"], bool)
+        self.bounced = np.array(saved["bounced"], bool)
 
     def wake(self) -> None:
-        """What acts on the bodies was changed: none is calm."""
-        self.calm = np.zeros_like(self.calm)
+        """What acts on the bodies was changed: none is calm, nor bounces low."""
+        self.calm.wake()
+        self.low.wake()
 
     def frame(self, state: State) -> float | None:
         """Energy [J] taken from the bodies after a frame with substeps; None where none can be."""
         if not self.active:
             return None
-        count = len(self.calm)
+        count = len(self._mass)
         before = kinetic_energies(self._body, state.view(), count)
         body = self._body.stencil.node_body[: self._body.stencil.free_count]
         m, x = self._body.stencil.mass, state.view().x[: len(body)]
         mass = np.bincount(body, m, count)
         centers = node_sums(m[:, None] * x, body, count) / mass[:, None]
         rolling = self._on_floor(state) if self._rolls else np.zeros(count, bool)
+        supports = self._supports(state) if self._rolls_on_obstacles else {}
         calm = self._calmed(before, centers) if self._calms else np.zeros(count, bool)
-        if not (rolling.any() or calm.any()):
+        low = self._bounces(state, before, centers) if self._calms else np.zeros(count, bool)
+        if not (rolling.any() or supports or calm.any() or low.any()):
             return 0.0
         v = state.rows("v")
         new = v[: len(body)].astype(float)
         if rolling.any():
             new += self._resist(m, x, new, body, centers, rolling)
-        rate = np.where(calm, 0.5 / self._patience, 0.0)
+        for k, support in supports.items():
+            mine = body == k
+            one = np.zeros(int(mine.sum()), int)
+            most = np.array([self._most(support.force)[k]])
+            pivot = support.point[None]
+            new[mine] += resistance(m[mine], x[mine], new[mine], one, pivot, support.normal, most)
+        rate = np.where(calm, 0.5 / self._scale, 0.0)
         new *= np.exp(-rate * self._body.settings.frame_time)[body][:, None]
+        if low.any():
+            rate = np.where(low & ~calm, self._bounce_rate, 0.0)
+            mean = node_sums(m[:, None] * new, body, count) / mass[:, None]
+            lost = -np.expm1(-rate * self._body.settings.frame_time)
+            new -= (lost[:, None] * mean)[body]
         v[: len(body)] = new
         state.put("v", v)
         return float((before - kinetic_energies(self._body, state.view(), count)).sum())
@@ -102,28 +150,108 @@ class Settling:
         assert self._body.contact is not None
         of = self._body.contact.samples.body
         depth = state.get("sample_depth")[: len(self._body.contact.samples.X)]
-        out = np.zeros(len(self.calm), bool)
+        out = np.zeros(len(self._mass), bool)
         out[0 if of is None else of[depth > 0.0]] = depth.any()
+        return out
+
+    def _supports(self, state: State) -> dict[int, Support]:
+        """What the obstacles that stand still bear of each body, by body."""
+        contact = self._body.contact
+        assert contact is not None
+        pair = state.rows("pair", narrow_phase.ROW)[: len(contact.samples.X)]
+        links = state.rows("links", narrow_phase.LINKS)[: len(pair)]
+        fixed = (links[:, narrow_phase.PARTNER] == narrow_phase.OBSTACLE) & ~(
+            _three(pair, narrow_phase.VELOCITY).any(1)
+        )
+        f = np.where(fixed[:, None], _three(pair, narrow_phase.FORCE), 0.0)
+        pushed = np.flatnonzero(f.any(1))
+        of = contact.samples.body
+        of = np.zeros(len(pair), int) if of is None else of
+        place = _three(pair, narrow_phase.PLACE) + state.view().offset
+        out = {}
+        for k in np.unique(of[pushed]):
+            mine = pushed[of[pushed] == k]
+            total, size = f[mine].sum(0), np.linalg.norm(f[mine], axis=1)
+            force = float(np.linalg.norm(total))
+            if force > 0.0:
+                point = size @ place[mine] / size.sum()
+                out[int(k)] = Support(force=force, normal=total / force, point=point)
+        return out
+
+    def _bounces(self, state: State, kinetic: Floats, centers: Floats) -> Ints:
+        """(B,) which bodies have bounced low for PATIENCE T."""
+        touching = self._touching(state) if self._touchable else np.zeros(len(kinetic), bool)
+        step = self._body.settings.frame_time
+        low = self.low.note(kinetic <= LOW * self._energy, centers, REACH * self._radius, step)
+        self.bounced = low & (self.bounced | (touching != self.touching))
+        self.touching = touching
+        return self.bounced & (self.low.since >= PATIENCE * self._scale)
+
+    def _touching(self, state: State) -> Ints:
+        """(B,) whether anything pushes a sample of each body now."""
+        assert self._body.contact is not None
+        of = self._body.contact.samples.body
+        pushed = state.rows("sample_force")[: len(self._body.contact.samples.X)].any(1)
+        out = np.zeros(len(self._mass), bool)
+        out[0 if of is None else of[pushed]] = pushed.any()
         return out
 
     def _calmed(self, kinetic: Floats, centers: Floats) -> Ints:
         """(B,) which bodies have been calm for T."""
-        way = np.linalg.norm(centers - self.place, axis=1)
-        calm = (kinetic <= self._limit) & (way <= AMPLITUDE * self._radius)
-        self.place = np.where(calm[:, None], self.place, centers)
-        self.calm = np.where(calm, self.calm + self._body.settings.frame_time, 0.0)
-        return self.calm >= self._patience
+        step = self._body.settings.frame_time
+        self.calm.note(kinetic <= CALM * self._energy, centers, AMPLITUDE * self._radius, step)
+        return self.calm.since >= self._scale
+
+    def _most(self, force: Any) -> Floats:
+        """(B,) [N m s] largest impulse of the moment in a frame under a force [N] on each body."""
+        s = self._body.settings
+        return s.rolling * force * self._radius * s.frame_time
 
     def _resist(
         self, m: Floats, x: Floats, v: Floats, body: Ints, centers: Floats, rolling: Ints
     ) -> Floats:
         s = self._body.settings
         normal = np.asarray(s.normal, float)
-        weight = max(0.0, -float(np.dot(s.gravity, normal)))
-        most = s.rolling * self._mass * weight * self._radius * s.frame_time
+        most = self._most(self._mass * max(0.0, -float(np.dot(s.gravity, normal))))
         height = centers @ normal - (s.floor or 0.0)
         pivot = centers - height[:, None] * normal
         return resistance(m, x, v, body, pivot, normal, np.where(rolling, most, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """What obstacles bear of a body."""
+
+    force: float  # [N]
+    normal: Floats  # (3,) unit, of the force
+    point: Floats  # (3,) [m] P
+
+
+class Still:
+    """Since when each body has moved little, and where its center of mass was then."""
+
+    def __init__(self, count: int) -> None:
+        self.since = np.zeros(count)  # [s]
+        self.place = np.full((count, 3), np.inf)  # [m]
+
+    def load(self, since: Floats, place: Floats) -> None:
+        """Take saved values over."""
+        self.since, self.place = np.array(since, float), np.array(place, float)
+
+    def wake(self) -> None:
+        """Begin anew."""
+        self.since = np.zeros_like(self.since)
+
+    def note(self, slow: Ints, centers: Floats, reach: Floats, step: float) -> Ints:
+        """(B,) which bodies are slow and have stayed within reach [m] over a frame of step [s]."""
+        still = slow & (np.linalg.norm(centers - self.place, axis=1) <= reach)
+        self.place = np.where(still[:, None], self.place, centers)
+        self.since = np.where(still, self.since + step, 0.0)
+        return still
+
+
+def _three(rows: Floats, at: int) -> Floats:
+    return rows[:, at : at + 3]
 
 
 def resistance(

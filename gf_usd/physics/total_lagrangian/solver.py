@@ -28,7 +28,7 @@ from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.energies import measure, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.limits import touched
-from gf_usd.physics.total_lagrangian.rest_and_flight import Shortcuts, strained_substeps
+from gf_usd.physics.total_lagrangian.rest_and_flight import Fallen, Shortcuts, strained_substeps
 from gf_usd.physics.total_lagrangian.settling import Settling
 from gf_usd.physics.total_lagrangian.setup import Body, build_body
 from gf_usd.physics.total_lagrangian.shape_correction import ShapeCorrection
@@ -99,6 +99,7 @@ class TotalLagrangian(Solver):
         self.correction = ShapeCorrection(body)
         self.shortcuts = Shortcuts(body, self.state)
         self.settling = Settling(body)
+        self.fallen = Fallen(body)
         self.state.parts += [
             *([self.pairs] if self.pairs else []), self.shortcuts, self.settling
         ]  # fmt: skip
@@ -221,5 +222,8 @@ class TotalLagrangian(Solver):
             },
             stress=von_mises(body, state) if body.settings.stress else None,
             internal=now.internal(stretch) if body.settings.internal else {},
-            health=measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
+            health=replace(
+                measure(body, now, index, pairs.energy(now, time) if pairs else 0.0),
+                **self.fallen.measured(now),
+            ),
         )  # fmt: skip

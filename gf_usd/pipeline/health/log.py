@@ -93,6 +93,7 @@ class HealthLog:
             "deepest_penetration_spacings": max(f.penetration for f in h) / self._spacing,
             "penetration_at_end_spacings": h[-1].penetration / self._spacing,
             **self._resting(),
+            **self._fallen(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
             "let_go_max": max(f.let_go for f in h),
@@ -168,6 +169,14 @@ class HealthLog:
             **({"plastic_dissipation_J": sum(flow)} if flow else {}),
             **({"settling_dissipation_J": sum(settled)} if settled else {}),
         }
+
+    def _fallen(self) -> dict[str, Any]:
+        """Bodies that fell past every obstacle, where that is looked at."""
+        last, count = self.frames[-1], self._bodies
+        if not last.fallen:
+            return {} if last.fallen is None else {"fallen_bodies": 0}
+        first = next(i for i, f in enumerate(self.frames) if f.fallen)
+        return {"fallen_bodies": last.fallen, "fallen_of": count, "first_fallen_frame": first}
 
     def _resting(self) -> dict[str, float | None]:
         """Depth in the last frame, where the body has come to rest on the floor."""

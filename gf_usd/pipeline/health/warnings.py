@@ -237,6 +237,17 @@ def _still(h: HealthSummary) -> Said:
     )
 
 
+def _fallen(h: HealthSummary) -> Said:
+    count = h.get("fallen_bodies", 0)
+    if not count:
+        return None
+    return (
+        f"{count} of {h['fallen_of']} bodies fell past every obstacle, the first by frame"
+        f" {h['first_fallen_frame']}, and nothing is below them",
+        "add a floor (--floor HEIGHT), make the obstacles larger, or move the bodies over them",
+    )
+
+
 def _loop(h: HealthSummary) -> Said:
     share = h.get("loop_difference_share", 0.0)
     if share <= NOT_PERIODIC:
@@ -253,6 +264,7 @@ def _loop(h: HealthSummary) -> Said:
 RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "untouched": _untouched,
     "still": _still,
+    "fallen": _fallen,
     "energy": _energy,
     "inside-out": _inverted,
     "redone": _rollbacks,

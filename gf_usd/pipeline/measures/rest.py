@@ -14,7 +14,8 @@ class Rest:
     """Sees when all bodies have been at rest for a time T; see `AT_REST`.
 
     frame_time : [s] between frames; radius : [m] of a ball of the bodies' volume; stirred : frames
-    at the start in which an obstacle moves, or may move again.
+    at the start in which an obstacle moves, or may move again.  Bodies that have fallen past every
+    obstacle do not count.
     """
 
     def __init__(self, frame_time: float, radius: float, stirred: int = 0) -> None:
@@ -27,7 +28,8 @@ class Rest:
 
     def reached(self, health: Health, index: int) -> bool:
         """Whether this frame, the next one, ends a time T at rest."""
-        still = index >= self._stirred and health.kinetic <= self.limit(health)
+        moving = health.kinetic - (health.fallen_kinetic or 0.0)
+        still = index >= self._stirred and moving <= self.limit(health)
         self.still = self.still + self._step if still else 0.0
         return self.still >= time_scale(self._radius)
 

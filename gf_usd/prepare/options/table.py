@@ -101,7 +101,7 @@ class RequestOptions:
     frames: Annotated[int | str | None, Option(
         TIME, "Simulate this many frames, at --fps; rest: until everything is at rest, and rest:480"
         " 480 frames at most.",
-        shown="rest, 108.8 T of the body at most; 13.6 T with pins, fields or without a floor",
+        shown="rest, 108.8 T of the body at most; 13.6 T with pins, fields or nothing below",
         noun="number of frames",
         parse=texts.parse_frames, commands=INSPECT, write=values.frames,
     )] = None
@@ -162,12 +162,13 @@ class RequestOptions:
         shown="0", low=0.0, high=1e6,
     )] = None
     rolling_resistance: Annotated[float | None, Option(
-        SCENE, "Coefficient of rolling resistance on the floor: its moment over that of the weight"
-        " at an arm of one radius.",
+        SCENE, "Coefficient of rolling resistance on floor and obstacles: its moment over that of"
+        " the weight at an arm of one radius.",
         shown="0.05; 0 with --preset paper", low=0.0, high=1.0,
     )] = None
     no_settling: Annotated[bool, Option(
-        SCENE, "Leave out the damping by which motion too small to be seen comes to an end.",
+        SCENE, "Leave out the damping by which bounces of less than half a radius and motion too"
+        " small to be seen come to an end.",
     )] = False
     device: Annotated[Literal["cpu", "cuda"], Option(
         METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),

@@ -175,7 +175,7 @@ ROWS: tuple[Row, ...] = (
         "settling_dissipation_J",
         "Settling dissipation",
         "J",
-        "by rolling resistance and the damping of motion too small to be seen",
+        "by rolling resistance and the damping of small bounces and trembling",
     ),
     Row("momentum_end", "Momentum at the end", "kg m/s", "in the last frame"),
     Row("angular_momentum_end", "Angular momentum at the end", "kg m²/s", "about the origin"),

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from gf_usd.core.materials.dimensionless import G0, time_scale
-from gf_usd.physics.total_lagrangian.settling import AMPLITUDE, CALM, Settling, resistance
+from gf_usd.physics.total_lagrangian.settling import (
+    AMPLITUDE,
+    CALM,
+    PATIENCE,
+    Settling,
+    Still,
+    resistance,
+)
 
 UP = np.array([0.0, 1.0, 0.0])
 R = 0.3
@@ -92,9 +99,9 @@ class _Calm(Settling):
         from types import SimpleNamespace
 
         self._body = SimpleNamespace(settings=SimpleNamespace(frame_time=frame_time))
-        self._radius, self._patience = np.array([R]), np.array([time_scale(R)])
-        self._limit = np.array([CALM * 2.0 * G0 * R])
-        self.calm, self.place = np.zeros(1), np.full((1, 3), np.inf)
+        self._radius, self._scale = np.array([R]), np.array([time_scale(R)])
+        self._energy = np.array([2.0 * G0 * R])
+        self.calm = Still(1)
 
     def after(self, kinetic: float, at: float) -> bool:
         return bool(self._calmed(np.array([kinetic]), np.array([[0.0, at, 0.0]]))[0])
@@ -121,3 +128,63 @@ def test_nothing_in_free_fall_is_calm() -> None:
         t = i * dt
         seen.append(calm.after(0.5 * 2.0 * (G0 * t) ** 2, -0.5 * G0 * t * t))
     assert not any(seen)
+
+
+class _Low(Settling):
+    """Without a solver: what `_bounces` needs."""
+
+    def __init__(self, frame_time: float) -> None:
+        from types import SimpleNamespace
+
+        self._body = SimpleNamespace(settings=SimpleNamespace(frame_time=frame_time))
+        self._radius, self._scale = np.array([R]), np.array([time_scale(R)])
+        self._energy, self._touchable = np.array([2.0 * G0 * R]), True
+        self.low, self.touching, self.bounced = Still(1), np.zeros(1, bool), np.zeros(1, bool)
+        self.touches = False
+
+    def _touching(self, state: object) -> np.ndarray:
+        return np.array([self.touches])
+
+    def after(self, kinetic: float, at: float, touches: bool) -> bool:
+        self.touches = touches
+        where = np.array([[0.0, at, 0.0]])
+        return bool(self._bounces(None, np.array([kinetic]), where)[0])  # pyright: ignore[reportArgumentType]
+
+
+def _hop(share: float, frames: int) -> list[tuple[float, float, bool]]:
+    """(kinetic energy, height, contact) of bounces of a share of R, with contact at their ends."""
+    v0 = np.sqrt(2.0 * G0 * share * R)
+    flight = 2.0 * v0 / G0
+    out = []
+    for i in range(frames):
+        t = (i * time_scale(R) / 20) % flight
+        v, y = v0 - G0 * t, v0 * t - 0.5 * G0 * t * t
+        out.append((0.5 * 2.0 * v * v, y, y < 0.02 * share * R))
+    return out
+
+
+def test_bounces_of_less_than_half_a_radius_are_low_after_three_T() -> None:
+    seen = [_Low(time_scale(R) / 20).after(*one) for one in _hop(0.4, 1)]
+    low = _Low(time_scale(R) / 20)
+    seen = [low.after(*one) for one in _hop(0.4, 80)]
+    assert seen.index(True) == 20 * PATIENCE  # the first frame is not yet still
+    assert all(seen[int(20 * PATIENCE) :])
+    high = _Low(time_scale(R) / 20)
+    assert not any(high.after(*one) for one in _hop(0.6, 200))
+
+
+def test_what_stays_in_contact_or_in_the_air_does_not_bounce() -> None:
+    for touches in (True, False):
+        low = _Low(time_scale(R) / 20)
+        low.touching = np.array([touches])
+        assert not any(low.after(kinetic, y, touches) for kinetic, y, _ in _hop(0.3, 200))
+
+
+def test_a_bounce_of_half_a_radius_loses_what_the_restitution_says() -> None:
+    """E' = -2 rate v^2 / 2 over the flight, to first order in 1 - e^2."""
+    e, T = 0.98, time_scale(R)
+    rate = 0.75 * (1.0 - e**2) / T
+    v0 = np.sqrt(G0 * R)
+    t = np.linspace(0.0, 2.0 * v0 / G0, 2001)
+    lost = np.trapezoid(2.0 * rate * 0.5 * (v0 - G0 * t) ** 2, t) / (0.5 * v0**2)
+    assert lost == pytest.approx(1.0 - e**2, rel=1e-6)
