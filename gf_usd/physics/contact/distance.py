@@ -49,10 +49,12 @@ def closest(X: Floats, points: Floats, triangles: Ints, reach: float) -> Closest
         np.ascontiguousarray(points[used] - center, dtype=float),
         np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
         sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
+        lower_bound=-reach,  # what is farther off is not looked for: its distance is nan
+        upper_bound=reach,
     )
-    gap, at = np.asarray(S).reshape(-1), close[np.asarray(at).reshape(-1)]
+    gap, at = np.asarray(S).reshape(-1), np.asarray(at).reshape(-1)
     near = np.flatnonzero(np.abs(gap) < reach)
-    gap, at, point, rows = gap[near], at[near], np.asarray(C)[near] + center, asked[near]
+    gap, at, point, rows = gap[near], close[at[near]], np.asarray(C)[near] + center, asked[near]
     away = X[rows] - point
     on = np.linalg.norm(away, axis=1) <= ON_SURFACE * reach
     away[on] = np.asarray(N)[near][on]
