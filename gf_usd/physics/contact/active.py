@@ -6,6 +6,7 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics.contact.floor import DRIFT, GIVEN_ROW, HEIGHT, WORK, move_springs
+from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL
 from gf_usd.physics.total_lagrangian.setup import Body, floor_height
 from gf_usd.physics.total_lagrangian.state import State
 
@@ -18,6 +19,7 @@ class ActiveSamples:
         self._active: tuple[Ints, Ints] | None = None  # what the device holds
         self._height = np.zeros(0)  # [m] of the samples over the floor, without u and the offset
         self._drift = 0.0  # [m/s] toward the floor that pins give the fastest of them
+        self._fall = 0.0  # [m/s] that none of them falls faster than
 
     def near_floor(self, state: State) -> Ints:
         """The samples within reach of the floor; clears what all of them noticed."""
@@ -46,7 +48,8 @@ class ActiveSamples:
         now = state.view()
         speed = float(np.abs(now.v @ normal).max()) + self._drift
         g = abs(float(np.dot(body.settings.gravity, normal))) + body.settings.pushes
-        reach = 2.0 * span * (speed + g * span) + body.particles.spacing
+        self._fall = 2.0 * (speed + g * span)
+        reach = span * self._fall + body.particles.spacing
         height = self._height + float(state.offset @ normal) + contact.rows.W @ (now.u @ normal)
         return np.flatnonzero(height < reach)
 
@@ -77,6 +80,9 @@ class ActiveSamples:
         if self._body.contact is None:
             return 0
         state.clear("sample_force")
+        numbers = state.get("numbers")[: CLEARANCE + 1]
+        numbers[FALL], numbers[CLEARANCE] = self._fall, self._body.particles.spacing
+        state.put_first("numbers", numbers)  # and every slack is 0: all are asked at first
         if self._body.options.driven and self._body.settings.floor is not None:
             self._drive(state, dt)
         samples = np.union1d(near, paired) if len(paired) else near

@@ -13,6 +13,11 @@ spring stores and loses: projection on a ball is monotone.  So friction only tak
 Without the spring (k_t = 0: the paper's) c is m_s / (2 dt), the limit of stability: such a sample
 creeps.  Where it does although mu f_n is larger it is counted.
 
+A sample that was h over the floor cannot touch it before it has fallen by h.  With w the fastest
+that any may fall (`active`), it is left alone while h - b - n dt w > 0, n substeps later; b, a
+spacing, is to spare.  What it would give is 0, so that no result depends on it.  A node, too, sums
+nothing as long as none of its samples is asked.
+
 Contact of surface samples with other bodies and with obstacles, inside a substep.
 
 A sample s faces at most one plane, chosen by `pairs` between substeps.  The plane belongs to an
@@ -63,6 +68,7 @@ from gf_usd.physics.contact.narrow_phase import (
     WEIGHT,
     WORK,
 )
+from gf_usd.physics.total_lagrangian.limits import CLEARANCE, FALL, SLACK
 
 
 @ti.func
@@ -84,14 +90,19 @@ def sample_contact(body: ti.template(), s, up, lift, dt, driven: ti.template()):
 
     driven : pins move samples, and what they give moves on.
     """
-    rise = lift * 0.0
     drift = up * 0.0
-    for e in range(body.sample_start[s], body.sample_start[s + 1]):
-        n = body.sample_node[e] * 3
-        x = up[0] * body.u[n] + up[1] * body.u[n + 1] + up[2] * body.u[n + 2]
-        rise += body.sample_weight[e] * x
     o = GIVEN_ROW * s
-    d = 0.0 - (body.sample_given[o + HEIGHT] + lift + rise)
+    d = lift * 0.0
+    left = body.numbers[SLACK + 2 * s] - dt * body.numbers[FALL]
+    if left <= 0.0:
+        rise = lift * 0.0
+        for e in range(body.sample_start[s], body.sample_start[s + 1]):
+            n = body.sample_node[e] * 3
+            x = up[0] * body.u[n] + up[1] * body.u[n + 1] + up[2] * body.u[n + 2]
+            rise += body.sample_weight[e] * x
+        d = 0.0 - (body.sample_given[o + HEIGHT] + lift + rise)
+        left = 0.0 - d - body.numbers[CLEARANCE]
+    body.numbers[SLACK + 2 * s] = left
     if ti.static(driven):
         drift = row(body.sample_given, o + floor.DRIFT)
         body.sample_given[o + HEIGHT] = body.sample_given[o + HEIGHT] + dt * drift.dot(up)
@@ -153,15 +164,19 @@ def floor_force(body: ti.template(), s, d, v, up, dt):
 
 
 @ti.func
-def contact_force(body: ti.template(), node):
+def contact_force(body: ti.template(), node, dt):
     """sum_s W_si f_s on a node, over the samples that are watched."""
     f = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    for e in range(body.node_sample_start[node], body.node_sample_start[node + 1]):
-        s = body.node_sample[e] * 3
-        w = body.node_sample_weight[e]
-        f += w * ti.Vector(
-            [body.sample_force[s], body.sample_force[s + 1], body.sample_force[s + 2]]
-        )
+    left = body.numbers[SLACK + 2 * node + 1] - dt * body.numbers[FALL]
+    # Of what bodies do to each other the slack knows nothing.
+    if left <= 0.0 or body.sample_active[0] > 0:
+        first, behind = body.node_sample_start[node], body.node_sample_start[node + 1]
+        left = ti.math.inf
+        for e in range(first, behind):
+            s = body.node_sample[e]
+            left = ti.min(left, body.numbers[SLACK + 2 * s])
+            f += body.node_sample_weight[e] * row(body.sample_force, 3 * s)
+    body.numbers[SLACK + 2 * node + 1] = left
     return f
 
 

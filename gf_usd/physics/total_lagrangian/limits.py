@@ -20,6 +20,9 @@ from gf_usd.core.frames import LUMPED, Settings
 from gf_usd.physics.total_lagrangian import layout
 
 LOW, HIGH, CAP, PER_H, CONVERGED = range(5)  # of the numbers in the pack
+# [m/s] no contact sample falls faster; [m] it keeps to spare; from SLACK on, in turn, how far [m] a
+# sample, and all samples of a node, may fall until they are asked again: see `contact.kernels`.
+FALL, CLEARANCE, SLACK = range(5, 8)
 CLIP_BUFFER = 10  # lane vectors of a batch: F, and which lanes may have to be clipped
 NO_GOALS, SPRINGS, LIMITED = range(3)  # nothing, springs to goals, limits besides
 CLAMPED, STRESS_CAPPED = 1, 2  # bits of what happened to a particle
@@ -69,11 +72,12 @@ def options_of(
 
 
 def arrays(
-    batches: layout.Batches, settings: Settings, h: float, converged: float
+    batches: layout.Batches, settings: Settings, h: float, converged: float, watched: int
 ) -> dict[str, Floats]:
-    """The options' part of the pack, and two numbers of the body; of what is off, one number.
+    """The options' part of the pack, and numbers of the body; of what is off, one number.
 
-    h : [m] of a cell; converged : change of a rotation that ends its iteration.
+    h : [m] of a cell; converged : change of a rotation that ends its iteration; watched : contact
+    samples or nodes, whichever are more.
     """
     asked, lanes = options_of(settings), batches.source.size
     particles = int(batches.source.max()) + 1
@@ -82,7 +86,12 @@ def arrays(
         "F0": layout.lanes(batches, np.tile(np.eye(3).ravel(), (particles, 1)), fill=True)
         if asked.anchored
         else np.zeros((1, layout.LANES)),
-        "numbers": np.array([low, high, settings.stress_cap or 0.0, 1.0 / h, converged]),
+        "numbers": np.concatenate(
+            [
+                [low, high, settings.stress_cap or 0.0, 1.0 / h, converged],
+                np.zeros(SLACK - FALL + 2 * watched),
+            ]
+        ),
         "clip_buffer": np.zeros(
             (CLIP_BUFFER * len(batches.source) if asked.clamped else 1, layout.LANES)
         ),

@@ -481,6 +481,12 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         ),
         **layout.contact_arrays(contact, height, stencil.node_count),
         "queue": np.zeros(QUEUE, int),
-        **limits.arrays(batches, body.settings, stencil.h, body.converged),
+        **limits.arrays(
+            batches,
+            body.settings,
+            stencil.h,
+            body.converged,
+            max(stencil.node_count, len(contact.samples.X) if contact else 0),
+        ),
         **pack_arrays(len(contact.samples.X) if contact and body.options.meets else 0),
     }

@@ -141,7 +141,7 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def force(body: ti.template(), node, contact, plain: ti.template(), goals: ti.template()):
+def force(body: ti.template(), node, contact, dt, plain: ti.template(), goals: ti.template()):
     """The force of the cells, of contact and of its goal on a free node."""
     f = node_sum(body, node, plain)
     if ti.static(goals > NO_GOALS):
@@ -149,7 +149,7 @@ def force(body: ti.template(), node, contact, plain: ti.template(), goals: ti.te
     if ti.static(goals > SPRINGS):
         f += limit_pull(body, node) / body.node_mass[MASS * node + INVERSE]
     if contact > 0:
-        f += contact_force(body, node)
+        f += contact_force(body, node, dt)
     return f
 
 
@@ -284,7 +284,9 @@ def move_node(
         a += inverse(body, node, share, slides)
     else:
         a += (
-            force(body, node, contact, plain, goals) * body.node_mass[MASS * node + INVERSE] * share
+            force(body, node, contact, dt, plain, goals)
+            * body.node_mass[MASS * node + INVERSE]
+            * share
         )
     for d in ti.static(range(3)):
         a[d] += share * body.acceleration[3 * node + d]

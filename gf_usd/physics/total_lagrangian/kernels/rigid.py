@@ -135,7 +135,7 @@ def move_region(
         node = free + body.rigid_nodes[regions + 1 + e]
         f = block_sum(body, node, plain)
         if contact > 0:
-            f += contact_force(body, node)
+            f += contact_force(body, node, dt)
         F += f
         T += turned(q, row(body.rigid, ROW * regions + NODE * e + RHO)).cross(f)
     for a in ti.static(range(3)):

@@ -208,7 +208,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             )  # fmt: skip
         elif ti.static(part.name == "move lumped"):
             share = goal_share(body, n, dt, options.goals)
-            keep_raw(body, n, force(body, n, active, options.plain, options.goals), share)
+            keep_raw(body, n, force(body, n, active, dt, options.plain, options.goals), share)
         elif ti.static(part.name == "follow"):
             follow(body, n, free, drift, options.slides)
         elif ti.static(part.name == "open rigid"):
