@@ -22,6 +22,8 @@ WHOLE = {
                                  "pipeline/prepared.py", "pipeline/run.py", "pipeline/inspect.py",
                                  "pipeline/scene.py", "cli/console.py"},
     "gf_usd.prepare.options.request.Request": {"prepare/settings.py", "prepare/fill.py",
+                                               "prepare/options/choices.py",
+                                               "prepare/options/implied.py",
                                                "prepare/prepare.py", "pipeline/scene.py",
                                                "batch/manifest.py"},
 }  # fmt: skip

@@ -76,7 +76,7 @@ def announce(prepared: Prepared) -> None:
 
 def _told(plan: Plan, note: str) -> str:
     """A note as a line; an implausible size is a warning, as in `inspect`."""
-    from gf_usd.prepare.fill import implausible_size
+    from gf_usd.prepare.asset_size import implausible_size
 
     return f"{'warning' if note == implausible_size(plan.asset) else 'note'}: {note}"
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gf_usd.geometry.diagnosis import faults
-from gf_usd.prepare.fill import size
+from gf_usd.prepare.asset_size import size
 
 if TYPE_CHECKING:
     from gf_usd.geometry.diagnosis import Diagnosis

@@ -44,7 +44,8 @@ from gf_usd.geometry.thin.parts import Part, suggestion
 from gf_usd.geometry.thin.thickness import Thickness, thickness
 from gf_usd.pipeline.cost.budget import Cost
 from gf_usd.pipeline.prepared import Prepared, draw, of_a_shot
-from gf_usd.prepare.fill import fill, implausible_size, mend, size
+from gf_usd.prepare.asset_size import implausible_size, size
+from gf_usd.prepare.fill import fill, mend
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan
 from gf_usd.prepare.prepare import parse_request, read_stage, reading, would_fill

@@ -1,8 +1,7 @@
 """From an asset that was read to a plan: bodies, particles, materials, settings, contact.
 
-Nothing that is called from here takes the whole request but `settings.resolve`.
-
-What --repair does to an asset before it is filled.
+Nothing that is called from here takes the whole request but `settings.resolve` and what completes
+it, `options.implied` and `options.choices`.
 """
 
 from __future__ import annotations
@@ -14,27 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats, Ints, triple
-from gf_usd.core.asset import ASSUMED, Asset
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.arrays import Ints, triple
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import (
-    SHAPES,
-    Choices,
     Particles,
     Settings,
     SurfaceSamples,
-    clip_length,
     sampled,
     written,
 )
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.presets import Preset
 from gf_usd.core.stage import Pin, StageSpec, Triple
-from gf_usd.core.units import PLAUSIBLE, Precision
-from gf_usd.prepare import materials as body_materials
 from gf_usd.prepare import paper as paper_options
-from gf_usd.prepare import regions as material_regions
 from gf_usd.prepare.bodies import (
     LimbPlan,
     contact_setup,
@@ -43,7 +35,10 @@ from gf_usd.prepare.bodies import (
     require_clear_start,
     start_velocities,
 )
-from gf_usd.prepare.materials import with_own_values
+from gf_usd.prepare.materials.assign import assign_materials
+from gf_usd.prepare.materials.checks import require_standing
+from gf_usd.prepare.options.choices import chosen, require_stored
+from gf_usd.prepare.options.implied import stated_values, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.pins import (
@@ -54,7 +49,7 @@ from gf_usd.prepare.pins import (
     read_animation,
     soft_attachment_goals,
 )
-from gf_usd.prepare.plan import Plan, embedded_points, frame_bytes
+from gf_usd.prepare.plan import Plan, embedded_points
 from gf_usd.prepare.settings import (
     Resolution,
     floor_plane,
@@ -114,8 +109,8 @@ def fill(
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
-    request, flowing = _unbounded(request, presets, law)
-    request, stated = _with_stage(request, spec, asset)
+    request, flowing = with_flow(request, presets, law)
+    request, stated = with_stage(request, spec, asset)
     unit = asset.facts.units.length
     paper = request.preset == "paper"
     closed = zip(solid.surfaces, solid.triangles, strict=True)
@@ -205,35 +200,12 @@ def fill(
         physics = replace(moving, of_files=physics.of_files)
     if open_end and any(one.deformed is not None for one in physics.colliders):
         open_end, settings = False, shot  # its points may move for as long as there are frames
-    parts = body_materials.material_parts(solid, spec, request.regions)
-    slot = body_materials.part_of_particles(solid, particles, parts)
-    of, regional = material_regions.owners(request.regions, solid.surfaces, particles, unit)
-    slot = body_materials.in_regions(slot, particles, parts, of)
-
-    own_values = _stated_values(request)
-
-    def finish(preset: Any, radius: float) -> Material:
-        return replace(preset.material(radius, law), **own_values)
-
-    tables, index, flow = [], particles.material, []
-    for preset in presets:
-        table, index = body_materials.table(
-            preset, parts, slot, particles, solid, bodies, spec, finish
-        )
-        table = tuple(replace(m, law=law or m.law) for m in table)
-        tables.append(table)
-        of_part = {int(k): table[int(index[slot == k][0])] for k in np.unique(slot)}
-        body_materials.require_parameters(asset.facts.path, particles, slot, of_part, solid, spec)
-        flow += body_materials.flow_notes(preset, law, parts, of_part, solid, spec)
-    particles, own = with_own_values(
-        replace(particles, material=index), tables[0], slot, parts, solid, bodies, spec,
-        (request.blend_width or 0.0) * unit,
+    materials = assign_materials(
+        asset.facts.path, solid, particles, bodies, spec, presets,
+        law=law, stated=stated_values(request), regions=request.regions, unit=unit,
+        blend_width=(request.blend_width or 0.0) * unit, mass_scaling=settings.mass_scaling,
     )  # fmt: skip
-    tables, particles, scaled = body_materials.mass_scaled(tables, particles, settings.mass_scaling)
-    made = tuple(
-        replace(_main(table, index, particles.V0), name=preset.name)
-        for preset, table in zip(presets, tables)
-    )
+    particles, made = materials.particles, materials.main
     held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
@@ -244,13 +216,13 @@ def fill(
         )
         for m in made
     )  # fmt: skip
-    weak = body_materials.require_standing(
-        asset.facts.path, [m for table in tables for m in table],
+    weak = require_standing(
+        asset.facts.path, [m for table in materials.tables for m in table],
         max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
-    choices, split = _chosen(request, files, settings, asset, len(particles), open_end)
-    _require_stored(choices.precision, particles, settings)
+    choices, split = chosen(request, files, settings, asset, len(particles), open_end)
+    require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
@@ -280,7 +252,7 @@ def fill(
         particles=limbs.particles,
         samples=limbs.samples,
         materials=made,
-        tables=tuple(tables),
+        tables=materials.tables,
         settings=each[0],
         each=each,
         outputs=files,
@@ -308,61 +280,13 @@ def fill(
         notes=(
             *asset.facts.notes, *(one.note for one in advice),
             *mended, *flowing, *stated, *([asked.note] if asked.note else ()), *bodies.notes,
-            *flesh.notes, *limbs.notes, *regional, *own, *dict.fromkeys(flow), *scaled, *weak,
+            *flesh.notes, *limbs.notes, *materials.notes, *weak,
             *physics.notes,
             *unfilled, *left, *skin, *_options(made, each), *split,
             *_nothing_remembered(made, settings),
         ),
     )  # fmt: skip
     return plan, solid
-
-
-def _with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request, tuple[str, ...]]:
-    """The request with what the stage says where it says nothing, and notes on that."""
-    notes = []
-    path, physics = asset.facts.path, spec.physics
-    more: dict[str, Any] = {}
-    if request.gravity is None and physics.gravity is not None:
-        more["gravity"] = ",".join(repr(g) for g in physics.gravity)
-        notes.append(
-            f"gravity is that of <{physics.scene}>: {material_regions.shown(physics.gravity)} m/s^2"
-            + (f", and {len(physics.gravity_keys)} time samples" if physics.gravity_keys else "")
-        )
-        if physics.gravity_keys and (request.rigid or request.solver == "ul"):
-            raise UsageError(
-                f"{path}: gravity of <{physics.scene}> changes, which --rigid and --solver ul do"
-                " not know",
-                "give one with --gravity",
-            )
-    if physics.fields and not request.fields:
-        if request.rigid or request.solver == "ul":
-            raise UsageError(
-                f"{path}: <{physics.scene}> has fields, which --rigid and --solver ul do not know",
-                "leave --rigid or --solver ul out",
-            )
-        notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
-    if request.flesh and request.floor is None:
-        more["floor"] = "none"
-        notes.append("there is no floor under the animation; --floor 0 adds one")
-    if obstacles := physics.obstacles:
-        several = len(obstacles) > 1
-        counted = f"there {'are' if several else 'is'} {len(obstacles)} obstacle{'s' * several}"
-        if request.floor is None and not request.flesh:
-            more["floor"] = "none"
-            notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
-        if request.solver == "ul":
-            raise UsageError(
-                f"{path}: --solver ul does not know obstacles, and {counted}:"
-                f" <{obstacles[0].path}>",
-                "use --solver tl",
-            )
-    for name in ("seed", "solver"):
-        if getattr(request, name) is None:
-            said = one_said(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
-            if said is not None:
-                more[name] = said
-                notes.append(f"{name} is {said}, as the stage asks for")
-    return replace(request, **more), tuple(notes)
 
 
 def _scaled(vector: Triple | None, unit: float) -> Triple | None:
@@ -388,103 +312,6 @@ def _weightless(settings: Settings) -> bool:
     return float(np.dot(settings.gravity, settings.normal)) >= 0.0
 
 
-def _unbounded(
-    request: Request, presets: Sequence[Any], law: str | None
-) -> tuple[Request, tuple[str, ...]]:
-    """The request for what flows without end, with a note; as it is where nothing does.
-
-    Raises UsageError where only some of the variants do, or where the solver does not let them.
-    """
-    laws = [law or (p.law if isinstance(p, Preset) else "") for p in presets]
-    flows = [one in LAWS and LAWS[one].unbounded for one in laws]
-    if not any(flows):
-        return request, ()
-    names = ", ".join(preset.name for preset in presets)
-    if not all(flows):
-        raise UsageError(
-            f"{names}: some of these flow without end, and are simulated by another solver",
-            "bake them one by one",
-        )
-    if request.solver == "tl":
-        raise UsageError(
-            f"--solver tl does not go with {names}, which flows without end",
-            "leave it out, or use --solver ul",
-        )
-    if request.only is None:
-        request = replace(request, only="gaussians,points")
-    note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
-    if "mesh" not in (request.parsed["only"] or ()):
-        note += "; the mesh is hidden"
-    return replace(request, solver="ul"), (note,)
-
-
-def _main(table: Sequence[Material], index: Any, V0: Any) -> Material:
-    """The material that most of the volume has."""
-    return table[int(np.bincount(index, V0).argmax())]
-
-
-def _chosen(
-    request: Request,
-    files: Outputs,
-    settings: Settings,
-    asset: Asset,
-    particles: int,
-    open_end: bool,
-) -> tuple[Choices, tuple[str, ...]]:
-    """The output choices, with notes on what nobody asked for."""
-    if files.flat and request.clip_frames:
-        raise UsageError(
-            f"--clip-frames {request.clip_frames} and a package were both asked for",
-            "a package is one file: leave one of them out",
-        )
-    choices = Choices(
-        shapes=request.parsed["only"] or SHAPES,
-        half=request.half,
-        precision=request.parsed["precision"],
-        adaptive=request.adaptive_samples,
-        velocities=not request.no_velocities,
-        flat=request.flatten or files.flat,
-        settled=request.settle_only,
-        tets=request.tets,
-        until_rest=request.until_rest or open_end,
-        open_end=open_end,
-        certify=request.certify,
-    )
-    size = frame_bytes(asset, particles, settings, choices)
-    length = (
-        0
-        if choices.flat or choices.settled
-        else clip_length(request.clip_frames, size, written(settings))
-    )
-    notes = ()
-    if length and request.clip_frames is None:
-        notes = (
-            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
-            f" of {length} frames: --clip-frames 0 keeps it in one file",
-        )
-    return replace(choices, clip_frames=length), notes
-
-
-SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
-
-
-def _require_stored(precision: Precision | None, particles: Particles, settings: Settings) -> None:
-    """Raise UsageError for a precision that single precision does not have where the bodies are."""
-    if precision is None:
-        return
-    farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
-    rounding = SINGLE * float(np.finfo(np.float32).eps) * farthest
-    radii = particles.radii
-    least = precision.meters(float(radii[radii > 0.0].min()))
-    if least < rounding:
-        raise UsageError(
-            f"--precision {precision.said} is {least:.3g} m for the smallest body, and points have"
-            f" single precision, which is off by {rounding:.2g} m at {farthest:.3g} m from the"
-            " origin",
-            f"give {rounding:.2g}m or more",
-        )
-
-
 def _options(materials: Sequence[Material], each: Sequence[Settings]) -> tuple[str, ...]:
     """Notes on the paper's options, once where they are the same for all materials."""
     if all(settings == each[0] for settings in each):
@@ -500,18 +327,6 @@ def _nothing_remembered(materials: Sequence[Material], settings: Settings) -> tu
     return (f"--internal writes nothing: the law {laws} remembers nothing",)
 
 
-def _stated_values(request: Request) -> dict[str, float]:
-    """What the request says in place of a material's own values."""
-    own = {
-        name: value
-        for name in ("damping_time", "friction", "restitution")
-        if (value := getattr(request, name)) is not None
-    }
-    if request.preset == "paper":
-        own.setdefault("damping_time", 0.0)  # the paper has none
-    return own
-
-
 def _resolution(
     request: Request,
     spec: StageSpec,
@@ -523,38 +338,6 @@ def _resolution(
     spacing = request.spacing * unit if request.spacing else None
     paper = request.preset == "paper"
     return resolution(request.particles, spacing, spec, volumes, thin, paper=paper)
-
-
-HUGE, TINY = 30.0, 0.005  # [m] beyond these the unit is more likely wrong than the asset odd
-
-
-UNIT = "--meters-per-unit"
-COMMON_UNITS = (0.01, 1.0, 0.001)  # [m]
-
-
-def size(asset: Asset) -> Floats:
-    """(3,) [m] of the box around all surfaces."""
-    low = np.min([s.points.min(0) for s in asset.surfaces], axis=0)
-    high = np.max([s.points.max(0) for s in asset.surfaces], axis=0)
-    return high - low
-
-
-def implausible_size(asset: Asset) -> str:
-    """A warning where the asset is so large or small that its unit is likely wrong; else ""."""
-    unit = asset.facts.units.meters_per_unit
-    width = float(size(asset).max())
-    units = width / unit
-    # An assumed unit deserves less trust than one that somebody wrote down.
-    least = PLAUSIBLE[0] if asset.facts.unit_from == ASSUMED else TINY
-    if least <= width <= HUGE:
-        return ""
-    likely = [u for u in COMMON_UNITS if u != unit and PLAUSIBLE[0] <= units * u <= PLAUSIBLE[1]]
-    # Of the units that fit, a tiny asset wants the largest and a huge one the first named.
-    fitting = max(likely, default=None) if width < least else next(iter(likely), None)
-    said = f"the asset is {width:.3g} m wide: {units:.4g} units of {unit:g} m"
-    if fitting is None:
-        return f"{said}; check its unit ({UNIT})"
-    return f"{said}; with {UNIT} {fitting:g} it would be {units * fitting:.3g} m"
 
 
 def mend(
@@ -577,19 +360,3 @@ def mend(
         mended, repairs, spacing=asked.spacing, particles=asked.particles
     )
     return mended, filled, repairs
-
-
-def one_said(what: str, said: Sequence[tuple[str, object]], file: Path) -> object | None:
-    """The value that all who say something agree on; None where nobody does.
-
-    said : (prim path, value or None).  Raises InputError where two disagree.
-    """
-    known = [(path, value) for path, value in said if value is not None]
-    for path, value in known:
-        if value != known[0][1]:
-            raise InputError(
-                f"{file}: <{known[0][0]}> asks for {what} {known[0][1]}, <{path}> for {value}:"
-                " a bake has one",
-                f"give --{what}, or bake them apart with --prim",
-            )
-    return known[0][1] if known else None

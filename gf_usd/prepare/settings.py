@@ -21,7 +21,6 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import CONSISTENT, LUMPED, Field, Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
-from gf_usd.prepare import materials
 from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.options.texts import AUTO, Floor, Height, Triple
@@ -34,6 +33,7 @@ DEFAULT_PARTICLES = 8000  # quality and time: a duck looks smooth and bakes in s
 # Three particles across are two grid cells or nearly so: a part then has a middle and two sides.
 ACROSS = 3.0
 FINEST = 4  # times as many at most, for thin parts
+SAME = 1e-3  # relative: spacings that differ by less are one
 SENSIBLE = 2_000_000  # particles: more is no advice
 DEFAULT_FPS = 24.0
 LEAD = 1.0  # [s] that a pre-roll takes at least: what its start shakes up dies away
@@ -320,10 +320,34 @@ def resolution(
             spacing=spacing,
             particles=particles or (PAPER_PARTICLES if paper else DEFAULT_PARTICLES),
         )
-    spacing, note = materials.stated_spacing(spec, volumes())
+    spacing, note = stated_spacing(spec, volumes())
     if spacing is not None or thin is None:
         return Resolution(spacing=spacing, particles=DEFAULT_PARTICLES, note=note)
     return by_thickness(*thin())
+
+
+def stated_spacing(spec: StageSpec, volumes: Mapping[str, float]) -> tuple[float | None, str]:
+    """Spacing [m] that the stage asks for, and a note where it asks for several: the finest.
+
+    volumes : [m^3] of each surface, by prim path.
+    """
+    asked: dict[str, float] = {}
+    groups: dict[str, tuple[int, float]] = {}
+    for path, bake in spec.bakes.items():
+        if bake.spacing is not None:
+            asked[path] = bake.spacing
+        elif bake.particles is not None:
+            count, volume = groups.get(bake.particles_of, (bake.particles, 0.0))
+            groups[bake.particles_of] = count, volume + volumes.get(path, 0.0)
+    asked |= {p: float(np.cbrt(v / n)) for p, (n, v) in groups.items() if v > 0.0}
+    if not asked:
+        return None, ""
+    path, finest = min(asked.items(), key=lambda item: item[1])
+    several = max(asked.values()) > (1.0 + SAME) * finest
+    note = (
+        f"a bake has one spacing: the {finest:.4g} m of <{path}> holds for all" if several else ""
+    )
+    return finest, note
 
 
 def by_thickness(volume: float, thick: Thickness | None) -> Resolution:

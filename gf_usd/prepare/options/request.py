@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.prepare.materials.regions import Region, parse_regions
 from gf_usd.prepare.options.fields import GravityKeys, parse_field
 from gf_usd.prepare.options.table import PLANNED, RequestOptions
 from gf_usd.prepare.options.texts import Cycles
-from gf_usd.prepare.regions import Region, parse_regions
 
 
 @dataclass(frozen=True, kw_only=True)

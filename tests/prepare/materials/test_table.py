@@ -13,7 +13,7 @@ from planned import SOFT, at, cubes, mass, noted, plan_fixture, table  # noqa: F
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS
 from gf_usd.core.materials.material import Material
-from gf_usd.prepare.materials import FLAT, SPREADS, require_standing
+from gf_usd.prepare.materials.checks import FLAT, SPREADS, require_standing
 
 MASS = "PhysicsMassAPI"
 JELLY, METAL = ('token gaussianFlesh:material = "jelly"', 'token gaussianFlesh:material = "metal"')

@@ -1,0 +1,1 @@
+"""The material of every particle: parts of bodies, presets, what a stage states and paints."""

@@ -1,0 +1,125 @@
+"""Whether materials fit what is asked of them: yield stresses and laws, weight and stiffness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.presets import Fixed
+from gf_usd.core.stage import StageSpec
+from gf_usd.prepare.materials.parts import MaterialPart
+from gf_usd.prepare.materials.table import FLOW, Authored, own_spec
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.solid import Solid
+
+
+def flow_notes(
+    look: Any,
+    law: str | None,
+    parts: Sequence[MaterialPart],
+    materials: Mapping[int, Material],
+    solid: Solid,
+    spec: StageSpec,
+) -> tuple[str, ...]:
+    """Where a yield stress is stated: which law was chosen for it, or that none uses it.
+
+    look : as of `table`; law : that the command asks for; materials : of the parts that have
+    particles, by their place in parts.
+    """
+    notes = list(look.notes) if isinstance(look, Fixed) else []
+    for k, material in materials.items():
+        part, path = parts[k], solid.surfaces[parts[k].surface].path
+        painted = spec.painted.get(path, {}).keys() & FLOW
+        own = own_spec(part, spec.bodies.get(path)) if isinstance(look, Authored) else None
+        stated = own.parameters.keys() & FLOW if own else set()
+        if not LAWS[material.law].flows and (painted or material.parameters.keys() & FLOW):
+            notes.append(
+                f"<{path}>: a yield stress is stated and not used, because the law {material.law}"
+                " does not flow: --law vonMises does"
+            )
+        elif law is None and stated and own and own.law is None:
+            notes.append(f"<{own.path}>: a yield stress is stated and no law: {material.law}")
+        elif law is None and painted and not stated and (own is None or own.law is None):
+            notes.append(f"<{path}>: a yield stress is painted: the law is {material.law}")
+    return tuple(dict.fromkeys(notes))
+
+
+def require_parameters(
+    path: Path,
+    particles: Particles,
+    slot: Ints,
+    materials: Mapping[int, Material],
+    solid: Solid,
+    spec: StageSpec,
+) -> None:
+    """Raise InputError where a law asks for what neither its material nor paint states.
+
+    path : of the asset, for messages; slot, materials : as of `table` and `flow_notes`.
+    """
+    for k, material in materials.items():
+        for p in LAWS[material.law].parameters:
+            if not p.required or p.name in material.parameters:
+                continue
+            from gf_usd.geometry.surface import nearest
+
+            bare = [p.name not in spec.painted.get(s.path, {}) for s in solid.surfaces]
+            mine = np.flatnonzero(slot == k)
+            found = mine[np.array(bare)[nearest(solid, particles.X).surface[mine]]]
+            if len(found):
+                surface = solid.surfaces[int(particles.surface[found[0]])]
+                raise InputError(
+                    f"{path}: <{surface.path}>: the law {material.law} asks for a"
+                    f" {p.label.lower()}, and {material.name} (Young's modulus"
+                    f" {material.youngs_modulus:.3g} Pa) states none",
+                    f"author gaussianFlesh:{p.attribute} on a material or paint it as a primvar,"
+                    " or take a material that flows, such as clay or mild-steel",
+                )
+
+
+SPREADS = 3.0  # times its Young's modulus: weight that presses a body flat
+
+FLAT = 100.0  # times: there is no such body
+
+
+def require_standing(
+    path: Path,
+    materials: Sequence[Material],
+    height: float,
+    gravity: float,
+) -> tuple[str, ...]:
+    """Notes on materials that cannot carry bodies of this height.
+
+    The weight of a column, rho g H, over Young's modulus E is the strain at its foot, were it
+    small.  Jelly has 1.1 by design: it spreads on the floor and keeps a third of its height.
+    height : H [m] of the tallest body along gravity [m/s^2].
+
+    Raises InputError where the ratio is FLAT and more.
+    """
+    notes = []
+    for material in dict.fromkeys(materials):
+        weight = material.density * gravity * height
+        ratio = weight / material.youngs_modulus
+        if ratio < SPREADS:
+            continue
+        said = (
+            f"{material.name} cannot carry itself: {height:.3g} m of it weigh {weight:.3g} Pa,"
+            f" {ratio:.3g} times its Young's modulus of {material.youngs_modulus:.3g} Pa"
+        )
+        change = f"a Young's modulus of {weight:.2g} Pa"
+        if ratio >= FLAT:
+            raise InputError(
+                f"{path}: {said}",
+                f"take {change} or more, a preset such as jelly, whose stiffness grows with the"
+                " body, or check the unit (--meters-per-unit)",
+            )
+        notes.append(f"{said}, so that it spreads on the floor; {change} would hold its shape")
+    return tuple(notes)

@@ -1,0 +1,62 @@
+"""Longer steps for materials that flow: `--mass-scaling`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+
+
+def mass_scaled(
+    tables: Sequence[tuple[Material, ...]], particles: Particles, factor: float
+) -> tuple[list[tuple[Material, ...]], Particles, tuple[str, ...]]:
+    """Materials that flow with a `factor`-th of their elastic moduli, and notes on that.
+
+    Density, weight, speeds, and with them the energy of an impact stay, and so does the stress at
+    which it yields: the shape that is left is the same as long as elastic strains are small.  The
+    same motion has a body of `factor` times the density and strength.  Inertia alone would not do:
+    with the true weight the motion is the true one slowed down by the root of the factor, so that
+    longer steps have as much longer to go.
+
+    Raises UsageError where no material flows.
+    """
+    if factor == 1.0:
+        return list(tables), particles, ()
+    seen = {m.name: m for table in tables for m in table if LAWS[m.law].flows}
+    if not seen:
+        laws = {m.name: m.law for table in tables for m in table}
+        raise UsageError(
+            f"--mass-scaling {factor:g}: no material of the bake flows: "
+            + ", ".join(f"{name} is {law}" for name, law in laws.items()),
+            "leave it out: the shape of an elastic body is that of its stiffness",
+        )
+    own = particles.own
+    if own is not None:
+        flows = np.array([LAWS[m.law].flows for m in tables[0]])[np.asarray(particles.material)]
+        share = np.where(flows, 1.0 / factor, 1.0)
+        own = {**own, "mu": own["mu"] * share, "lam": own["lam"] * share}
+    notes = [
+        f"--mass-scaling {factor:g}: {m.name} has a Young's modulus of"
+        f" {m.youngs_modulus / factor:.3g} Pa in place of {m.youngs_modulus:.3g} Pa"
+        + (
+            f", and yields at an elastic strain of {100.0 * factor * strain:.2g} % in place of"
+            f" {100.0 * strain:.2g} %"
+            if (strain := m.yield_strain) is not None else ""
+        )
+        + "; mass, weight and yield stress stay"
+        for m in seen.values()
+    ]  # fmt: skip
+    scaled = [
+        tuple(
+            replace(m, youngs_modulus=m.youngs_modulus / factor) if LAWS[m.law].flows else m
+            for m in table
+        )
+        for table in tables
+    ]
+    return scaled, replace(particles, own=own), tuple(notes)

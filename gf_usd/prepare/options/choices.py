@@ -1,0 +1,84 @@
+"""The output options of a bake against the size of what it writes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gf_usd.core.asset import Asset
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import (
+    SHAPES,
+    Choices,
+    Particles,
+    Settings,
+    clip_length,
+    written,
+)
+from gf_usd.core.units import Precision
+from gf_usd.prepare.options.request import Request
+from gf_usd.prepare.outputs import Outputs
+from gf_usd.prepare.plan import frame_bytes
+
+
+def chosen(
+    request: Request,
+    files: Outputs,
+    settings: Settings,
+    asset: Asset,
+    particles: int,
+    open_end: bool,
+) -> tuple[Choices, tuple[str, ...]]:
+    """The output choices, with notes on what nobody asked for."""
+    if files.flat and request.clip_frames:
+        raise UsageError(
+            f"--clip-frames {request.clip_frames} and a package were both asked for",
+            "a package is one file: leave one of them out",
+        )
+    choices = Choices(
+        shapes=request.parsed["only"] or SHAPES,
+        half=request.half,
+        precision=request.parsed["precision"],
+        adaptive=request.adaptive_samples,
+        velocities=not request.no_velocities,
+        flat=request.flatten or files.flat,
+        settled=request.settle_only,
+        tets=request.tets,
+        until_rest=request.until_rest or open_end,
+        open_end=open_end,
+        certify=request.certify,
+    )
+    size = frame_bytes(asset, particles, settings, choices)
+    length = (
+        0
+        if choices.flat or choices.settled
+        else clip_length(request.clip_frames, size, written(settings))
+    )
+    notes = ()
+    if length and request.clip_frames is None:
+        notes = (
+            f"the cache, about {size * written(settings) / 1e9:.1f} GB, is split into value clips"
+            f" of {length} frames: --clip-frames 0 keeps it in one file",
+        )
+    return replace(choices, clip_frames=length), notes
+
+
+SINGLE = 2.0  # of the distance between neighboring numbers: rounding in three axes, and of a line
+
+
+def require_stored(precision: Precision | None, particles: Particles, settings: Settings) -> None:
+    """Raise UsageError for a precision that single precision does not have where the bodies are."""
+    if precision is None:
+        return
+    farthest = float(np.abs(particles.X + np.asarray(settings.lift)).max())
+    rounding = SINGLE * float(np.finfo(np.float32).eps) * farthest
+    radii = particles.radii
+    least = precision.meters(float(radii[radii > 0.0].min()))
+    if least < rounding:
+        raise UsageError(
+            f"--precision {precision.said} is {least:.3g} m for the smallest body, and points have"
+            f" single precision, which is off by {rounding:.2g} m at {farthest:.3g} m from the"
+            " origin",
+            f"give {rounding:.2g}m or more",
+        )
