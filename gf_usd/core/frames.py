@@ -3,22 +3,19 @@
 Quaternions (w, x, y, z); linear Rec. 709.
 
 What of a bake is written, and in which form: output choices as resolved.
-
-Material values of single particles: their material's, or their own where a body is mixed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials.laws import law_parameters
-from gf_usd.core.materials.material import Material, young_poisson
+from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
 if TYPE_CHECKING:
@@ -323,9 +320,11 @@ class BakeInfo:
 
 
 SHAPES = ("mesh", "gaussians", "points")
+
 # Caches above LARGE bytes are split into value clips of about CLIP bytes unasked: a file of tens of
 # gigabytes can neither be copied in parts nor resumed.
 LARGE = 2_000_000_000
+
 CLIP = 500_000_000
 
 
@@ -370,63 +369,6 @@ def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:
 
 
 SOURCE_VARIANT = "none"  # taken: usd.variants calls the asset without a bake so
-
-
-# What a particle may have of its own, with the parameters of laws; the rest follows from these.
-FREE = ("density", "mu", "lam", "damping_time", "friction", "restitution")
-REPORTED = ("youngs_modulus", "poissons_ratio", "density")
-SAME = 1e-6  # relative: float32 holds no finer difference
-
-
-def of_materials(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
-    """(N,) of each value in `columns`, as the material of each particle has it."""
-    index = np.asarray(particles.material)
-    return {name: column[index] for name, column in columns(materials).items()}
-
-
-def columns(materials: Sequence[Material]) -> dict[str, Floats]:
-    """(M,) of each of FREE, and of each parameter that a law of these materials has."""
-    own = {
-        one.name: np.array([m.parameter(one) for m in materials])
-        for one in law_parameters(m.law for m in materials)
-    }
-    return {name: np.array([getattr(m, name) for m in materials]) for name in FREE} | own
-
-
-def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
-    """Material values of particles, (N,) each, in SI: `columns`, and what follows from them.
-
-    c = sqrt((lam + 2 mu) / rho); E and nu by `young_poisson`.
-    """
-    return with_derived({**of_materials(particles, materials), **(particles.own or {})})
-
-
-def with_derived(values: Mapping[str, Floats]) -> dict[str, Floats]:
-    """The values, with youngs_modulus, poissons_ratio and wave_speed as in `spread`."""
-    mu, lam = values["mu"], values["lam"]
-    young, poisson = young_poisson(mu, lam)
-    return {
-        **values,
-        "youngs_modulus": young,
-        "poissons_ratio": poisson,
-        "wave_speed": np.sqrt((lam + 2.0 * mu) / values["density"]),
-    }
-
-
-def summary(particles: Particles, materials: Sequence[Material]) -> dict[str, Any]:
-    """How many particles differ from their material, and the range of values of all, in SI.
-
-    Empty where all are as their materials say.
-    """
-    if particles.own is None:
-        return {}
-    plain = with_derived(of_materials(particles, materials))
-    mine = spread(particles, materials)
-    differs = np.zeros(len(particles), bool)
-    for name in (*columns(materials), *REPORTED):
-        differs |= ~np.isclose(mine[name], plain[name], rtol=SAME, atol=0.0)
-    ranges = {name: [float(mine[name].min()), float(mine[name].max())] for name in REPORTED}
-    return {"particles": int(differs.sum()), **ranges}
 
 
 def sampled(settings: Settings) -> Settings:

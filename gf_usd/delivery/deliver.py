@@ -7,37 +7,41 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gf_usd.core.errors import BakeError, InputError, UsageError
+from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.scene import Recording
 from gf_usd.delivery.gltf.read import read_error, read_splat_errors
 from gf_usd.delivery.gltf.write import write_glb
-from gf_usd.delivery.motion import BodyMotion, bodies_of
+from gf_usd.delivery.motion import BodyMotion
 from gf_usd.delivery.rig import Rig, with_joints, with_shapes, with_single_joints
 from gf_usd.delivery.splats.clouds import (
     ALL,
     CAPTURED,
     CHOICES,
-    NONE,
     ONLY,
-    Cloud,
     SplatErrors,
-    read_clouds,
-    with_splats,
 )
 from gf_usd.delivery.splats.usd import read_errors
-from gf_usd.delivery.usd import Look, error_of, require_no_input, write_usd
-from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
+from gf_usd.delivery.usd import error_of, require_no_input, write_usd
+from gf_usd.delivery.variants import BakedVariant, read_variants
 from gf_usd.readers.pictures.splats import SplatMotion
 from gf_usd.system.atomic_files import partial_path, publish
 
 USD, GLB = (".usdz", ".usda", ".usdc"), (".glb",)
+
 KINDS = ("auto", "shapes", "joints")  # shapes are found faster
+
 BINDINGS = ("skin", "nodes")  # what Gaussians follow
+
 OFFSET_BYTES = 12  # of a point in a shape
+
 JOINT_BYTES = 20  # a key of a joint in the smallest form: a rotation of 16 bits, a translation
+
 MOST_JOINTS = 400  # of a body
+
 MOST_SHAPES = 64  # of a body
+
 MARGIN = 0.999  # of the error that is left to rounding in the file
+
 AGAIN = 0.9  # of that error, where rounding took more
 
 
@@ -109,11 +113,11 @@ def deliver(
     elif bind_splats not in BINDINGS:
         raise UsageError(f"--bind-splats is {bind_splats!r}.", f"choose from {', '.join(BINDINGS)}")
     suffix = target.suffix.lower()
-    looks, recordings, notes = _looks(bake, variant, splats, whole=suffix in GLB)
+    variants, recordings, notes = read_variants(bake, variant, splats, whole=suffix in GLB)
     files = _Usd(bake, target, error) if suffix in USD else _Glb(target, recordings[0])
     with _no_partial_files(target):
         limits = (most_joints, most_shapes)
-        return _smallest(bake, target, looks, files, error, kind, limits, notes, nodes=nodes)
+        return _smallest(bake, target, variants, files, error, kind, limits, notes, nodes=nodes)
 
 
 def _kind_of_nodes(target: Path, kind: str) -> str:
@@ -143,7 +147,7 @@ def _kept(target: Path, kind: str) -> Path:
 def _smallest(
     bake: Path,
     target: Path,
-    looks: Sequence[Look],
+    variants: Sequence[BakedVariant],
     files: _Usd | _Glb,
     error: float,
     kind: str,
@@ -158,20 +162,20 @@ def _smallest(
     """
     most_joints, most_shapes = limits
     kinds = KINDS[1:] if kind == "auto" else (kind,)
-    made: list[tuple[int, Path, Sequence[Look], float, tuple[str, ...]]] = []
+    made: list[tuple[int, Path, Sequence[BakedVariant], float, tuple[str, ...]]] = []
     reasons = []
     for one in kinds:
         if made:
-            most_joints = min(most_joints, _room(made[0][2]))
+            most_joints = min(most_joints, _joints_as_large(made[0][2]))
         fit = _fitter(one, max(1, most_joints), most_shapes, reasons, nodes=nodes)
-        found = _within(looks, fit, error, files)
+        found = _within(variants, fit, error, files)
         if found is None:
             continue
         rigs, off, said = found
         kept = _kept(target, one)
         partial_path(target).replace(partial_path(kept))
         made.append((partial_path(kept).stat().st_size, partial_path(kept), rigs, off, said))
-        if not any(rig.joints or rig.blend_shapes for look in rigs for rig in look.rigs):
+        if not any(rig.joints or rig.blend_shapes for variant in rigs for rig in variant.rigs):
             break  # rigid motion: nothing is smaller
     if not made:
         raise BakeError(
@@ -188,29 +192,29 @@ def _smallest(
         path=target,
         bytes=size,
         error=max([off, *(one.position for found in moved for one in found)]),
-        frames=max(len(look.time_codes) for look in chosen),
+        frames=max(len(variant.time_codes) for variant in chosen),
         bodies=tuple(
             DeliveredBody(
-                variant=look.name,
-                meshes=tuple(look.meshes[i] for i in rig.body.meshes),
-                splats=tuple(look.clouds[number].name for number, _ in rig.body.splats),
+                variant=variant.name,
+                meshes=tuple(variant.meshes[i] for i in rig.body.meshes),
+                splats=tuple(variant.clouds[number].name for number, _ in rig.body.splats),
                 joints=rig.joints,
                 shapes=rig.blend_shapes,
                 radius=rig.body.radius,
             )
-            for look in chosen
-            for rig in look.rigs
+            for variant in chosen
+            for rig in variant.rigs
         ),
         splats=tuple(
             DeliveredSplats(
-                variant=look.name,
+                variant=variant.name,
                 path=cloud.name,
                 count=len(cloud),
                 position=errors.position,
                 covariance=errors.covariance,
             )
-            for look, found in zip(chosen, moved)
-            for cloud, errors in zip(look.clouds, found)
+            for variant, found in zip(chosen, moved)
+            for cloud, errors in zip(variant.clouds, found)
         ),
         notes=(*notes, *said),
     )
@@ -254,95 +258,26 @@ def _require(
     require_no_input(bake, target)
 
 
-def _looks(
-    bake: Path, variant: str | None, splats: str, *, whole: bool
-) -> tuple[list[Look], list[Recording], tuple[str, ...]]:
-    """The variants with their bodies, not yet fitted.
-
-    whole : one variant with all that is visible; else all of them, with what the bake moves.
-    """
-    first = BakedMotion(bake, variant)
-    sources = [first]
-    if variant is None and not whole:
-        sources += [BakedMotion(bake, name) for name in first.variants if name != first.variant]
-    looks, recordings, notes = [], [], {}
-    for source in sources:
-        recording = source.recording()
-        clouds, said = _clouds(bake, source.variant, recording, splats)
-        baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
-        if splats == ONLY:
-            baked = []
-        if not baked and not clouds:
-            raise InputError(
-                f"{bake}: no mesh of the bake is visible, and no captured Gaussians are.",
-                "bake again with mesh among --only"
-                if splats != NONE
-                else "leave --splats none out, or bake again with mesh among --only",
-            )
-        bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
-        names = tuple(mesh.name for mesh in recording.meshes)
-        joined = with_splats(bodies, names, clouds)
-        looks.append(
-            Look(
-                name=source.variant if source.variants else "",
-                bodies=joined if whole else bodies,
-                rigs=(),
-                meshes=names,
-                triangles=tuple(mesh.triangles for mesh in recording.meshes),
-                time_codes=recording.time_codes,
-                unit=recording.unit,
-                clouds=clouds,
-                radii=_radii(joined, len(clouds)),
-            )
-        )
-        recordings.append(recording)
-        mine = [note for note in recording.notes if not note.endswith(ONE_SET)]
-        notes |= dict.fromkeys((*mine, *said))
-    return looks, recordings, tuple(notes)
-
-
-def _clouds(
-    bake: Path, variant: str, recording: Recording, splats: str
-) -> tuple[tuple[Cloud, ...], tuple[str, ...]]:
-    """The Gaussians that are asked for, and notes in words."""
-    if splats == NONE:
-        return (), ()
-    name = variant or None
-    motion = SplatMotion(bake, name, particles=splats == ALL)
-    if splats == ONLY and not motion:
-        motion = SplatMotion(bake, name, captured=False, particles=True)
-    return read_clouds(motion, recording.time_codes), motion.notes
-
-
-def _radii(bodies: Sequence[BodyMotion], count: int) -> tuple[float, ...]:
-    """[m] of the smallest body that has a part of each set of Gaussians."""
-    found = [float("inf")] * count
-    for body in bodies:
-        for number, _ in body.splats:
-            found[number] = min(found[number], body.radius)
-    return tuple(found)
-
-
 class _Usd:
     def __init__(self, bake: Path, target: Path, allowed: float) -> None:
         self._bake, self._target, self._allowed = bake, target, allowed
 
-    def write(self, looks: Sequence[Look]) -> tuple[str, ...]:
-        return write_usd(self._bake, self._target, looks, self._allowed)
+    def write(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
+        return write_usd(self._bake, self._target, variants, self._allowed)
 
-    def error(self, looks: Sequence[Look]) -> float:
-        points = max(error_of(partial_path(self._target), look) for look in looks)
-        return max([points, *(one.position for found in self.splats(looks) for one in found)])
+    def error(self, variants: Sequence[BakedVariant]) -> float:
+        points = max(error_of(partial_path(self._target), variant) for variant in variants)
+        return max([points, *(one.position for found in self.splats(variants) for one in found)])
 
-    def splats(self, looks: Sequence[Look]) -> list[tuple[SplatErrors, ...]]:
+    def splats(self, variants: Sequence[BakedVariant]) -> list[tuple[SplatErrors, ...]]:
         return [
             read_errors(
-                SplatMotion(partial_path(self._target), look.name or None),
-                look.clouds, look.radii, look.time_codes,
+                SplatMotion(partial_path(self._target), variant.name or None),
+                variant.clouds, variant.radii, variant.time_codes,
             )
-            if look.clouds
+            if variant.clouds
             else ()
-            for look in looks
+            for variant in variants
         ]  # fmt: skip
 
 
@@ -350,16 +285,16 @@ class _Glb:
     def __init__(self, target: Path, recording: Recording) -> None:
         self._target, self._recording = target, recording
 
-    def write(self, looks: Sequence[Look]) -> tuple[str, ...]:
-        return write_glb(self._target, self._recording, looks[0].rigs, looks[0].clouds)
+    def write(self, variants: Sequence[BakedVariant]) -> tuple[str, ...]:
+        return write_glb(self._target, self._recording, variants[0].rigs, variants[0].clouds)
 
-    def error(self, looks: Sequence[Look]) -> float:
-        return read_error(partial_path(self._target), self._recording, looks[0].rigs)
+    def error(self, variants: Sequence[BakedVariant]) -> float:
+        return read_error(partial_path(self._target), self._recording, variants[0].rigs)
 
-    def splats(self, looks: Sequence[Look]) -> list[tuple[SplatErrors, ...]]:
-        (look,) = looks
+    def splats(self, variants: Sequence[BakedVariant]) -> list[tuple[SplatErrors, ...]]:
+        (variant,) = variants
         path = partial_path(self._target)
-        return [read_splat_errors(path, self._recording, look.rigs, look.clouds)]
+        return [read_splat_errors(path, self._recording, variant.rigs, variant.clouds)]
 
 
 def _fitter(
@@ -382,30 +317,30 @@ def _fitter(
     return fit
 
 
-def _room(looks: Sequence[Look]) -> int:
+def _joints_as_large(variants: Sequence[BakedVariant]) -> int:
     """How many joints take about the bytes of the shapes: with more, their file is larger."""
     most = 0
-    for look in looks:
-        points = sum(len(rig.body.rest) * rig.blend_shapes for rig in look.rigs)
-        most = max(most, points * OFFSET_BYTES // (JOINT_BYTES * len(look.time_codes)))
+    for variant in variants:
+        points = sum(len(rig.body.rest) * rig.blend_shapes for rig in variant.rigs)
+        most = max(most, points * OFFSET_BYTES // (JOINT_BYTES * len(variant.time_codes)))
     return most
 
 
 def _within(
-    looks: Sequence[Look],
+    variants: Sequence[BakedVariant],
     fit: Callable[[BodyMotion, float], Rig | None],
     error: float,
     files: _Usd | _Glb,
-) -> tuple[list[Look], float, tuple[str, ...]] | None:
+) -> tuple[list[BakedVariant], float, tuple[str, ...]] | None:
     """Fit, write under the partial name and read back; None where the limits do not allow it."""
     aim = MARGIN * error
     while aim > error / 2.0:
         rigged = []
-        for look in looks:
-            rigs = [fit(body, aim) for body in look.bodies]
+        for variant in variants:
+            rigs = [fit(body, aim) for body in variant.bodies]
             if any(rig is None for rig in rigs):
                 return None
-            rigged.append(replace(look, rigs=tuple(rig for rig in rigs if rig is not None)))
+            rigged.append(replace(variant, rigs=tuple(rig for rig in rigs if rig is not None)))
         notes = files.write(rigged)
         off = files.error(rigged)
         if off <= error:

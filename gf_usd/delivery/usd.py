@@ -10,19 +10,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
-from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import UsageError
-from gf_usd.delivery.motion import BodyMotion
-from gf_usd.delivery.rig import Rig
 from gf_usd.delivery.skeleton import bind_meshes
-from gf_usd.delivery.splats.clouds import Cloud
 from gf_usd.delivery.splats.usd import author_samples, keep_at_rest
+from gf_usd.delivery.variants import BakedVariant
 from gf_usd.layers.flatten import Package, export, write_placed
 from gf_usd.readers.notes import Notes
 from gf_usd.readers.pictures.extent import sample_times
@@ -32,26 +28,12 @@ from gf_usd.readers.usd.splats import is_captured
 from gf_usd.readers.usd.stage import open_stage, reading
 
 VARIANTS, NONE, SCOPE = "gaussianFlesh", "none", "GaussianFlesh"
+
 MOVING = ("points", "normals", "velocities", "accelerations", "extent")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """A baked variant with its rigs."""
-
-    name: str  # of the variant; "" where the file has none
-    bodies: tuple[BodyMotion, ...]
-    rigs: tuple[Rig, ...]  # one for each body; none before they are fitted
-    meshes: tuple[str, ...]  # prim paths, by the numbers that bodies have
-    triangles: tuple[Ints, ...]  # (T, 3) into the points of each
-    time_codes: tuple[float, ...]
-    unit: float  # [m] per stage unit
-    clouds: tuple[Cloud, ...] = ()  # Gaussians to deliver
-    radii: tuple[float, ...] = ()  # [m] of the body that each belongs to
-
-
 def write_usd(
-    bake: Path, target: Path, looks: Sequence[Look], error: float = 0.0
+    bake: Path, target: Path, variants: Sequence[BakedVariant], error: float = 0.0
 ) -> tuple[str, ...]:
     """Write `target` under its partial name; returns notes in words.
 
@@ -65,15 +47,15 @@ def write_usd(
     BakeError : the disk refuses.
     """
     with reading(bake):
-        layer = _without_motion(bake, looks)
+        layer = _without_motion(bake, variants)
         stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll)
-        for look in looks:
-            _author(stage, look)
-            _author_splats(stage, bake, look, error)
+        for variant in variants:
+            _author(stage, variant)
+            _author_splats(stage, bake, variant, error)
         return write_placed(layer, target, package=LayerPackage)
 
 
-def error_of(target: Path, look: Look) -> float:
+def error_of(target: Path, variant: BakedVariant) -> float:
     """The largest distance of a written file to its bake over points and frames, in radii.
 
     The points are evaluated by UsdSkel.
@@ -81,15 +63,15 @@ def error_of(target: Path, look: Look) -> float:
     largest = 0.0
     with reading(target):
         stage = open_stage(target)
-        select_variant(stage, target, look.name or None)
-        for frame, code in enumerate(look.time_codes):
+        select_variant(stage, target, variant.name or None)
+        for frame, code in enumerate(variant.time_codes):
             time = Usd.TimeCode(code)
             xforms = UsdGeom.XformCache(time)
             skins = Skins(time, xforms, Notes())
-            for rig in look.rigs:
+            for rig in variant.rigs:
                 for mesh in rig.body.meshes:
-                    prim = stage.GetPrimAtPath(look.meshes[mesh])
-                    found = world_points(prim, time, xforms, skins) * look.unit
+                    prim = stage.GetPrimAtPath(variant.meshes[mesh])
+                    found = world_points(prim, time, xforms, skins) * variant.unit
                     off = found - rig.body.frames[frame, rig.body.points_of(mesh)]
                     distance = float(np.sqrt((off**2).sum(axis=1).max()))
                     largest = max(largest, distance / rig.body.radius)
@@ -112,7 +94,7 @@ def require_no_input(bake: Path, *targets: Path) -> None:
             raise UsageError(f"{target} is an input of the bake.", "choose another -o")
 
 
-def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:
+def _without_motion(bake: Path, variants: Sequence[BakedVariant]) -> Sdf.Layer:
     """A copy of the root layer without caches and particles, its paths absolute."""
     stage = open_stage(bake)
     switches = [
@@ -121,26 +103,26 @@ def _without_motion(bake: Path, looks: Sequence[Look]) -> Sdf.Layer:
         if prim.GetVariantSets().HasVariantSet(VARIANTS)
     ]
     if not switches:
-        select_variant(stage, bake, looks[0].name or None)
+        select_variant(stage, bake, variants[0].name or None)
         layer = stage.Flatten(addSourceFileComment=False)
-        _drop_samples(layer, looks[0])
+        _drop_samples(layer, variants[0])
         return layer
     root = stage.GetRootLayer()
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(root)
     UsdUtils.ModifyAssetPaths(layer, lambda path: absolute(root, path))
-    names = {look.name for look in looks}
+    names = {variant.name for variant in variants}
     for name in switches:
         spec = layer.GetPrimAtPath(f"/{name}")
-        variants = spec.variantSets[VARIANTS].variants
-        for variant in list(variants.values()):
+        authored = spec.variantSets[VARIANTS].variants
+        for variant in list(authored.values()):
             if variant.name == NONE:
                 continue
             if variant.name in names:
                 _empty(variant.primSpec)
             else:
                 spec.variantSets[VARIANTS].RemoveVariant(variant)
-        spec.variantSelections[VARIANTS] = looks[0].name
+        spec.variantSelections[VARIANTS] = variants[0].name
         if not spec.referenceList.prependedItems and not spec.specializesList.prependedItems:
             del layer.rootPrims[name]  # held nothing but particles
     _tell(layer, names)
@@ -151,8 +133,8 @@ def _tell(layer: Sdf.Layer, names: set[str]) -> None:
     """Leave what the bake says of the variants that are kept."""
     data = layer.customLayerData
     about = dict(data.get(VARIANTS, {}))
-    told = about.get("looks", {})
-    about["looks"] = {name: values for name, values in told.items() if name in names}
+    told = about.get("variants", {})
+    about["variants"] = {name: values for name, values in told.items() if name in names}
     layer.customLayerData = {**data, VARIANTS: about}
 
 
@@ -170,14 +152,14 @@ def _empty(spec: Sdf.PrimSpec) -> None:
     spec.ClearInfo("apiSchemas")
 
 
-def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
+def _drop_samples(layer: Sdf.Layer, variant: BakedVariant) -> None:
     found: list[Sdf.Path] = []
     layer.Traverse(Sdf.Path.absoluteRootPath, found.append)
     for path in sorted(found, reverse=True):
         if path.IsPrimPath() and re.fullmatch(f"(\\w+_)?{SCOPE}", path.name):
             parent = layer.GetPrimAtPath(path.GetParentPath()) or layer.pseudoRoot
             del parent.nameChildren[path.name]
-    for name in {Sdf.Path(mesh).GetPrefixes()[0].name for mesh in look.meshes}:
+    for name in {Sdf.Path(mesh).GetPrefixes()[0].name for mesh in variant.meshes}:
         spec = layer.GetPrimAtPath(f"/{name}")
         for prop in [p for p in spec.properties if p.name.startswith(f"{VARIANTS}:")]:
             spec.RemoveProperty(prop)
@@ -187,7 +169,7 @@ def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
             del spec.variantSets[display]
             spec.variantSelections.pop(display)
             spec.variantSetNameList.RemoveItemEdits(display)
-    for mesh in (look.meshes[i] for rig in look.rigs for i in rig.body.meshes):
+    for mesh in (variant.meshes[i] for rig in variant.rigs for i in rig.body.meshes):
         for name in MOVING:
             attribute = layer.GetAttributeAtPath(Sdf.Path(mesh).AppendProperty(name))
             if attribute is None or not layer.GetNumTimeSamplesForPath(attribute.path):
@@ -200,33 +182,37 @@ def _drop_samples(layer: Sdf.Layer, look: Look) -> None:
                 layer.GetPrimAtPath(mesh).RemoveProperty(attribute)
 
 
-def _author(stage: Usd.Stage, look: Look) -> None:
+def _author(stage: Usd.Stage, variant: BakedVariant) -> None:
     roots = {
-        str(Sdf.Path(look.meshes[m]).GetPrefixes()[0]) for r in look.rigs for m in r.body.meshes
+        str(Sdf.Path(variant.meshes[m]).GetPrefixes()[0])
+        for r in variant.rigs
+        for m in r.body.meshes
     }
     for path in sorted(roots):
-        rigs = [r for r in look.rigs if look.meshes[r.body.meshes[0]].startswith(f"{path}/")]
-        rigs = rigs or [r for r in look.rigs if look.meshes[r.body.meshes[0]] == path]
-        with _variant_of(stage.GetPrimAtPath(path), look.name):
-            bind_meshes(stage, rigs, look.meshes, look.triangles, look.time_codes, look.unit)
+        rigs = [r for r in variant.rigs if variant.meshes[r.body.meshes[0]].startswith(f"{path}/")]
+        rigs = rigs or [r for r in variant.rigs if variant.meshes[r.body.meshes[0]] == path]
+        with _variant_of(stage.GetPrimAtPath(path), variant.name):
+            bind_meshes(
+                stage, rigs, variant.meshes, variant.triangles, variant.time_codes, variant.unit
+            )
 
 
-def _author_splats(stage: Usd.Stage, bake: Path, look: Look, error: float) -> None:
+def _author_splats(stage: Usd.Stage, bake: Path, variant: BakedVariant, error: float) -> None:
     """The captured Gaussians of a variant; those that are not delivered stay at rest."""
     source = open_stage(bake)
-    select_variant(source, bake, look.name or None)
+    select_variant(source, bake, variant.name or None)
     for prim in [one for one in source.Traverse() if is_captured(one)]:
         target = stage.GetPrimAtPath(prim.GetPath())
-        radius = {c.name: r for c, r in zip(look.clouds, look.radii)}.get(str(prim.GetPath()))
+        radius = {c.name: r for c, r in zip(variant.clouds, variant.radii)}.get(str(prim.GetPath()))
         root = stage.GetPrimAtPath(prim.GetPath().GetPrefixes()[0])
-        with _variant_of(root, look.name):
+        with _variant_of(root, variant.name):
             if radius is None:
                 if not root.GetVariantSets().HasVariantSet(VARIANTS):
                     keep_at_rest(target)
                 continue
             if not sample_times([prim]):
                 continue  # the bake left it at rest
-            author_samples(target, prim, look.time_codes, error * radius / look.unit)
+            author_samples(target, prim, variant.time_codes, error * radius / variant.unit)
 
 
 @contextmanager

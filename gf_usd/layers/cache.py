@@ -16,7 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from pxr import Sdf, Usd
 
 from gf_usd.core.arrays import Floats
@@ -45,12 +44,11 @@ from gf_usd.layers.tracks.sparse import Saved
 from gf_usd.layers.tracks.storage import (
     ROUNDING,
     AdaptiveSamples,
-    Group,
     Sample,
     Storage,
     Tolerance,
-    allowed,
     errors_of,
+    sample_groups,
     take_samples,
 )
 from gf_usd.system.atomic_files import partial_path
@@ -180,7 +178,9 @@ class CacheWriter:
         )
         self._source = stage  # the tracks read its transforms frame by frame
         if choices.adaptive:
-            groups = self._groups(asset, info)
+            assert self._tolerance is not None
+            found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
+            groups = sample_groups(self._tolerance, info.settings, found, self._particles)
             self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
         save(self._layer)
         if self._clips:
@@ -226,22 +226,6 @@ class CacheWriter:
         if self._tolerance is None:
             return None
         return self._tolerance.particles * (ROUNDING if self._choices.adaptive else 1.0)
-
-    def _groups(self, asset: Asset, info: BakeInfo) -> list[Group]:
-        """What has its samples at the same times."""
-        assert self._tolerance is not None
-        share, found = self._tolerance.share, []
-        for number, surface in enumerate(asset.surfaces):
-            track = self._meshes.get(surface.path) or self._splats.get(surface.path)
-            if track is not None:
-                may = allowed(self._tolerance.surface(number), share, info.settings)
-                found.append(Group((track.path,), may, partial(_linear, track.to_world)))
-        for paths, body in self._particles.groups if self._particles else ():
-            each = self._tolerance.particles if body is None else self._tolerance.body(body)
-            left = 1.0 - ROUNDING * (self._particles is not None and self._particles.rounded)
-            may = allowed(each, share, info.settings, shape=left)
-            found.append(Group(tuple(paths), may, _in_world))
-        return found
 
     def write(self, frame: BakedFrame) -> None:
         """Add one frame.
@@ -402,17 +386,6 @@ class CacheWriter:
         del self._meshes, self._splats, self._bounds, self._particles, self._health
         del self._stage, self._source, self._layer, self._known, self._clips, self._moving
         del self._adaptive
-
-
-def _linear(to_world: Callable[[float], Floats], time_code: float) -> Floats:
-    """The linear part (3, 3) of a transform at a time code."""
-    return to_world(time_code)[:3, :3]
-
-
-def _in_world(time_code: float) -> Floats:
-    """Of what stands in the frame of the world, moved at most."""
-    del time_code
-    return np.eye(3)
 
 
 def _samples_in(size: float, asset: Asset, particles: Particles) -> int:

@@ -30,12 +30,9 @@ from gf_usd.pipeline.cost.forecast import (
 )
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
-from gf_usd.pipeline.frames import (
-    FrameBuilder,
-    Period,
-    SplatDeformer,
-    with_held,
-)
+from gf_usd.pipeline.frames.builder import FrameBuilder, with_held
+from gf_usd.pipeline.frames.captured import SplatDeformer
+from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import health_warnings, plan_warnings
 from gf_usd.pipeline.measures.certify import certify, coarser

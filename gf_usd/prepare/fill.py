@@ -27,14 +27,14 @@ from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare import paper as paper_options
-from gf_usd.prepare.bodies import (
+from gf_usd.prepare.bodies.contact import (
     LimbPlan,
     contact_setup,
     keep_limbs_apart,
-    plan_bodies,
     require_clear_start,
-    start_velocities,
 )
+from gf_usd.prepare.bodies.plan import plan_bodies
+from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import assign_materials
 from gf_usd.prepare.materials.checks import require_standing
 from gf_usd.prepare.options.choices import chosen, require_stored

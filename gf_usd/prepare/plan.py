@@ -15,19 +15,12 @@ from gf_usd.core import __version__
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import (
-    Choices,
-    Particles,
-    Settings,
-    SurfaceSamples,
-    TetLattice,
-    summary,
-    written,
-)
+from gf_usd.core.frames import Choices, Particles, Settings, SurfaceSamples, TetLattice, written
 from gf_usd.core.materials.laws import law_internals
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import summary
 from gf_usd.core.stage import Advice, ContactSetup, Goals, Pin
-from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.options.table import arguments
 from gf_usd.prepare.outputs import Outputs, SplatSequence, Stamp, Stamps
 

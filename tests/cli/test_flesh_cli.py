@@ -13,7 +13,7 @@ from small_bakes import BLOCK
 
 import gf_usd
 from gf_usd.physics.grid.goals import NodeGoals
-from gf_usd.pipeline.frames import PERIODIC
+from gf_usd.pipeline.frames.period import PERIODIC
 from gf_usd.prepare.options.texts import MOST_CYCLES
 from gf_usd.prepare.prepare import prepare
 

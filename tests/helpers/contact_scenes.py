@@ -16,7 +16,7 @@ from gf_usd.geometry.connected.bodies import find_bodies
 from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.prepare.bodies import skins
+from gf_usd.prepare.bodies.contact import skins
 
 FILTER = 10.0 / 0.319  # [1/s] what a bake has for a body of 1 m
 

@@ -14,9 +14,9 @@ from pxr import Sdf, Usd, UsdGeom
 
 import gf_usd
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import of_materials, spread
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material, lame
+from gf_usd.core.materials.per_particle import of_materials, spread
 from gf_usd.core.matrices import matrix_from_quaternion
 from gf_usd.layers.check.values import value_range
 from gf_usd.readers.usd_bake.material_file import read_material

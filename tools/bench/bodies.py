@@ -26,7 +26,7 @@ from gf_usd.geometry.sampling.contact_samples import sample_surface
 from gf_usd.geometry.sampling.particles import sample_solid
 from gf_usd.geometry.solid import build_solid
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
-from gf_usd.prepare.bodies import skins
+from gf_usd.prepare.bodies.contact import skins
 from gf_usd.verify.bodies import sphere
 from tools.bench.tables import Sample, median
 

@@ -16,16 +16,9 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import (
-    BakeInfo,
-    Choices,
-    GaussianPose,
-    MeshPose,
-    Particles,
-    TetLattice,
-    spread,
-)
+from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, MeshPose, Particles, TetLattice
 from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.per_particle import spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, Home, f32, quaternions

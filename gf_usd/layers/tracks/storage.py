@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pxr import Sdf
@@ -25,6 +26,11 @@ from gf_usd.layers.tracks.accuracy import (
     Allowed,
 )
 from gf_usd.layers.tracks.sparse import Sparse, Tally, Values
+
+if TYPE_CHECKING:
+    from gf_usd.layers.tracks.captured import SplatTrack
+    from gf_usd.layers.tracks.meshes import MeshTrack
+    from gf_usd.layers.tracks.particles import ParticleTrack
 
 ROUNDING = 0.5  # of the tolerance of shapes, for half precision, where samples are left out as well
 STILL = 0.5  # a shutter of 180 degrees is open for so much of a frame
@@ -92,6 +98,39 @@ def allowed(
         share=share,
         shutter=STILL / settings.fps / settings.samples_per_frame,
     )
+
+
+def sample_groups(
+    tolerance: Tolerance,
+    settings: Settings,
+    surfaces: Sequence[MeshTrack | SplatTrack | None],
+    particles: ParticleTrack | None,
+) -> list[Group]:
+    """What has its samples at the same times: each surface, and the particles of each body.
+
+    surfaces : tracks of those of the asset, in its order; None: it is not written.
+    """
+    share, found = tolerance.share, []
+    for number, track in enumerate(surfaces):
+        if track is not None:
+            may = allowed(tolerance.surface(number), share, settings)
+            found.append(Group((track.path,), may, partial(_linear, track.to_world)))
+    for paths, body in particles.groups if particles else ():
+        each = tolerance.particles if body is None else tolerance.body(body)
+        left = 1.0 - ROUNDING * (particles is not None and particles.rounded)
+        found.append(Group(tuple(paths), allowed(each, share, settings, shape=left), _in_world))
+    return found
+
+
+def _linear(to_world: Callable[[float], Floats], time_code: float) -> Floats:
+    """The linear part (3, 3) of a transform at a time code."""
+    return to_world(time_code)[:3, :3]
+
+
+def _in_world(time_code: float) -> Floats:
+    """Of prims in the frame of the world, which are translated at most."""
+    del time_code
+    return np.eye(3)
 
 
 def take_samples(layer: Sdf.Layer, time_code: float) -> dict[Sdf.Path, Any]:

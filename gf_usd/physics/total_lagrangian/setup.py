@@ -11,16 +11,9 @@ from scipy import sparse
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
-from gf_usd.core.frames import (
-    LUMPED,
-    CellCopies,
-    Particles,
-    Pose,
-    Settings,
-    SurfaceSamples,
-    spread,
-)
+from gf_usd.core.frames import LUMPED, CellCopies, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity

@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import StageSpec
-from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.blending import with_own_values
 from gf_usd.prepare.materials.checks import flow_notes, require_parameters
 from gf_usd.prepare.materials.mass_scaling import mass_scaled

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.frames import Particles, columns, of_materials, summary, with_derived
+from gf_usd.core.frames import Particles
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.material import Material, lame
+from gf_usd.core.materials.per_particle import columns, of_materials, summary, with_derived
 from gf_usd.core.stage import StageSpec
-from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.parts import MaterialPart, part_of_triangles
 
 if TYPE_CHECKING:

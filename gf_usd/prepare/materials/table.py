@@ -19,7 +19,7 @@ from gf_usd.core.materials.laws import flowing_law, law_parameters
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import BodyPhysics, PhysicsMaterialSpec, StageSpec
-from gf_usd.prepare.bodies import BodyPlan
+from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.prepare.materials.parts import MaterialPart
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from gf_usd.api.bake import bake
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.frames import spread
+from gf_usd.core.materials.per_particle import spread
 from gf_usd.geometry.connected.bodies import smoothstep
 from gf_usd.pipeline.prepared import prepare
 from gf_usd.prepare.plan import Plan

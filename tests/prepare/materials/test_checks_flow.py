@@ -12,7 +12,7 @@ from physics_stages import bound, mesh, prim
 from planned import SOFT, at, planner, table
 
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.frames import spread
+from gf_usd.core.materials.per_particle import spread
 from gf_usd.prepare.plan import Plan
 
 BINDING = ("MaterialBindingAPI",)

@@ -10,7 +10,7 @@ from planned import at, cubes, noted, plan_fixture  # noqa: F401
 
 from gf_usd.core.errors import UsageError
 from gf_usd.core.stage import Skin
-from gf_usd.prepare.bodies import rounded
+from gf_usd.prepare.bodies.contact import rounded
 
 COLLISION, RIGID, MASS = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI", "PhysicsMassAPI"
 

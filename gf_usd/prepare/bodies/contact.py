@@ -1,134 +1,26 @@
-"""The bodies of a bake: surfaces that fall as one, and the contacts they can have."""
+"""Contacts that the bodies of a bake can have: with each other, with obstacles, with themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.asset import Asset, StageFacts
+from gf_usd.core.asset import StageFacts
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles, SurfaceSamples
 from gf_usd.core.mesh import shells, signed_volume, weld
-from gf_usd.core.neighbors import kd_tree
-from gf_usd.core.stage import BodyPhysics, Collider, ContactSetup, Skin, StagePhysics, Triple
+from gf_usd.core.stage import Collider, ContactSetup, Skin, StagePhysics
+from gf_usd.prepare.bodies.plan import BodyPlan
 from gf_usd.readers.isolated import Reading
 
 if TYPE_CHECKING:
     from gf_usd.geometry.solid import Solid
     from gf_usd.system.sandbox import Limits
-
-
-LEAST = 16  # particles: a body of fewer does not hold a grid
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyPlan:
-    """The bodies of a bake."""
-
-    of_surface: Ints  # (S,) body of each filled surface, in the order of `Solid.surfaces`
-    radius: Floats  # (B,) [m] r = (3 V / 4 pi)^(1/3)
-    surfaces: tuple[tuple[str, ...], ...]  # prim paths of each body
-    embedded: dict[str, int]  # body that each mesh moves with, by prim path
-    notes: tuple[str, ...] = ()
-
-    @property
-    def count(self) -> int:
-        return len(self.radius)
-
-
-def plan_bodies(
-    asset: Asset,
-    solid: Solid,
-    spacing: float,
-    sample: Callable[[Ints], Particles],
-    owners: dict[str, str],
-    *,
-    combine: bool,
-) -> tuple[BodyPlan, Particles]:
-    """The bodies of a solid, and the particles that fill them.
-
-    spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
-    owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
-    """
-    from gf_usd.geometry.connected.bodies import find_bodies
-
-    owned = [owners.get(s.path, "") for s in solid.surfaces]
-    of = find_bodies(solid, spacing, owners=owned, combine=combine)
-    particles = sample(of)
-    of, fused = _fuse_small(of, solid, particles)
-    if fused:
-        particles = sample(of)
-    body = of[particles.surface]
-    volume = np.bincount(body, particles.V0, minlength=int(of.max()) + 1)
-    paths = [s.path for s in solid.surfaces]
-    names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
-    notes = [
-        f"<{paths[s]}> holds {n} particles of its own and is one body with <{paths[host]}>"
-        for s, n, host in fused
-    ]
-    if len(names) > 1:
-        notes.append(
-            f"{len(names)} bodies, which meet by contact: {_listed(names)}; --combine makes one of"
-            " them"
-        )
-    several = len(names) > 1
-    radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])
-    plan = BodyPlan(
-        of_surface=of,
-        radius=radius,
-        surfaces=names,
-        embedded=_embedded(asset, dict(zip(paths, of.tolist())), particles, body),
-        notes=tuple(notes),
-    )
-    return plan, replace(particles, body=body if several else None)
-
-
-def _listed(names: Sequence[Sequence[str]]) -> str:
-    first = ", ".join(f"<{one[0]}>" for one in names[:4])
-    return first + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-
-
-def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, list[Any]]:
-    """Bodies of too few particles become one with the nearest; (surface, particles, host) of each.
-
-    A surface without any particle is a shell about nothing: it can only be embedded.
-    """
-    of, fused = of.copy(), []
-    for body in range(int(of.max()) + 1):
-        members = np.flatnonzero(of == body)
-        mine = np.isin(particles.surface, members)
-        if mine.sum() >= LEAST or len(members) == len(of):
-            continue
-        rest = np.flatnonzero(~mine)
-        points = np.concatenate([solid.surfaces[s].points for s in members])
-        gap, at = kd_tree(particles.X[rest]).query(points)
-        host = int(particles.surface[rest[at[np.argmin(gap)]]])
-        of[members] = of[host]
-        fused += [(int(s), int((particles.surface == s).sum()), host) for s in members]
-    _, first = np.unique(of, return_index=True)
-    renumbered = np.argsort(np.argsort(first))[np.unique(of, return_inverse=True)[1]]
-    return renumbered, fused
-
-
-def _embedded(
-    asset: Asset, filled: dict[str, int], particles: Particles, body: Ints
-) -> dict[str, int]:
-    """Body that each surface moves with: its own, or that which most of its points are nearest."""
-    tree, out = None, {}
-    for surface in asset.surfaces:
-        if surface.path in filled:
-            out[surface.path] = filled[surface.path]
-            continue
-        if tree is None:
-            tree = kd_tree(particles.X)
-        out[surface.path] = int(np.bincount(body[tree.query(surface.points)[1]]).argmax())
-    return out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,6 +164,7 @@ def _inside(obstacle: Collider, X: Floats) -> Ints:
 
 
 CONVEX = 0.9  # of the volume of its convex hull: a body that fills as much of it ...
+
 STOUT = 3.0  # ... and is at most so many times as long as thick cannot be folded onto itself
 
 
@@ -333,76 +226,3 @@ TURNED = {
     "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "Z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-
-
-def start_velocities(
-    asset: Asset,
-    bodies: BodyPlan,
-    said: dict[str, BodyPhysics],
-    time_scale: float,
-    particles: Particles,
-    *,
-    velocity: Triple | None = None,
-    spin: Triple | None = None,
-) -> list[Any]:
-    """The motion of each body at the start: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
-
-    What is asked for goes before what UsdPhysics states for a body, and that before the animation
-    that ends at the start, of which an affine velocity field is fitted, v = a + A X.  time_scale :
-    simulated seconds a second of playback.  velocity : [m/s]; spin : [rad/s] about each body's
-    center of mass; None: not asked for.
-    """
-    centers = _centers(particles)
-    points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}
-    out: list[Any] = []
-    for k, paths in enumerate(bodies.surfaces):
-        center = np.concatenate([points[p] for p in paths]).mean(0)
-        known = [said[p] for p in paths if p in said]
-        stated = next((b for b in known if b.velocity or b.angular_velocity), None)
-        moving = [(points[p], said[p].moving) for p in paths if p in said]
-        # of Points the first are their own, which alone have velocities
-        moving = [(x if v is None else x[: len(v)], v) for x, v in moving]
-        if velocity or spin:
-            own = stated or BodyPhysics(path="")
-            own = replace(
-                own,
-                velocity=velocity or own.velocity,
-                angular_velocity=spin or own.angular_velocity,
-            )
-            out.append(partial(own.initial_velocities, center=centers[k]))
-        elif stated is not None:
-            out.append(partial(stated.initial_velocities, center=center))
-        elif any(v is not None for _, v in moving):
-            X = np.concatenate([p for p, v in moving if v is not None])
-            v = np.concatenate([v for _, v in moving if v is not None]) / time_scale
-            out.append(_affine(X, v))
-        else:
-            out.append((0.0, 0.0, 0.0))
-    return out
-
-
-def _centers(particles: Particles) -> Floats:
-    """(B, 3) [m] the center of volume of each body."""
-    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
-    volume = np.bincount(of, particles.V0)
-    return np.stack([np.bincount(of, particles.V0 * x) / volume for x in particles.X.T], axis=1)
-
-
-@dataclass(frozen=True)
-class AffineMotion:
-    """X (n, 3) [m] -> v + (X - center) A, (n, 3) [m/s]."""
-
-    center: Floats  # (3,) [m]
-    v: Floats  # (3,) [m/s]
-    A: Floats  # (3, 3) [1/s]
-
-    def __call__(self, X: Floats) -> Floats:
-        return self.v + (X - self.center) @ self.A
-
-
-def _affine(X: Floats, v: Floats) -> AffineMotion:
-    """The least-squares fit of velocities v (n, 3) at X (n, 3)."""
-    center = X.mean(0)
-    basis = np.hstack([np.ones((len(X), 1)), X - center])
-    fit = np.linalg.lstsq(basis, v, rcond=1e-9)[0]
-    return AffineMotion(center, fit[0], fit[1:])

@@ -7,7 +7,7 @@ import pytest
 
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Settings, shortened
-from gf_usd.pipeline.frames import PERIODIC, Period
+from gf_usd.pipeline.frames.period import PERIODIC, Period
 
 LEAD, CYCLE, MOST, DECAY = 3, 8, 16, 0.5
 FIRST = LEAD + (MOST - 1) * CYCLE

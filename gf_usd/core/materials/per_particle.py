@@ -1,0 +1,75 @@
+"""Material values of single particles: their material's, or their own where a body is mixed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.frames import Particles
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.material import Material, young_poisson
+
+if TYPE_CHECKING:
+    pass
+
+
+# What a particle may have of its own, with the parameters of laws; the rest follows from these.
+FREE = ("density", "mu", "lam", "damping_time", "friction", "restitution")
+
+REPORTED = ("youngs_modulus", "poissons_ratio", "density")
+
+SAME = 1e-6  # relative: float32 holds no finer difference
+
+
+def of_materials(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
+    """(N,) of each value in `columns`, as the material of each particle has it."""
+    index = np.asarray(particles.material)
+    return {name: column[index] for name, column in columns(materials).items()}
+
+
+def columns(materials: Sequence[Material]) -> dict[str, Floats]:
+    """(M,) of each of FREE, and of each parameter that a law of these materials has."""
+    own = {
+        one.name: np.array([m.parameter(one) for m in materials])
+        for one in law_parameters(m.law for m in materials)
+    }
+    return {name: np.array([getattr(m, name) for m in materials]) for name in FREE} | own
+
+
+def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:
+    """Material values of particles, (N,) each, in SI: `columns`, and what follows from them.
+
+    c = sqrt((lam + 2 mu) / rho); E and nu by `young_poisson`.
+    """
+    return with_derived({**of_materials(particles, materials), **(particles.own or {})})
+
+
+def with_derived(values: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The values, with youngs_modulus, poissons_ratio and wave_speed as in `spread`."""
+    mu, lam = values["mu"], values["lam"]
+    young, poisson = young_poisson(mu, lam)
+    return {
+        **values,
+        "youngs_modulus": young,
+        "poissons_ratio": poisson,
+        "wave_speed": np.sqrt((lam + 2.0 * mu) / values["density"]),
+    }
+
+
+def summary(particles: Particles, materials: Sequence[Material]) -> dict[str, Any]:
+    """How many particles differ from their material, and the range of values of all, in SI.
+
+    Empty where all are as their materials say.
+    """
+    if particles.own is None:
+        return {}
+    plain = with_derived(of_materials(particles, materials))
+    mine = spread(particles, materials)
+    differs = np.zeros(len(particles), bool)
+    for name in (*columns(materials), *REPORTED):
+        differs |= ~np.isclose(mine[name], plain[name], rtol=SAME, atol=0.0)
+    ranges = {name: [float(mine[name].min()), float(mine[name].max())] for name in REPORTED}
+    return {"particles": int(differs.sum()), **ranges}

@@ -1,0 +1,107 @@
+"""The variants of a bake with the motion of their bodies, to be described by joints or shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gf_usd.core.arrays import Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.scene import Recording
+from gf_usd.delivery.motion import BodyMotion, bodies_of
+from gf_usd.delivery.rig import Rig
+from gf_usd.delivery.splats.clouds import (
+    ALL,
+    NONE,
+    ONLY,
+    Cloud,
+    read_clouds,
+    with_splats,
+)
+from gf_usd.readers.pictures.recording import ONE_SET, BakedMotion
+from gf_usd.readers.pictures.splats import SplatMotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakedVariant:
+    """A baked variant with its rigs."""
+
+    name: str  # of the variant; "" where the file has none
+    bodies: tuple[BodyMotion, ...]
+    rigs: tuple[Rig, ...]  # one for each body; none before they are fitted
+    meshes: tuple[str, ...]  # prim paths, by the numbers that bodies have
+    triangles: tuple[Ints, ...]  # (T, 3) into the points of each
+    time_codes: tuple[float, ...]
+    unit: float  # [m] per stage unit
+    clouds: tuple[Cloud, ...] = ()  # Gaussians to deliver
+    radii: tuple[float, ...] = ()  # [m] of the body that each belongs to
+
+
+def read_variants(
+    bake: Path, variant: str | None, splats: str, *, whole: bool
+) -> tuple[list[BakedVariant], list[Recording], tuple[str, ...]]:
+    """The variants with their bodies, not yet fitted.
+
+    whole : one variant with all that is visible; else all of them, with what the bake moves.
+    """
+    first = BakedMotion(bake, variant)
+    sources = [first]
+    if variant is None and not whole:
+        sources += [BakedMotion(bake, name) for name in first.variants if name != first.variant]
+    variants, recordings, notes = [], [], {}
+    for source in sources:
+        recording = source.recording()
+        clouds, said = _clouds(bake, source.variant, recording, splats)
+        baked = [i for i, mine in enumerate(recording.baked) if mine or whole]
+        if splats == ONLY:
+            baked = []
+        if not baked and not clouds:
+            raise InputError(
+                f"{bake}: no mesh of the bake is visible, and no captured Gaussians are.",
+                "bake again with mesh among --only"
+                if splats != NONE
+                else "leave --splats none out, or bake again with mesh among --only",
+            )
+        bodies = bodies_of(recording, list(source.frames()), baked) if baked else ()
+        names = tuple(mesh.name for mesh in recording.meshes)
+        joined = with_splats(bodies, names, clouds)
+        variants.append(
+            BakedVariant(
+                name=source.variant if source.variants else "",
+                bodies=joined if whole else bodies,
+                rigs=(),
+                meshes=names,
+                triangles=tuple(mesh.triangles for mesh in recording.meshes),
+                time_codes=recording.time_codes,
+                unit=recording.unit,
+                clouds=clouds,
+                radii=_radii(joined, len(clouds)),
+            )
+        )
+        recordings.append(recording)
+        mine = [note for note in recording.notes if not note.endswith(ONE_SET)]
+        notes |= dict.fromkeys((*mine, *said))
+    return variants, recordings, tuple(notes)
+
+
+def _clouds(
+    bake: Path, variant: str, recording: Recording, splats: str
+) -> tuple[tuple[Cloud, ...], tuple[str, ...]]:
+    """The Gaussians that are asked for, and notes in words."""
+    if splats == NONE:
+        return (), ()
+    name = variant or None
+    motion = SplatMotion(bake, name, particles=splats == ALL)
+    if splats == ONLY and not motion:
+        motion = SplatMotion(bake, name, captured=False, particles=True)
+    return read_clouds(motion, recording.time_codes), motion.notes
+
+
+def _radii(bodies: Sequence[BodyMotion], count: int) -> tuple[float, ...]:
+    """[m] of the smallest body that has a part of each set of Gaussians."""
+    found = [float("inf")] * count
+    for body in bodies:
+        for number, _ in body.splats:
+            found[number] = min(found[number], body.radius)
+    return tuple(found)

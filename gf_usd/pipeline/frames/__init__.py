@@ -1,0 +1,1 @@
+"""From a solver's frames to the samples that are written."""

@@ -1,0 +1,165 @@
+"""Poses of meshes and Gaussians for every frame that is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.asset import Surface
+from gf_usd.core.frames import (
+    BakedFrame,
+    Frame,
+    GaussianPose,
+    MeshPose,
+    Settings,
+)
+from gf_usd.pipeline.checkpoint import Checkpoint
+from gf_usd.pipeline.frames.captured import SplatDeformer
+from gf_usd.pipeline.frames.period import Period
+from gf_usd.pipeline.measures.inside import InsideMeasure
+
+if TYPE_CHECKING:
+    from gf_usd.geometry.skinning import MeshSkin
+    from gf_usd.physics.frame_loop import Solver
+    from gf_usd.physics.gaussians import GaussianTrack
+    from gf_usd.pipeline.measures.observe import Observer
+
+
+class FrameBuilder:
+    """The samples of one variant: poses of meshes and Gaussians, from the frames of its solver.
+
+    track : of the particles' axes.
+    skin : of the meshes; None: the solver carries them itself.
+    surfaces : that are written.
+    settings : as `sampled`.
+    splats : the captured Gaussians.
+    tets : keys of the tetrahedra among the embedded points.
+    observer : is shown every frame.
+    """
+
+    def __init__(
+        self,
+        solver: Solver,
+        track: GaussianTrack,
+        skin: MeshSkin | None,
+        surfaces: Sequence[Surface],
+        settings: Settings,
+        splats: SplatDeformer,
+        tets: Sequence[str] = (),
+        observer: Observer | None = None,
+    ) -> None:
+        self._tets, self._observer = tets, observer
+        self.solver, self._track, self._skin = solver, track, skin
+        self._surfaces, self._settings, self._splats = surfaces, settings, splats
+        meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
+        self._inside = None
+        if meshes:
+            self._inside = InsideMeasure(meshes, solver.particles.spacing, settings.frames)
+
+    def state(self) -> dict[str, Any]:
+        """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
+        track = {**self._track.state(), **self._splats.state()}
+        return {"solver": self.solver.save(), "track": track}
+
+    def samples(
+        self, since: Checkpoint | None = None, period: Period | None = None
+    ) -> Iterator[BakedFrame]:
+        """The samples, in playback time.  Raises SolverError where the simulation fails.
+
+        since : what to go on after; None: from the start.  period : of a cycle that is repeated,
+        which may leave samples out.
+        """
+        if since is None:
+            frames = self.solver.frames()
+        else:
+            self.solver.load(since.solver)
+            self._track.load(since.track)
+            self._splats.load(since.track)
+            frames = self.solver.frames_after(since.index, since.last)
+        goes_on = True
+        while goes_on:
+            goes_on = False
+            for frame in frames:
+                after = period.see(frame.index, frame.particles.x) if period else frame.index
+                yield self.sample(frame)
+                if after != frame.index:
+                    frames = self.solver.frames_after(after, frame.health)
+                    goes_on = True
+                    break
+
+    def sample(self, frame: Frame) -> BakedFrame:
+        """The sample that a frame of the solver makes, which follows on the one before it."""
+        from gf_usd.physics.grid.embedding import deform_normals
+
+        s = self._settings
+        gaussians = self._track.advance(frame.particles)
+        poses = frame.embedded
+        if self._observer:
+            self._observer.see(frame, poses)
+        if self._skin:
+            poses = self._skin.poses(frame.particles, self._track.turn)
+        meshes = {}
+        splats = self._splats.poses(poses, s.time_code(frame.index))
+        for surface in self._surfaces:
+            if surface.splats is not None:
+                continue
+            pose = poses[surface.path]
+            normals = None
+            if surface.normals is not None and surface.normal_points is not None:
+                normals = deform_normals(surface.normals, surface.normal_points, pose.F)
+            meshes[surface.path] = MeshPose(
+                points=pose.x, velocities=pose.v * s.time_scale, normals=normals
+            )
+        health = frame.health
+        if self._inside and self._inside.asked(frame.index):
+            found = self._inside.measure(frame.index, poses)
+            health = replace(health, inside_share=found.share, inside_depth=found.depth)
+        return BakedFrame(
+            index=frame.index,
+            time_code=s.time_code(frame.index),
+            meshes=meshes,
+            gaussians=replace(
+                gaussians,
+                velocities=gaussians.velocities * s.time_scale,
+                F=frame.particles.F if s.deformation_gradients else None,
+                stress=frame.stress,
+                internal=frame.internal,
+            ),
+            health=health,
+            splats=splats if self._surfaces else {},
+            tets={
+                key: MeshPose(points=poses[key].x, velocities=poses[key].v * s.time_scale)
+                for key in self._tets
+            },
+        )
+
+
+def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
+    """The samples, with those before the start that are written: the first pose, standing still.
+
+    settings : as `sampled`.
+    """
+    for sample in samples:
+        if sample.index == 0:
+            for index in range(settings.first, 0):
+                yield _standing(sample, index, settings.time_code(index))
+        yield sample
+
+
+def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
+    def stop(pose: MeshPose | GaussianPose) -> MeshPose | GaussianPose:
+        return replace(pose, velocities=np.zeros_like(pose.velocities))
+
+    nothing = (0.0, 0.0, 0.0)
+    return replace(
+        first,
+        index=index,
+        time_code=time_code,
+        meshes={path: stop(pose) for path, pose in first.meshes.items()},
+        tets={key: stop(pose) for key, pose in first.tets.items()},
+        gaussians=stop(first.gaussians),
+        health=replace(first.health, kinetic=0.0, momentum=nothing, angular_momentum=nothing),
+    )

@@ -1,0 +1,91 @@
+"""Velocities that bodies start with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import Particles
+from gf_usd.core.stage import BodyPhysics, Triple
+from gf_usd.prepare.bodies.plan import BodyPlan
+
+if TYPE_CHECKING:
+    pass
+
+
+def start_velocities(
+    asset: Asset,
+    bodies: BodyPlan,
+    said: dict[str, BodyPhysics],
+    time_scale: float,
+    particles: Particles,
+    *,
+    velocity: Triple | None = None,
+    spin: Triple | None = None,
+) -> list[Any]:
+    """The motion of each body at the start: X (n, 3) [m] -> (n, 3) [m/s], or three zeros.
+
+    What is asked for goes before what UsdPhysics states for a body, and that before the animation
+    that ends at the start, of which an affine velocity field is fitted, v = a + A X.  time_scale :
+    simulated seconds a second of playback.  velocity : [m/s]; spin : [rad/s] about each body's
+    center of mass; None: not asked for.
+    """
+    centers = _centers(particles)
+    points = {s.path: np.asarray(s.points, float) for s in asset.surfaces}
+    out: list[Any] = []
+    for k, paths in enumerate(bodies.surfaces):
+        center = np.concatenate([points[p] for p in paths]).mean(0)
+        known = [said[p] for p in paths if p in said]
+        stated = next((b for b in known if b.velocity or b.angular_velocity), None)
+        moving = [(points[p], said[p].moving) for p in paths if p in said]
+        # of Points the first are their own, which alone have velocities
+        moving = [(x if v is None else x[: len(v)], v) for x, v in moving]
+        if velocity or spin:
+            own = stated or BodyPhysics(path="")
+            own = replace(
+                own,
+                velocity=velocity or own.velocity,
+                angular_velocity=spin or own.angular_velocity,
+            )
+            out.append(partial(own.initial_velocities, center=centers[k]))
+        elif stated is not None:
+            out.append(partial(stated.initial_velocities, center=center))
+        elif any(v is not None for _, v in moving):
+            X = np.concatenate([p for p, v in moving if v is not None])
+            v = np.concatenate([v for _, v in moving if v is not None]) / time_scale
+            out.append(_affine(X, v))
+        else:
+            out.append((0.0, 0.0, 0.0))
+    return out
+
+
+def _centers(particles: Particles) -> Floats:
+    """(B, 3) [m] the center of volume of each body."""
+    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    volume = np.bincount(of, particles.V0)
+    return np.stack([np.bincount(of, particles.V0 * x) / volume for x in particles.X.T], axis=1)
+
+
+@dataclass(frozen=True)
+class AffineMotion:
+    """X (n, 3) [m] -> v + (X - center) A, (n, 3) [m/s]."""
+
+    center: Floats  # (3,) [m]
+    v: Floats  # (3,) [m/s]
+    A: Floats  # (3, 3) [1/s]
+
+    def __call__(self, X: Floats) -> Floats:
+        return self.v + (X - self.center) @ self.A
+
+
+def _affine(X: Floats, v: Floats) -> AffineMotion:
+    """The least-squares fit of velocities v (n, 3) at X (n, 3)."""
+    center = X.mean(0)
+    basis = np.hstack([np.ones((len(X), 1)), X - center])
+    fit = np.linalg.lstsq(basis, v, rcond=1e-9)[0]
+    return AffineMotion(center, fit[0], fit[1:])
