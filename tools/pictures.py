@@ -57,7 +57,7 @@ FILM = "420x420"
 FRAMES = 40  # to the top of the rebound and no further: the camera is fitted to the whole motion
 
 
-def gf_usd(*words: str | Path) -> str:
+def gf_usd(*words: str | int | Path) -> str:
     """Run the command line; returns its stdout.  Raises CalledProcessError where it fails."""
     command = [sys.executable, "-m", "gf_usd", *map(str, words)]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -86,9 +86,9 @@ def walk(path: Path, folder: Path) -> None:
 
 def pile(path: Path, folder: Path) -> None:
     """The ten ducks in their bowl, cut out of a frame that fits the whole motion."""
-    gf_usd("bake", TEN_DUCKS, "-o", f"{folder}/", "--quiet")
+    gf_usd("bake", TEN_DUCKS, "--frames", PILE, "-o", f"{folder}/", "--quiet")
     picture = draw(folder / "ten_ducks.authored.usda", PILE, (1400, 1000))
-    strip([picture.crop((430, 440, 1030, 840))], path)
+    strip([picture.crop((413, 430, 1013, 830))], path)
 
 
 def crushed(film: Path, path: Path, folder: Path) -> None:

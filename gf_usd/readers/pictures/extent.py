@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from gf_usd.readers.usd.stage import LeftAlone, Placement
 SAMPLED_TIMES = (
     48  # times at which a longer motion is looked at, evenly spread, first and last included
 )
+AROUND = 0.1  # of the diagonal of the box of what moves
 POINTS = ("points", "positions", "positionsh")
 HEALTH = "gaussianFlesh:health:kineticEnergy"  # has a sample at every frame of a bake
 
@@ -68,26 +69,56 @@ def _skeleton_times(root: Usd.Prim) -> set[float]:
 
 
 def motion_bounds(prims: Sequence[Usd.Prim], times: Sequence[float], unit: float) -> Bounds | None:
-    """The box [m] of the prims' points over up to 48 of the times; None where there are none."""
+    """The box [m] of the prims' points over up to 48 of the times; None where there are none.
+
+    Of prims that stay where they are beside some that move, a ground for example, the box has what
+    lies within AROUND of the size of the motion's own box: a picture fits what happens in it.
+    """
     chosen: list[float | None] = [None]
     if times:
         spread = np.linspace(0, len(times) - 1, min(SAMPLED_TIMES, len(times)))
         chosen = [times[i] for i in np.unique(np.round(spread).astype(int))]
-    boxes: list[Floats] = []
+    boxes: list[dict[int, Floats]] = []  # of each prim, at each time
     for code in chosen:
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         xforms = UsdGeom.XformCache(time)
         skins = Skins(time, xforms, Notes())
-        for prim in prims:
+        now: dict[int, Floats] = {}
+        for number, prim in enumerate(prims):
             points = _world_points(prim, time, xforms, skins)
             points = points[np.isfinite(points).all(axis=1)] * unit
             if len(points):
-                boxes.append(np.stack([points.min(axis=0), points.max(axis=0)]))
-    if not boxes:
+                now[number] = np.stack([points.min(axis=0), points.max(axis=0)])
+        boxes.append(now)
+    whole = _fitted(boxes)
+    if whole is None:
         return None
-    x0, y0, z0 = np.min(boxes, axis=(0, 1)).tolist()
-    x1, y1, z1 = np.max(boxes, axis=(0, 1)).tolist()
-    return Bounds(low=(x0, y0, z0), high=(x1, y1, z1))
+    low, high = whole.tolist()
+    return Bounds(low=tuple(low), high=tuple(high))
+
+
+def _fitted(boxes: Sequence[Mapping[int, Floats]]) -> Floats | None:
+    """(2, 3) box of what moves, and of what stays near it; None where there is nothing."""
+    numbers = sorted({number for now in boxes for number in now})
+    if not numbers:
+        return None
+    each = {k: [now[k] for now in boxes if k in now] for k in numbers}
+    still = {k: all(np.array_equal(box, own[0]) for box in own) for k, own in each.items()}
+    moving = [box for k in numbers if not still[k] for box in each[k]]
+    resting = [each[k][0] for k in numbers if still[k]]
+    if not moving:
+        return _union(resting)
+    own = _union(moving)
+    reach = AROUND * float(np.linalg.norm(own[1] - own[0]))
+    low, high = own[0] - reach, own[1] + reach
+    near = [box for box in resting if (box[0] <= high).all() and (box[1] >= low).all()]
+    return _union([own, *(np.clip(box, low, high) for box in near)])
+
+
+def _union(boxes: Sequence[Floats]) -> Floats:
+    """(2, 3) box of boxes."""
+    every = np.array(boxes)
+    return np.stack([every[:, 0].min(0), every[:, 1].max(0)])
 
 
 def _world_points(
