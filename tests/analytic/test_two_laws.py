@@ -48,6 +48,7 @@ def close(a: Floats, b: Floats) -> None:
     np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-5 * np.abs(b).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
 def test_each_body_moves_as_in_a_bake_of_its_own_law(solver: str) -> None:
     body = twins()

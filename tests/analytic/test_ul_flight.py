@@ -82,6 +82,7 @@ def test_a_body_at_rest_stays_at_rest():
     assert last.health.elastic == 0.0
 
 
+@pytest.mark.slow
 def test_an_affine_velocity_is_an_affine_strain():
     # Splines reproduce what is affine: over one step of 1e-6 s F = I + dt A and v stays, up to
     # (dt A)^2 / 2, for the grid sees the particles half a step further on.

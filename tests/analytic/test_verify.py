@@ -14,6 +14,7 @@ LONG = {  # more than half of the time of all
     "law-neoHookean", "law-vonMises", "law-druckerPrager", "patch", "patch-f64", "spin-apic",
     "slump", "rigid-end",
     "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble", "column",
+    "taylor", "arms", "law-paste", "manufactured-finite", "driven", "hollow",
 }  # fmt: skip
 
 

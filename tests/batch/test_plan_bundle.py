@@ -156,6 +156,7 @@ def test_slices_are_steps_that_wait_for_each_other(tmp_path: Path) -> None:
     assert [s["name"] for s in template(asked, chunk=1, slice=6)["steps"]] == ["Bake", "Report"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not OPENJD.is_file() and not shutil.which("openjd"), reason="no openjd-cli")
 @pytest.mark.parametrize(("slice", "steps"), [(None, 2), (1, 5)])
 def test_the_real_openjd_accepts_it(tmp_path: Path, slice: int | None, steps: int) -> None:

@@ -55,6 +55,7 @@ def rest():
     return replace(out, orientations=turns / np.linalg.norm(turns, axis=1, keepdims=True))
 
 
+@pytest.mark.slow
 def test_one_capture_in_three_formats_moves_alike(gf_usd, here, tmp_path, rest):
     files = {
         "ply": (write_ply(tmp_path / "a.ply", rest), "/a/Splats"),
@@ -92,6 +93,7 @@ def test_the_result_is_a_sound_layer_over_the_capture(gf_usd, here, tmp_path):
     assert names(here)[0] == "ball.jelly.cache.usdc"
 
 
+@pytest.mark.slow
 def test_sequences_of_ply_and_spz(gf_usd, here, tmp_path):
     rest = ball(300, degree=1)
     path = write_ply(tmp_path / "ball.ply", rest)
@@ -133,6 +135,7 @@ def test_a_mesh_gives_its_particles_as_a_sequence(gf_usd, here, tmp_path):
     np.testing.assert_allclose(shown, [0.4845, 0.6652, 0.7977], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_several_captures_of_a_stage(gf_usd, here, tmp_path):
     far = ball(300, radius=0.25)
     far = replace(far, positions=far.positions + np.float32([2, 0, 0]))

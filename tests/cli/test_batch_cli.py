@@ -108,6 +108,7 @@ def running(here: Path, block: Path) -> Iterator[subprocess.Popen[str]]:
     process.wait()
 
 
+@pytest.mark.slow
 def test_sigterm_ends_the_bakes_and_says_how_to_go_on(
     running: subprocess.Popen[str], here: Path
 ) -> None:
@@ -151,6 +152,7 @@ def test_an_interrupted_job_with_clips_goes_on(gf_usd: Call, here: Path, block: 
     assert not list((here / "out").glob("*.checkpoint.*"))
 
 
+@pytest.mark.slow
 def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
     words = ["batch", block, "--particles", "300", "--frames", "40", "-o", "out", "--json", "-q",
              "--no-report"]  # fmt: skip

@@ -93,6 +93,7 @@ def test_json_has_every_frame(run: Run, tmp_path: Path) -> None:
     assert any("another up axis" in note for note in found["notes"])
 
 
+@pytest.mark.slow
 def test_a_page_and_a_picture_are_written(run: Run, tmp_path: Path) -> None:
     a, b = falling_box(tmp_path / "a.usda"), falling_box(tmp_path / "b.usda", 0.5)
     page, picture = tmp_path / "out.html", tmp_path / "out.png"

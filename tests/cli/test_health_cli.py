@@ -86,6 +86,7 @@ def test_strict_from_python(here: Path, block: Path) -> None:
     assert "inside-out" in [warning.about for warning in error.warnings]
 
 
+@pytest.mark.slow
 def test_the_report_and_the_stage_agree_frame_by_frame(gf_usd, here: Path, block: Path) -> None:
     assert gf_usd("bake", block, *SMALL, "--drop", "1", "-q").status == 0
     (bake,) = strict((here / "block.rubber.report.json").read_text())["bakes"]
@@ -115,6 +116,7 @@ def test_the_cost_is_told_before_it_is_spent(gf_usd, here: Path, block: Path) ->
     ), first
 
 
+@pytest.mark.slow
 def test_what_would_take_hours_is_refused_in_seconds(gf_usd, here: Path, block: Path) -> None:
     (here / "hard.usda").write_text(HARD)
     options = ("-m", "hard.usda", "--particles", "8000")

@@ -153,6 +153,7 @@ def test_a_still_makes_no_film(tmp_path):
     assert "does not move" in error.message
 
 
+@pytest.mark.slow
 def test_a_bake_in_colors_has_a_legend_beside_the_body(gf_usd, here, block):
     done = gf_usd("bake", block, "--particles", 300, "--frames", 8, "--drop", 0, "--stress", "-q")
     assert done.status == 0, done.err

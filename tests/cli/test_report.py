@@ -40,6 +40,7 @@ def data(page: Path) -> dict:
     return json.loads(found[1])
 
 
+@pytest.mark.slow
 def test_a_bake_becomes_one_page_of_all_its_looks(gf_usd, work):
     inputs = {path.name: path.read_bytes() for path in work.iterdir()}
     done = gf_usd("report", "block.soft.usda")

@@ -36,7 +36,15 @@ STATES = {
 }
 
 
-LONGER = {"half", "held", "range", "looks", "paper"}  # share their code with the others
+LONGER = {
+    "half",
+    "held",
+    "range",
+    "looks",
+    "paper",
+    "updated",
+    "adaptive",
+}  # share their code with the others
 
 
 @pytest.mark.parametrize(
@@ -80,6 +88,7 @@ def Xform "World"
 """
 
 
+@pytest.mark.slow
 def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> None:
     scene = tmp_path / "two.usda"
     scene.write_text(TWO, encoding="utf-8")
@@ -177,6 +186,7 @@ def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path
     assert "with the files as they were" in other.err
 
 
+@pytest.mark.slow
 def test_a_checkpoint_without_its_clips_is_refused(gf_usd, here: Path, block: Path) -> None:
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "--slice", "2").status == 5
@@ -211,6 +221,7 @@ def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, bloc
     assert names(here) == [f"{STEM}.{end}" for end in ("cache.usdc", "report.json", "usda")]
 
 
+@pytest.mark.slow
 def test_a_bake_cut_between_its_last_files_is_resumed(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -87,6 +87,7 @@ def torus(count=6000, large=1.0, small=0.3):
     )
 
 
+@pytest.mark.slow
 def test_a_ring_keeps_its_hole():
     surface, _ = hull(torus(), up=1)
     # V - E + F = 2 - 2 g for a closed surface of genus g; here E = 3 F / 2
@@ -118,6 +119,7 @@ def open_below(count=3000, height=0.9):
     )
 
 
+@pytest.mark.slow
 def test_what_is_open_below_is_closed_flat():
     surface, notes = hull(open_below(), up=2)
     assert any("open below" in note for note in notes)
@@ -126,6 +128,7 @@ def test_what_is_open_below_is_closed_flat():
     assert volume(surface) == pytest.approx(np.pi * 0.4**2 * 0.9, rel=3 * cell / 0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "end", "level"),
     [

@@ -82,6 +82,7 @@ def test_what_more_work_costs(plan: Plan) -> None:
     assert seconds(replace(plan, settings=replace(plan.settings, solver="ul"))) > 0.0
 
 
+@pytest.mark.slow
 def test_the_papers_skin_costs_every_vertex_with_every_particle(plan: Plan) -> None:
     def more(count: int) -> float:
         """[s] a frame that the skin adds on a sphere of so many vertices."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from flowing import ROW, registered
 from pxr import Sdf, Usd, UsdGeom
+from slow_parameters import slow_but
 
 import gf_usd
 from gf_usd.core.errors import InputError
@@ -61,7 +62,7 @@ def test_its_parameter_is_read_in_units_of_the_stage(clay: Path) -> None:
         read_material(clay)
 
 
-@pytest.mark.parametrize("solver", ["tl", "ul"])
+@pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
 def test_a_bake_says_what_flowed_and_writes_the_parameter(
     clay: Path, tmp_path: Path, solver: str
 ) -> None:

@@ -152,6 +152,7 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path, stage):
         inspect(DUCK, particle=3)
 
 
+@pytest.mark.slow
 def test_what_the_fill_tolerates_is_said_and_what_repair_did(stage, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = stage(ball(rows=slice(3, None)))

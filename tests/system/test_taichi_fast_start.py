@@ -35,6 +35,7 @@ assert x.to_numpy().min() == x.to_numpy().max() == 1.0
 """
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_compiles_nothing_anew(tmp_path: Path) -> None:
     script = tmp_path / "kernel.py"
     environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path / "cache")}

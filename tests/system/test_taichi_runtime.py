@@ -53,6 +53,7 @@ def test_a_missing_library_is_named(monkeypatch, cause, hint):
     assert hint in caught.value.hint
 
 
+@pytest.mark.slow
 def test_the_same_arguments_start_it_once_and_others_anew(monkeypatch):
     ti = taichi_runtime.import_taichi()
     taichi_runtime.init_taichi(threads=1)

@@ -58,6 +58,7 @@ def test_a_ball_of_cells_is_one_conforming_solid() -> None:
     assert inside == pytest.approx(v.sum(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_every_particle_and_sample_is_in_a_tetrahedron() -> None:
     particles = ball_particles()
     X = np.asarray(particles.X)

@@ -34,6 +34,7 @@ def pressed(on: str, **changes: float) -> tuple[TotalLagrangian, list[Frame]]:
     return solver, list(solver.frames())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on", ["floor", pytest.param("obstacle", marks=pytest.mark.slow)])
 def test_the_pin_pays_for_what_contact_stores(on: str) -> None:
     """Nothing is lost: E - W stays, to (w dt)^2 of what vibrates, of which contact is a part."""

@@ -150,6 +150,7 @@ def test_teeth_swing_apart_and_their_skin_goes_with_them(fork) -> None:
     assert abs(L - L[0]).max() < 1e-5 * scale * LENGTH
 
 
+@pytest.mark.slow
 def test_both_kernels_move_them_alike(fork) -> None:
     particles, skin, _, copy = fork
     one, other = (
@@ -235,6 +236,7 @@ def test_copies_are_for_cells_of_one_size(fork) -> None:
         TotalLagrangian(fork[0], [MATERIAL], settings("cpu"), h=0.3)
 
 
+@pytest.mark.slow
 def test_two_teeth_vibrate_as_one_does_alone() -> None:
     assert all(m.passed for m in case.two_teeth("cpu"))
 

@@ -183,6 +183,7 @@ def test_a_pinned_bar_stretches_as_its_weight_says() -> None:
     assert u == pytest.approx(1000.0 * g / (2.0 * 1e5), rel=0.015)
 
 
+@pytest.mark.slow
 def test_the_body_follows_a_moving_region_and_its_work_is_counted() -> None:
     """A slow turn of the held end leaves the rest of a light, damped bar turned by as much."""
     points = np.array(

@@ -34,6 +34,7 @@ def bar() -> tuple[Particles, Floats, Floats]:
     return body, m, m @ body.X / m.sum()
 
 
+@pytest.mark.slow
 def test_a_region_with_free_flesh_keeps_the_momenta_of_the_whole() -> None:
     body, m, center = bar()
     solver = TotalLagrangian(

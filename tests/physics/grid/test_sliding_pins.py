@@ -115,6 +115,7 @@ def pulled(strain: float, frames: int, drag: float) -> tuple[TotalLagrangian, li
     return solver, [frame.health for frame in solver.frames()]
 
 
+@pytest.mark.slow
 def test_a_bar_between_planes_contracts_freely_and_pulls_with_E_strain():
     # Small strain: the law's second order is of the size of the strain.
     strain = 1e-3

@@ -45,6 +45,7 @@ def test_the_clamp_takes_stress_and_energy_of_the_clipped_strain(A, law):
     assert touched(bits, seen.body.options, seen.body.layout, seen.body.m)["clamped"].all()
 
 
+@pytest.mark.slow
 def test_a_clamp_counts_particles_once_a_frame_and_only_those():
     # Half the body is squeezed: 5 substeps see it again and again.
     solver = made(clamp=(0.8, 1.25), substeps=5)

@@ -116,6 +116,7 @@ def test_a_body_that_came_to_rest_sleeps_and_stays():
         np.testing.assert_allclose(frame.particles.x, frames[begin - 1].particles.x, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bent_body_flies_sleeps_and_stays_bent_and_is_resumed_to_the_bit():
     def made():
         return contact_solver(

@@ -90,6 +90,7 @@ def test_wls_gives_energy_that_is_counted():
 # Shape correction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.02, 0.3, 1.0])
 def test_the_shape_correction_moves_towards_the_rest_shape_by_its_strength(alpha):
     rider = np.array([[0.0, 1.0, 0.0], [0.3, -0.2, 0.9]])
@@ -127,6 +128,7 @@ def test_the_shape_correction_does_not_turn_with_the_body():
     assert passage.injected > 0.0
 
 
+@pytest.mark.slow
 def test_a_body_that_is_pinned_has_no_shape_correction():
     pin = Pin(
         name="top",

@@ -162,6 +162,7 @@ def test_riders_come_with_every_frame():
         assert frame.embedded["a"].F.shape == (2, 3, 3)
 
 
+@pytest.mark.slow
 def test_stress_is_read_where_asked_for():
     body, _ = ball(300)
     made = look("rubber", body, damping_time=0.0)

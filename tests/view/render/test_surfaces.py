@@ -165,6 +165,7 @@ def test_the_floor_is_dark_where_the_body_stands_and_untouched_far_away():
     assert np.array_equal(floating[85:], bare[85:])
 
 
+@pytest.mark.slow
 def test_a_picture_is_the_same_every_time_and_for_any_number_of_threads():
     scene = Scene(up=UP, ground=-1.0, meshes=(quad(0.2),), ellipsoids=(ball(0.3),))
     pictures = []

@@ -81,6 +81,7 @@ def test_the_policy_names_the_scripts_by_their_hash():
     assert "'sha256-bhHHL3z2vDgxUt0W3dWQOrprscmda2Y5pLsLg4GF+pI='" in policy(["alert(1)"])
 
 
+@pytest.mark.slow
 def test_a_page_is_thinned_to_its_size_and_says_so():
     source = FallingBox(gaussians=20_000)
     whole = len(build_report([source], report_of(), "", Limits()).encode())
