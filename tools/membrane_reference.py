@@ -5,8 +5,8 @@
 Cook's membrane in plane strain, of von Mises metal with logarithmic strain and saturating hardening
 (the numbers stand in `verify/cases/plastic/membrane.py`): quadratic quadrilaterals of eight nodes
 with four Gauss points, which do not lock, N along each side; the load in 40 equal steps, each in
-balance by Newton's iteration.  Prints how far the upper right corner rises.  With --current the
-traction acts on the right edge as long as it becomes, and not as long as it was.
+balance by Newton's iteration.  Prints how far the upper right corner moves to the left and up.
+With --current the traction acts on the right edge as long as it becomes, not as long as it was.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def traction(x: np.ndarray, edge: np.ndarray) -> np.ndarray:
     return load
 
 
-def corner(n: int, current: bool = False) -> float:
-    """[mm] that the corner rises; current : by the traction on the current edge."""
+def corner(n: int, current: bool = False) -> tuple[float, float]:
+    """[mm] that the corner moves right and up; current : by the traction on the current edge."""
     X, elements = mesh(n)
     G, weight = [], []
     for at in GAUSS:
@@ -139,11 +139,12 @@ def corner(n: int, current: bool = False) -> float:
         else:
             raise SystemExit(f"no balance in step {step}")
         Cp, a = grown, strain
-    return float(u[2 * np.flatnonzero((X == [48.0, 60.0]).all(1))[0] + 1])
+    right, up = u.reshape(-1, 2)[(X == [48.0, 60.0]).all(1)][0]
+    return float(right), float(up)
 
 
 if __name__ == "__main__":
     words = [word for word in sys.argv[1:] if word != "--current"]
     for count in map(int, words or ("8", "16", "32")):
-        high = corner(count, "--current" in sys.argv)
-        print(f"{count} along a side: {high:.4f} mm", flush=True)
+        right, up = corner(count, "--current" in sys.argv)
+        print(f"{count} along a side: {-right:.4f} mm left, {up:.4f} mm up", flush=True)

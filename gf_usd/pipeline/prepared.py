@@ -14,6 +14,7 @@ from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
     Cost,
     Solvers,
+    duration,
     estimate,
     first_contact,
 )
@@ -127,8 +128,9 @@ def of_a_shot(prepared: Prepared) -> Prepared:
         return prepared
     frames = shot_frames(plan.settings.frames)
     note = (
-        f"{frames} frames are simulated, and not until rest: {plan.settings.frames} frames, which"
-        f" that may take, are about {work:.1g} substeps of a particle; --frames rest asks for it"
+        f"{frames} frames are simulated, and not until rest, which may take"
+        f" {plan.settings.frames} frames and about"
+        f" {duration(prepared.cost['estimated_seconds'])}; --frames rest asks for it"
     )
     shorter = replace(
         plan,

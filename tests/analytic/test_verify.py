@@ -12,7 +12,7 @@ ORDERED = sorted(CASES, key=lambda case: case.f64)
 LONG = {  # more than half of the time of all
     "hertz", "lamb", "penetration", "collisions", "slope", "solvers", "expansion", "law-crushable",
     "law-neoHookean", "law-vonMises", "law-druckerPrager", "patch", "patch-f64", "spin-apic",
-    "slump", "rigid-end",
+    "slump", "rigid-end", "taylor-f64",
     "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble", "column",
     "taylor", "arms", "law-paste", "manufactured-finite", "driven", "hollow",
 }  # fmt: skip

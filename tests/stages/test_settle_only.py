@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -197,7 +198,9 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch) -> Non
     assert (
         plan.settings.frames == gf_usd.inspect(SPHERE, range=(1, None), **FEW).plan.settings.frames
     )
-    assert any("frames are simulated, and not until rest" in note for note in plan.notes)
+    (note,) = (note for note in plan.notes if "not until rest" in note)
+    assert note.startswith(f"{plan.settings.frames} frames are simulated")
+    assert re.search(r"which may take \d+ frames and about [\d.]+ (s|minutes|hours|days);", note)
 
 
 @pytest.mark.slow

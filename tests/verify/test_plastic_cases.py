@@ -7,6 +7,7 @@ import pytest
 
 from gf_usd.verify.case import Measure
 from gf_usd.verify.cases.plastic import expansion, membrane, taylor
+from gf_usd.verify.registry import run_case
 
 COARSE = (0.08, 0.01, 0.1)  # bounds with two cells a radius
 
@@ -26,6 +27,17 @@ def test_taylors_bar_passes_with_copper_and_fails_with_ten_times_its_yield_stres
     assert not radius.passed
     assert not length.passed
     assert radius.error > 5.0 * radius.bound
+
+
+@pytest.mark.slow
+def test_the_two_observers_of_taylors_bar_notice_a_wall_that_is_a_trifle_slow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    right = taylor.wall
+    monkeypatch.setattr(taylor, "wall", lambda speed, frames: right((1.0 - 1e-10) * speed, frames))
+    (figure,) = run_case(next(c for c in taylor.CASES if c.f64)).measures
+    assert not figure.passed
+    assert figure.error < 1e-9
 
 
 def test_a_quarter_of_the_rod_has_its_volume_and_second_moment() -> None:

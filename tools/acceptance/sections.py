@@ -26,7 +26,7 @@ from tools.acceptance.record import PAGE, ROOT, Outcome, newest, page, record, s
 
 LIMBS, ASSETS, JITTER, PLASTIC = "limbs", "assets", "jitter", "plastic"
 OF_ASSETS = (LIMBS, ASSETS)  # sections that need a folder of assets
-FLOWS = ("uniaxial", "expansion", "slump", "membrane", "taylor", "rim")  # cases of `verify`
+FLOWS = ("uniaxial", "expansion", "slump", "membrane", "taylor", "taylor-f64", "rim")  # of `verify`
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -126,7 +126,8 @@ PHYSICAL: dict[str, Physical] = {
             },
             source="Plasticine at 20 C as a model of hot metal: flow stress 0.1 to 0.2 MPa at"
             " strains above 0.2, to an order of magnitude; it begins to flow without a sharp yield"
-            " point, and the yield stress is fitted such that it hardly bounces",
+            " point, and E and the yield stress are fitted, not measured, such that it hardly"
+            " bounces",
         ),
         Physical(
             name="wet-clay", density=1900.0, youngs_modulus=5.0e6, poissons_ratio=0.45,

@@ -12,12 +12,14 @@ de_p = l d(Q^2 (1 + alpha^2/9))/d tau returns stress along (its eq. 7, backward 
 
     s = s* / (1 + 6 mu l),   p = p* / (1 + 2 alpha^2 K l),   K = lam + 2 mu / 3
 
-with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with l.
+with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with l.  Where a stretch of F_e
+is below 0.1 or F_e is inverted nothing flows: Hencky's law pushes it back first.
 """
 
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
+    LEAST_J,
     cayley,
     deviator_of_series,
     exp,
@@ -32,6 +34,7 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
     stored,
     strains,
 )
+from gf_usd.physics.laws.neo_hookean import J_EXTENSION
 from gf_usd.physics.laws.simd3x3 import (
     assign,
     choose,
@@ -55,7 +58,7 @@ def flow(F, q, a, dt, converged):
     lost = a[0] * 0.0
     work = lost
     J = determinant(F, cofactor(F))
-    if near(Z, converged) and J.min() > 0.0:
+    if near(Z, converged) and J.min() > LEAST_J:
         X = deviator_of_series(Z)
         size = ti.sqrt(size_squared(X))
         trace = log(J)
@@ -68,9 +71,10 @@ def flow(F, q, a, dt, converged):
             assign(X, scaled(k, X))
             choose(E, y, scaled(t, product(F, exponential(X))))
     else:
-        d, trace, V = strains(F)
+        d, trace, V, least = strains(F)
         size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         y, s, p = excess(q, a[0], size, trace)
+        y = ti.select(least > J_EXTENSION, y, 0.0)
         if y.max() > 0.0:
             m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
             work = dissipated(q, m, s, p)

@@ -15,11 +15,13 @@ it comes apart [Klar et al. 2016, section 6]:
 
 What it gained in volume as it came apart, `loosening` = sum of tr(e*) - tr(e), is closed before it
 bears pressure again [Tampubolon et al. 2017, section 4.1]: tr(e) is increased by as much, up to 0.
+Where a stretch of F_e is below 0.1 or F_e is inverted nothing flows, as of `von_mises`.
 """
 
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
+    LEAST_J,
     cayley,
     deviator_of_series,
     exp,
@@ -34,6 +36,7 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
     stored,
     strains,
 )
+from gf_usd.physics.laws.neo_hookean import J_EXTENSION
 from gf_usd.physics.laws.simd3x3 import (
     assign,
     choose,
@@ -56,7 +59,7 @@ def flow(F, q, a, dt, converged):
     loose = a[0]
     work = a[0] * 0.0
     J = determinant(F, cofactor(F))
-    if near(Z, converged) and J.min() > 0.0:
+    if near(Z, converged) and J.min() > LEAST_J:
         X = deviator_of_series(Z)
         size = ti.sqrt(size_squared(X))
         trace = log(J)
@@ -68,9 +71,10 @@ def flow(F, q, a, dt, converged):
             grown = exp((t - trace) / 3.0)
             choose(E, acts, scaled(grown, product(F, exponential(X))))
     else:
-        d, trace, V = strains(F)
+        d, trace, V, least = strains(F)
         size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         acts, k, t = returned(q, a[0], size, trace)
+        acts = ti.select(least > J_EXTENSION, acts, 0.0)
         if acts.max() > 0.0:
             loose = ti.select(acts > 0.0, ti.max(a[0] + (trace - t), 0.0), a[0])
             work = ti.select(acts > 0.0, dissipated(q, size, trace, k, t), 0.0)

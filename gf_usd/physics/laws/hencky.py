@@ -33,6 +33,7 @@ from gf_usd.physics.laws.simd3x3 import (
 SWEEPS = 6  # of Jacobi's iteration, which converges quadratically
 SMALL = 1e-6  # a stretch that is divided by is at least this large
 NEAR = 1.0e-2, 6e-5  # |Z|^2 up to which the series is exact to 1e-7, and to 1e-15
+LEAST_J = J_EXTENSION**3  # of det F near 1 c: the stretches are as good as equal, and above 0.1
 
 
 @unrolled
@@ -110,14 +111,18 @@ def exp(x):
 
 @ti.func
 def strains(F):
-    """Deviator d_i and trace of e, and the directions V."""
+    """Deviator d_i and trace of e, the directions V, and the least stretch.
+
+    Where that is not above J_EXTENSION, e is no logarithm, and no return mapping holds.
+    """
     s, V = stretches(F)
     e0 = log_extended(s[0])
     e1 = log_extended(s[1])
     e2 = log_extended(s[2])
     trace = e0 + e1 + e2
     mean = trace / 3.0
-    return [e0 - mean, e1 - mean, e2 - mean], trace, V
+    least = ti.min(s[0], ti.min(s[1], s[2]))
+    return [e0 - mean, e1 - mean, e2 - mean], trace, V, least
 
 
 @unrolled

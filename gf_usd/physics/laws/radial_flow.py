@@ -12,7 +12,8 @@ Only the law's stress is asked for.  Hencky's law has dev tau = 2 mu d, and
 this is the radial return of `von_mises`; of other laws the flow along d is the associated one
 [Simo and Hughes 1998, box 9.1] to the first order in F_e - 1.  It keeps det F_p = 1, and dissipates
 g tau : n, which is no less than 0 wherever a greater stretch has the greater
-stress, the inequalities of Baker and Ericksen [Truesdell and Noll 1965, section 51].
+stress, the inequalities of Baker and Ericksen [Truesdell and Noll 1965, section 51].  Where it has
+not, as of the corotated law below half of the length at rest, nothing flows.
 
 What flows is hardly strained by F_e, and then d is the series of `hencky`, F_e(g) = F_e* exp(-g n)
 with n at rest, and the stress is that of F^T P, which has the numbers of tau.  Larger strains take
@@ -57,7 +58,7 @@ def flow_along_strain(pk1: ti.template(), F, q, a, dt, converged):
             n = scaled(ti.sqrt(1.5) / ti.max(size, TINY), X)
             most = ti.sqrt(2.0 / 3.0) * size
             g, work = growth(pk1, near_stress, q, a[0], F, n, most, y, dt, converged)
-            choose(E, y, product(F, exponential(scaled(0.0 - g, n))))
+            choose(E, g, product(F, exponential(scaled(0.0 - g, n))))
         else:
             s, V = stretches(F)
             e0 = log(ti.max(s[0], J_EXTENSION))
@@ -71,13 +72,13 @@ def flow_along_strain(pk1: ti.template(), F, q, a, dt, converged):
             if y.max() > 0.0:
                 most = ti.sqrt(2.0 / 3.0) * size
                 g, work = growth(pk1, principal_stress, q, a[0], s, n, most, y, dt, converged)
-                choose(E, y, product(F, spectral(shrinking(n, g), V)))
+                choose(E, g, product(F, spectral(shrinking(n, g), V)))
     return E, [a[0] + g], work
 
 
 @ti.func
 def growth(pk1: ti.template(), law: ti.template(), q, a, trial, n, most, y, dt, converged):
-    """g of the module in (0, most), 0 where the excess y [Pa] is not above 0, and the work.
+    """g of the module in (0, most), and the work; 0 where the excess y [Pa] or that is not above 0.
 
     law(pk1, trial, n, g, q, converged) : sigma(e(g)) and tau : n [Pa].
     """
@@ -107,7 +108,7 @@ def growth(pk1: ti.template(), law: ti.template(), q, a, trial, n, most, y, dt, 
         r_before = r
         g = ti.select(away > 0.0, step, g)
         steps += 1
-    return g, work
+    return ti.select(work > 0.0, g, 0.0), ti.max(work, 0.0)
 
 
 @ti.func

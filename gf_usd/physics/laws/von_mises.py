@@ -13,12 +13,14 @@ da/dt = (sigma - Y(a)) / viscosity; 0: at once.  Radial return, backward Euler i
 
 whose left side falls and whose right side rises with g: one solution, at which Newton's iteration
 arrives from below, since Y is concave.  The flow keeps det F_p = 1 and dissipates
-(sigma* - 3 mu g) g.
+(sigma* - 3 mu g) g.  Where a stretch of F_e is below 0.1 or F_e is inverted nothing flows: Hencky's
+law pushes it back first.
 """
 
 import taichi as ti
 
 from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: see `registry`)
+    LEAST_J,
     cayley,
     deviator_of_series,
     exp,
@@ -33,7 +35,8 @@ from gf_usd.physics.laws.hencky import (  # noqa: F401  (functions of the law: s
     stored,
     strains,
 )
-from gf_usd.physics.laws.simd3x3 import assign, choose, product, scaled
+from gf_usd.physics.laws.neo_hookean import J_EXTENSION
+from gf_usd.physics.laws.simd3x3 import assign, choose, cofactor, determinant, product, scaled
 
 ITERATIONS = 12  # of Newton, at most: from below on a concave curve, and quadratic
 CLOSE = 1e-5  # of the trial excess: the step from such a residual ends at its square
@@ -56,15 +59,17 @@ def flow(F, q, a, dt, converged):
             X = deviator_of_series(Z)
             size = ti.sqrt(size_squared(X))
             y = ti.sqrt(6.0) * q[0] * size - Y
+            y = ti.select(determinant(F, cofactor(F)) > LEAST_J, y, 0.0)
             if y.max() > 0.0:
                 g = growth(q, a[0], size, y, dt)
                 borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
                 assign(X, scaled(0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30), X))
                 choose(E, y, product(F, exponential(X)))
     else:
-        d, _, V = strains(F)
+        d, _, V, least = strains(F)
         size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         y = ti.sqrt(6.0) * q[0] * size - bearable(q, a[0])
+        y = ti.select(least > J_EXTENSION, y, 0.0)
         if y.max() > 0.0:
             g = growth(q, a[0], size, y, dt)
             borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g

@@ -285,8 +285,8 @@ def shortcuts(cost: Cost, materials: Sequence[Material]) -> tuple[str, ...]:
         factor = math.floor(ELASTIC / strain / digit) * digit
         found.append(
             f"--mass-scaling {factor:g} would bake {material.name}, in which waves run at"
-            f" {material.wave_speed:.3g} m/s, in about {duration(row['seconds'] / factor**0.5)}: it"
-            f" yields at an elastic strain of {100.0 * factor * strain:.2g} % in place of"
+            f" {material.wave_speed:.3g} m/s, in about {duration(row['seconds'] / factor**0.5)} and"
+            f" dent it alike: it springs back by up to {100.0 * factor * strain:.2g} % in place of"
             f" {100.0 * strain:.2g} %"
         )
     return tuple(found)

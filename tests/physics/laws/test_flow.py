@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from flowing import ROW, registered
-from lane_kernels import evaluate, flow
+from lane_kernels import evaluate, flow, flow_with_loss
 from scipy.stats import special_ortho_group
 from von_mises_law import HARDENING
 
@@ -219,8 +219,42 @@ def test_a_law_over_another_has_its_functions(token):
     )  # fmt: skip
 
 
-def test_what_is_flat_or_inside_out_is_left_to_the_law():
-    F = np.stack([np.diag(s) for s in ([1.0, 1.2, 0.05], [1.0, 1.2, -0.8], [1.5, 1.0, 0.7])])
-    E, after = returned("vonMisesNeoHookean", F, np.zeros((3, 1)))
-    assert np.array_equal(E[:2], F[:2])
-    assert (after[:, 0] > 0.0).tolist() == [False, False, True]
+FLAT_OR_INSIDE_OUT = [
+    # By stretches, and near a turn or a reflection by the series; the last of each eight flows.
+    [1.0, 1.2, 0.05], [1.0, 1.2, -0.8], [-65.0, 1.0, 1.0], [-0.01, 1.0, 1.0], [0.0, 1.0, 1.0],
+    [0.02, 0.02, 0.021], [-0.2, -0.3, -0.3], [1.5, 1.0, 0.7],
+    [-1.0, 1.003, 1.0], [-1.003, -1.0, -1.0], [1.0, 0.997, -1.0], [0.03, 0.03009, 0.03],
+    [-0.3, 0.3, 0.3009], [-9.0, 9.027, 9.0], [-9.0, -9.027, -9.0], [1.003, 1.0, 0.998],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+@pytest.mark.parametrize(
+    "token",
+    [*yielding(), ROW.token, pytest.param("druckerPrager", marks=pytest.mark.slow)],
+)
+def test_what_is_flat_or_inside_out_is_left_to_the_law(token, real):
+    stretches = np.array(FLAT_OR_INSIDE_OUT)
+    F = turns(16, 1) @ (stretches[:, :, None] * turns(16, 2).swapaxes(1, 2))
+    F = F.astype(real).astype(float)
+    weak = {**OWN.get(token, {}), "yield_stress": 1e-3}
+    own = {"internal_friction": 0.6} if token == "druckerPrager" else weak
+    E, after, loss = flow_with_loss(token, F, np.zeros((16, 1)), MU, LAM, real, **own)
+    acts = np.arange(16) % 8 == 7
+    assert np.array_equal(E[~acts], F[~acts])
+    assert not loss[~acts].any()
+    assert not after[~acts].any()
+    assert (np.abs(E - F)[acts] > 1e-5).any((1, 2)).all()
+    assert np.isfinite(E).all()
+
+
+def test_flow_gives_no_energy_where_the_stress_falls_with_the_stretch():
+    # tau = 2 mu (s - 1) s of the corotated law falls below s = 1/2, at constant volume.
+    s = np.random.default_rng(0).uniform(0.12, 0.5, (64, 3))
+    F = turns(64, 1) @ (s[:, :, None] * turns(64, 2).swapaxes(1, 2))
+    own = {**OWN["vonMisesCorotated"], "yield_stress": YIELD}
+    E, after, loss = flow_with_loss("vonMisesCorotated", F, np.zeros((64, 1)), MU, LAM, **own)
+    assert (loss >= 0.0).all()
+    stays = after[:, 0] == 0.0
+    assert stays.sum() > 32
+    assert np.array_equal(E[stays], F[stays])
