@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -181,6 +181,8 @@ class CacheWriter:
             assert self._tolerance is not None
             found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
             groups = sample_groups(self._tolerance, info.settings, found, self._particles)
+            if self._clips:  # each begins and ends with a sample of everything
+                groups = [replace(group, rest=None) for group in groups]
             self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
         save(self._layer)
         if self._clips:
