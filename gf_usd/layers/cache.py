@@ -28,6 +28,7 @@ from gf_usd.layers.stage import (
     author_facts,
     clock,
     find_home,
+    hold_source,
     hold_still,
     new_layer,
     open_source,
@@ -119,7 +120,7 @@ class CacheWriter:
         self._saving = BackgroundWriter()  # while it is busy nothing touches the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
-        time = clock(stage, info.settings)
+        self._clock = time = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
         prims = [require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
@@ -127,7 +128,7 @@ class CacheWriter:
         self._layer.startTimeCode = time.start
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
-        self._settled = choices.settled
+        self._settled, self._held = choices.settled, ()
         self._choices, self._look, self._unit = choices, info.look, asset.facts.units.length
         self._tolerance = self._adaptive = self._moving = self._clips = None
         if choices.precision is not None:
@@ -156,7 +157,8 @@ class CacheWriter:
             if surface.splats is not None
         }
         # every root prim that a display hides something of has its payload
-        for path in roots_of(asset, home):
+        self._roots = roots_of(asset, home)
+        for path in self._roots:
             self._stage.OverridePrim(path)
         root = stage.GetPrimAtPath(home.root)
         self._particles = None
@@ -333,6 +335,8 @@ class CacheWriter:
             self._layer.endTimeCode = self._time_code
             if self._settled:
                 hold_still(self._layer)
+                at = self._clock.source_time(self._time_code)
+                self._held = hold_source(self._layer, self._source, self._roots, at)
         self._guarded(self._save_layers)
 
     def _save_layers(self) -> None:
@@ -355,12 +359,7 @@ class CacheWriter:
 
     def _notes(self) -> tuple[str, ...]:
         of_meshes = [note for track in self._meshes.values() for note in track.notes]
-        of_meshes += [
-            f"<{path}> moves as its source is animated, with the pose at rest"
-            for path, track in self._meshes.items()
-            if self._settled and track.space.animated
-        ]
-        return (*of_meshes, *(self._particles.notes if self._particles else ()))
+        return (*of_meshes, *self._held, *(self._particles.notes if self._particles else ()))
 
     def _storage(self, size: int) -> Storage | None:
         """What storing less came to; None where all was to be stored."""
