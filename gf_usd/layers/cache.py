@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +28,7 @@ from gf_usd.layers.stage import (
     author_facts,
     clock,
     find_home,
+    hold_source,
     hold_still,
     new_layer,
     open_source,
@@ -119,7 +120,7 @@ class CacheWriter:
         self._saving = BackgroundWriter()  # while it is busy nothing touches the layers
         source_path = source or asset.facts.path
         stage = open_source(source_path)
-        time = clock(stage, info.settings)
+        self._clock = time = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
         prims = [require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
@@ -127,7 +128,7 @@ class CacheWriter:
         self._layer.startTimeCode = time.start
         self._layer.endTimeCode = time.start
         self._layer.defaultPrim = (home.root if home.inside else home.scope).name
-        self._settled = choices.settled
+        self._settled, self._held = choices.settled, ()
         self._choices, self._look, self._unit = choices, info.look, asset.facts.units.length
         self._tolerance = self._adaptive = self._moving = self._clips = None
         if choices.precision is not None:
@@ -156,7 +157,8 @@ class CacheWriter:
             if surface.splats is not None
         }
         # every root prim that a display hides something of has its payload
-        for path in roots_of(asset, home):
+        self._roots = roots_of(asset, home)
+        for path in self._roots:
             self._stage.OverridePrim(path)
         root = stage.GetPrimAtPath(home.root)
         self._particles = None
@@ -181,6 +183,8 @@ class CacheWriter:
             assert self._tolerance is not None
             found = [self._meshes.get(s.path) or self._splats.get(s.path) for s in asset.surfaces]
             groups = sample_groups(self._tolerance, info.settings, found, self._particles)
+            if self._clips:  # each begins and ends with a sample of everything
+                groups = [replace(group, rest=None) for group in groups]
             self._adaptive = AdaptiveSamples(groups, _samples_in(SAVE, asset, particles))
         save(self._layer)
         if self._clips:
@@ -331,6 +335,8 @@ class CacheWriter:
             self._layer.endTimeCode = self._time_code
             if self._settled:
                 hold_still(self._layer)
+                at = self._clock.source_time(self._time_code)
+                self._held = hold_source(self._layer, self._source, self._roots, at)
         self._guarded(self._save_layers)
 
     def _save_layers(self) -> None:
@@ -353,12 +359,7 @@ class CacheWriter:
 
     def _notes(self) -> tuple[str, ...]:
         of_meshes = [note for track in self._meshes.values() for note in track.notes]
-        of_meshes += [
-            f"<{path}> moves as its source is animated, with the pose at rest"
-            for path, track in self._meshes.items()
-            if self._settled and track.space.animated
-        ]
-        return (*of_meshes, *(self._particles.notes if self._particles else ()))
+        return (*of_meshes, *self._held, *(self._particles.notes if self._particles else ()))
 
     def _storage(self, size: int) -> Storage | None:
         """What storing less came to; None where all was to be stored."""

@@ -162,16 +162,13 @@ def _author_metadata(
     layer.defaultPrim = home.root.name
     times = [clock(stage, bake.info.settings) for bake in bakes]
     scale = times[0].rate / times[0].source_rate
-    starts = [] if settled else [t.start for t in times]
-    ends = [] if settled else [t.end for t in times]
+    starts, ends = [t.start for t in times], [t.end for t in times]
     if theirs.HasStartTimeCode():
         starts.append(theirs.startTimeCode * scale)
     if theirs.HasEndTimeCode():
         ends.append(theirs.endTimeCode * scale)
-    if starts:
-        layer.startTimeCode = min(starts)
-    if ends:
-        layer.endTimeCode = max(ends)
+    if not settled:
+        layer.startTimeCode, layer.endTimeCode = min(starts), max(ends)
     layer.customLayerData = {
         **theirs.customLayerData,
         VARIANT_SET: {

@@ -6,7 +6,7 @@ NumPy arrays as USD's own.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -188,6 +188,40 @@ def hold_still(layer: Sdf.Layer) -> None:
             spec.ClearInfo("timeSamples")
     layer.ClearStartTimeCode()
     layer.ClearEndTimeCode()
+
+
+def hold_source(
+    layer: Sdf.Layer, source: Usd.Stage, roots: Sequence[Sdf.Path], time: Usd.TimeCode
+) -> tuple[str, ...]:
+    """Give ``layer`` what the animated attributes of the source say at one time, as their values.
+
+    Obstacles, lights and cameras then stay where they are with the pose at rest.  Attributes that
+    the layer has keep what it says.
+
+    roots : root prims that the layer is composed with.  Returns notes: what is held, and which
+    animated prims under other roots, or inside instances, are not.
+    """
+    held, moving = set[Sdf.Path](), set[Sdf.Path]()
+    for prim in source.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)):
+        for attribute in prim.GetAuthoredAttributes():
+            path = attribute.GetPath()
+            if not attribute.ValueMightBeTimeVarying() or layer.GetAttributeAtPath(path):
+                continue
+            if prim.IsInstanceProxy() or path.GetPrefixes()[0] not in roots:
+                moving.add(prim.GetPath())
+                continue
+            spec = Sdf.AttributeSpec(
+                Sdf.CreatePrimInLayer(layer, prim.GetPath()), attribute.GetName(),
+                attribute.GetTypeName(), Sdf.VariabilityVarying, attribute.IsCustom(),
+            )  # fmt: skip
+            value = attribute.Get(time)
+            spec.default = Sdf.ValueBlock() if value is None else value
+            held.add(prim.GetPath())
+    notes = [f"<{path}> is animated, and held as it is when everything rests" for path in held]
+    notes += [
+        f"<{path}> moves as its source is animated, beside the pose at rest" for path in moving
+    ]
+    return tuple(sorted(notes))
 
 
 def refresh(path: Path) -> None:

@@ -94,6 +94,34 @@ def test_a_retimed_bake_is_still_within_the_error(bakes, tmp_path: Path) -> None
     assert found.error <= bakes["few"].bakes[0].storage["errors"]["positions_m"] * 1.02
 
 
+@pytest.mark.slow
+def test_a_mesh_that_never_moves_is_not_written(tmp_path: Path) -> None:
+    """The other one falls; what reads the bake sees the points of the asset."""
+    block = BLOCK.rindex("    def Mesh")
+    wall = BLOCK[block:].rpartition("}")[0].replace("Block", "Wall")
+    wall = wall.replace("(-10,", "(90,").replace("(10,", "(110,")
+    asset = tmp_path / "two.usda"
+    asset.write_text(BLOCK.rpartition("}")[0] + wall + "}\n", encoding="utf-8")
+    done = gf_usd.bake(
+        asset, output=tmp_path / "b.usda", precision="1%", adaptive_samples=True, particles=400,
+        frames=4, pins="/World/Wall", floor=False, self_contact=False, threads=1,
+    )  # fmt: skip
+    assert not [fault for fault in done.findings if fault["level"] == "error"]
+    stage, source = Usd.Stage.Open(str(done.root)), Usd.Stage.Open(str(asset))
+    still, moving = (stage.GetPrimAtPath(f"/World/{name}") for name in ("Wall", "Block"))
+    assert not any(attribute.GetNumTimeSamples() for attribute in still.GetAttributes())
+    assert moving.GetAttribute("points").GetNumTimeSamples() > 1
+    for name in ("points", "extent"):
+        at_end = still.GetAttribute(name).Get(stage.GetEndTimeCode())
+        assert at_end == source.GetPrimAtPath("/World/Wall").GetAttribute(name).Get()
+    storage = done.bakes[0].storage
+    assert storage["samples"]["/World/Wall"] == {"kept": 0, "of": 4}
+    assert storage["saved"]["samples_left_out"] > 0
+    slow = gf_usd.retime(done.root, tmp_path / "slow.usda", speed=0.5)
+    assert not gf_usd.check(slow.path).findings
+    assert gf_usd.deliver(done.root, tmp_path / "b.glb").error <= 0.005
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, Usd, UsdGeom, UsdLux
 
 import gf_usd
 from gf_usd.core.errors import BakeError, UsageError
 from gf_usd.core.frames import Health
 from gf_usd.core.materials.dimensionless import G0, time_scale
 from gf_usd.core.stage import Collider
-from gf_usd.layers.stage import hold_still
+from gf_usd.layers.stage import hold_source, hold_still
 from gf_usd.physics.total_lagrangian.settling import CALM, LOW
 from gf_usd.pipeline.measures.rest import Rest
 from gf_usd.prepare.options.texts import Length, parse_frames
@@ -80,6 +80,33 @@ def test_a_layer_that_is_held_still_has_its_last_sample_at_all_times() -> None:
     assert not layer.HasEndTimeCode()
 
 
+def swaying(stage: Usd.Stage, path: str) -> UsdGeom.XformCommonAPI:
+    """A light that is one unit farther along x in each frame."""
+    sway = UsdGeom.XformCommonAPI(UsdLux.SphereLight.Define(stage, path))
+    for time in range(1, 10):
+        sway.SetTranslate((float(time), 0.0, 0.0), float(time))
+    return sway
+
+
+def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
+    source = Usd.Stage.CreateInMemory()
+    for path in ("/A/Light", "/A/Baked", "/B/Light"):
+        swaying(source, path)
+    layer = Sdf.Layer.CreateAnonymous()
+    baked = Sdf.CreatePrimInLayer(layer, "/A/Baked")
+    Sdf.AttributeSpec(baked, "xformOp:translate", Sdf.ValueTypeNames.Double3).default = (7, 7, 7)
+    notes = hold_source(layer, source, [Sdf.Path("/A")], Usd.TimeCode(4.0))
+    assert notes == (
+        "</A/Light> is animated, and held as it is when everything rests",
+        "</B/Light> moves as its source is animated, beside the pose at rest",
+    )
+    layer.subLayerPaths = [source.GetRootLayer().identifier]
+    held = Usd.Stage.Open(layer)
+    for name, x in (("Light", 4.0), ("Baked", 7.0)):
+        op = held.GetAttributeAtPath(f"/A/{name}.xformOp:translate")
+        assert (op.Get()[0], op.Get(9.0)[0], op.GetNumTimeSamples()) == (x, x, 0)
+
+
 @pytest.mark.parametrize(
     "more", [{"range": (1, 2)}, {"handles": 2}, {"samples_per_frame": 2}, {"clip_frames": 5}]
 )
@@ -122,6 +149,28 @@ def test_the_pose_at_rest_is_that_of_the_frame_in_which_all_rests(tmp_path: Path
     points = np.asarray(one.GetPrimAtPath(BODY).GetAttribute("points").Get())
     assert points[:, 1].min() == pytest.approx(0.0, abs=0.05)
     assert not [fault for fault in still.findings if fault["level"] == "error"]
+
+
+@pytest.mark.slow
+def test_nothing_of_the_stage_moves_beside_the_pose(tmp_path: Path) -> None:
+    asset = tmp_path / "lit.usda"
+    source = Usd.Stage.CreateNew(str(asset))
+    UsdGeom.SetStageUpAxis(source, "Y")
+    UsdGeom.SetStageMetersPerUnit(source, 1.0)
+    ball = source.DefinePrim("/Sphere")
+    ball.GetReferences().AddReference(str(SPHERE))
+    source.SetDefaultPrim(ball)
+    source.SetStartTimeCode(1.0)
+    source.SetEndTimeCode(9.0)
+    swaying(source, "/Sphere/Light")
+    source.Save()
+    done = gf_usd.bake(asset, output=tmp_path / "s.usda", settle_only=True, **SMALL)
+    stage = Usd.Stage.Open(str(done.root))
+    assert not stage.HasAuthoredTimeCodeRange()
+    assert not any(a.GetNumTimeSamples() for p in stage.TraverseAll() for a in p.GetAttributes())
+    # it rests after the last sample of the animation
+    assert stage.GetAttributeAtPath("/Sphere/Light.xformOp:translate").Get() == (9.0, 0.0, 0.0)
+    assert "</Sphere/Light> is animated, and held as it is when everything rests" in done.notes
 
 
 def test_frames_until_rest_are_parsed() -> None:

@@ -34,6 +34,8 @@ class SplatTrack:
     clock, meters_per_unit : of the bake.
     """
 
+    rest = None  # of `Group`: positions and shapes of a capture are written from the first frame on
+
     def __init__(
         self, cache: Usd.Stage, prim: Usd.Prim, surface: Surface, clock: Clock, unit: float
     ) -> None:

@@ -90,6 +90,7 @@ class MeshTrack:
             over.CreateAttribute("accelerations", Types.Vector3fArray, False).Block()
         if surface.skinned:
             _unskin(over, prim)
+        self._prim = prim
 
     def write(self, pose: MeshPose, time_code: float) -> None:
         """Author the pose at a time code: points, extent, velocities, normals.
@@ -129,6 +130,32 @@ class MeshTrack:
             return None
         check(pose.normals, np.shape(rest), f"normals of <{self.path}>", time_code)
         return self.space.normals(pose.normals, time_code)
+
+    @property
+    def rest(self) -> dict[Sdf.Path, Vt.Vec3fArray] | None:
+        """What the source shows of the arrays that are written, where none of them has a value.
+
+        None where that changes over time, lacks an extent, or is not the body: of skins, shapes
+        that become meshes and normals that are looked up by indices.
+        """
+        if self._surface.type_name not in KEPT or self._surface.skinned:
+            return None
+        based = UsdGeom.PointBased(self._prim)
+        sources = [based.GetPointsAttr(), based.GetExtentAttr()]
+        sources += [based.GetVelocitiesAttr()] if self._velocities is not None else []
+        if self._normals is not None:
+            primvar = UsdGeom.PrimvarsAPI(self._prim).GetPrimvar("normals")
+            if primvar.HasAuthoredValue() and primvar.IsIndexed():
+                return None
+            sources.append(self._prim.GetAttribute(self._normals.GetName()))
+        if any(one.ValueMightBeTimeVarying() for one in sources):
+            return None
+        found = {self.path.AppendProperty(one.GetName()): one.Get() for one in sources}
+        points = found[self._points.GetPath()]
+        if self._velocities is not None and points is not None:
+            velocities = self._velocities.GetPath()
+            found[velocities] = found[velocities] or Vt.Vec3fArray(len(points))
+        return None if any(one is None for one in found.values()) else found
 
     def _become_mesh(self, over: Usd.Prim) -> None:
         surface = self._surface

@@ -5,6 +5,8 @@ what is made of several of them fits together.  From a sample that is kept, the 
 farthest that can be had with every sample between within what is allowed (see `accuracy`): the
 first that fails ends it.  It is found as frames come, in a window of a few samples; at the end of
 one in which nothing moved, the prim is held: the sample is repeated only once it moves again.
+What is as the asset says from the start is held without a first sample, and has none if it never
+moves.
 """
 
 from __future__ import annotations
@@ -57,6 +59,7 @@ class Sparse:
     window : samples that are held at most, and the longest gap in motion.
     turn : gives (3, 3) from the space of the prims to the world at a time code, for rows.
     tally : of a bake that is gone on with.
+    rest : what the asset says at all times, of all the arrays; None: it does not.
     """
 
     def __init__(
@@ -65,8 +68,10 @@ class Sparse:
         window: int,
         turn: Callable[[float], Floats],
         tally: Tally | None = None,
+        rest: Values | None = None,
     ) -> None:
         self.tally = tally or Tally()
+        self._rest = rest
         self._allowed, self._most, self._turn = allowed, max(2, window), turn
         self._start: _Sample | None = None
         self._window: list[_Sample] = []
@@ -90,6 +95,9 @@ class Sparse:
         self._before = values
         now = self._sample(time_code, values)
         if self._start is None:
+            if not last and self._unmoved(now):
+                self._held = time_code
+                return
             self._start = now
             yield self._keep(now)
             return
@@ -137,6 +145,21 @@ class Sparse:
                 return None
             found.append(errors)
         return found
+
+    def _unmoved(self, first: _Sample) -> bool:
+        """Whether what the asset says stands for the first sample, and is the start then."""
+        if self._rest is None:
+            return False
+        start = self._sample(first.time, self._rest)
+        if {k: v.shape for k, v in start.rows.items()} != {
+            k: v.shape for k, v in first.rows.items()
+        }:
+            return False
+        self._start = start
+        if self._still([first]):
+            return True
+        self._start = None
+        return False
 
     def _still(self, samples: Sequence[_Sample]) -> bool:
         """Whether the start stands for these samples; their errors are noted if it does."""

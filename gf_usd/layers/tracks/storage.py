@@ -80,6 +80,7 @@ class Group:
     paths: tuple[Sdf.Path, ...]
     allowed: Allowed
     turn: Callable[[float], Floats]  # (3, 3) to the world at a time code, for rows
+    rest: Values | None = None  # what the asset says of all their arrays, at all times
 
 
 def allowed(
@@ -114,7 +115,8 @@ def sample_groups(
     for number, track in enumerate(surfaces):
         if track is not None:
             may = allowed(tolerance.surface(number), share, settings)
-            found.append(Group((track.path,), may, partial(_linear, track.to_world)))
+            turn = partial(_linear, track.to_world)
+            found.append(Group((track.path,), may, turn, track.rest))
     for paths, body in particles.groups if particles else ():
         each = tolerance.particles if body is None else tolerance.body(body)
         left = 1.0 - ROUNDING * (particles is not None and particles.rounded)
@@ -153,7 +155,10 @@ class AdaptiveSamples:
     """
 
     def __init__(self, groups: Sequence[Group], window: int) -> None:
-        self._groups = {group.paths: Sparse(group.allowed, window, group.turn) for group in groups}
+        self._groups = {
+            group.paths: Sparse(group.allowed, window, group.turn, rest=group.rest)
+            for group in groups
+        }
         self._of = {path: group.paths for group in groups for path in group.paths}
 
     @property

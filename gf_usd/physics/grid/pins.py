@@ -150,6 +150,28 @@ def given_nearby(pins: Sequence[Pin], held: PinnedPoints, X: Floats, h: float) -
     return PinnedPoints(axes=axes)
 
 
+def given_wholly(
+    pins: Sequence[Pin], held: PinnedPoints, mass: Floats, body: Ints, X: Floats
+) -> PinnedPoints:
+    """Nodes X (n, 3) [m] with all those of the bodies whose particles are held without exception.
+
+    mass : (n,) [kg] of what is free; body : (n,) of each node.  Such a body has no mass, and no
+    free node that the nodes around it could follow: each moves with the nearest pin of the body.
+    """
+    massless = np.bincount(body, mass) == 0.0
+    if not massless.any():
+        return held
+    axes = held.axes.copy()
+    for number in np.flatnonzero(massless):
+        mine = body == number
+        own = [k for k in np.unique(held.pin[mine]) if k >= 0 and all(pins[k].axes)]
+        rows = np.flatnonzero(mine & held.free.all(1))
+        if own and len(rows):
+            s = [np.linalg.norm(pins[k].nearest(X[rows]) - X[rows], axis=1) for k in own]
+            axes[rows] = np.array(own)[np.argmin(s, axis=0)][:, None]
+    return PinnedPoints(axes=axes)
+
+
 def _holds(pin: Pin) -> bool:
     """Whether a pin holds the body at its boundary along all axes."""
     return pin.sharp and not pin.rigid and all(pin.axes)

@@ -34,6 +34,7 @@ from gf_usd.physics.grid.pins import (
     PinnedPoints,
     axis_factors,
     given_nearby,
+    given_wholly,
     mirror_points,
     pinned_by,
     region_of_nodes,
@@ -349,6 +350,7 @@ def build_stencil(
     pins = pin_constraint.pins if pin_constraint else ()
     held = pinned_by(pins, node_X)
     held = given_nearby(pins, held, node_X, h)
+    held = given_wholly(pins, held, mass, node_body, node_X)
     if copies is not None and held.any:
         # What a pin's region holds of places, it holds of the limb that is in it.
         inside = np.zeros(len(node_ijk), bool)

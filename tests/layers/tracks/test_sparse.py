@@ -95,6 +95,38 @@ def test_a_sample_that_must_be_kept_is() -> None:
     assert sorted(rest) == [0, 7]
 
 
+def kept_from(rest: np.ndarray, curve: np.ndarray, last: int = -1) -> list[float]:
+    """Times that are kept of a motion (T, n, 3) whose asset says that it is at `rest`."""
+    said, *frames = (
+        {PATH: Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(x, np.float32))} for x in (rest, *curve)
+    )
+    one = Sparse(allowed(), 8, lambda time: np.eye(3), rest=said)
+    found = [
+        code
+        for time, values in enumerate(frames)
+        for code, _ in one.take(float(time), values, last=time == last)
+    ]
+    found += [code for code, _ in one.close()]
+    assert (one.tally.samples, one.tally.kept) == (len(curve), len(found))
+    return found
+
+
+def test_what_stays_as_the_asset_says_has_no_sample() -> None:
+    still = np.random.default_rng(0).normal(size=(4, 3))
+    curve = np.repeat(still[None], 30, axis=0)
+    assert kept_from(still, curve) == []
+    assert kept_from(still + 0.9 * OFF / np.sqrt(3.0), curve) == []
+    assert kept_from(still + 1.1 * OFF / np.sqrt(3.0), curve) == [0]
+    assert kept_from(still[:2], curve) == [0]  # the asset has other points
+    assert kept_from(still, curve, last=0) == [0]  # a clip says everything at its start
+
+
+def test_what_moves_later_has_its_first_sample_where_it_begins() -> None:
+    rest = np.full((2, 3), 0.5)
+    curve = np.concatenate([np.repeat(rest[None], 21, axis=0), 0.5 + line(6)[1:]])
+    assert kept_from(rest, curve) == [20, 25]
+
+
 @pytest.mark.parametrize("window", [2, 5, 24])
 @pytest.mark.parametrize("seed", range(8))
 def test_no_motion_is_off_by_more_than_is_allowed(seed: int, window: int) -> None:

@@ -19,6 +19,7 @@ from gf_usd.physics.grid.pins import (
     Motion,
     PinConstraint,
     given_nearby,
+    given_wholly,
     interpolation,
     mirror_points,
     pinned_by,
@@ -97,6 +98,35 @@ def test_nodes_on_both_sides_near_a_boundary_lie_on_the_line_through_it() -> Non
     np.testing.assert_allclose(share, [0.02 / 0.12, -0.02 / 0.08, -0.08 / 0.12, 0.0], atol=1e-12)
     # whichever node it is, it has the value of a field that is linear from the boundary on
     np.testing.assert_allclose(share[:3] * mirror[:3, 0], X[:3, 0], atol=1e-12)
+
+
+def test_all_nodes_of_a_body_that_is_wholly_held_are_held() -> None:
+    """They have no mass, and would be light nodes without a free one to follow."""
+    pins = [box("box:1.5,-1,-1,1.7,2,2"), box("box:1.7,-1,-1,2.1,2,2")]
+    X = np.array([[x, 0.1, 0.1] for x in (0.0, 0.5, 1.4, 1.6, 1.8, 2.3)])
+    body, mass = np.array([0, 0, 1, 1, 1, 1]), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    held = given_wholly(pins, pinned_by(pins, X), mass, body, X)
+    assert held.pin.tolist() == [-1, -1, 0, 0, 1, 1]
+    partly = given_wholly(pins, pinned_by(pins, X), np.where(X[:, 0] > 2.0, 0.1, mass), body, X)
+    assert partly.pin.tolist() == [-1, -1, -1, 0, 1, -1]
+
+
+def test_a_body_may_be_held_wholly_beside_one_that_is_free() -> None:
+    free = bar(100)
+    far = replace(free, X=free.X + [3.0, 0.0, 0.0])
+    both = {
+        name: np.concatenate([values, getattr(far, name)])
+        for name, values in vars(free).items()
+        if isinstance(values, np.ndarray) and len(values) == len(free)
+    }
+    body = np.repeat([0, 1], len(free))
+    particles = replace(free, **(both | {"body": body}))
+    s = settings(frames=3, gravity=(0.0, -9.81, 0.0))
+    pins = [box("box:2.5,-1,-1,5,2,2")]
+    *_, last = TotalLagrangian(particles, [soft()], s, pins=pins).frames()
+    moved = np.abs(last.particles.x - particles.X).max(1)
+    assert moved[body == 1].max() < 1e-6
+    assert moved[body == 0].min() > 1e-3
 
 
 @pytest.mark.parametrize(
