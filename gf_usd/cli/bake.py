@@ -29,6 +29,7 @@ def bake(
     events: Annotated[
         str | None,
         typer.Option(
+            metavar="FILE|-|N",
             help="File for what happens, a JSON object a line; - is stdout, a number an open file"
             " descriptor.",
             show_default="none",

@@ -63,7 +63,7 @@ def fit(
         typer.Option(
             metavar="PATH|none",
             help="Picture (.png) of the targets and the fit.",
-            show_default="beside the layer",
+            show_default="NAME.fit.png next to the layer",
         ),
     ] = None,
     evaluations: Annotated[
@@ -71,7 +71,7 @@ def fit(
         typer.Option(
             metavar="FOLDER|none",
             help="Keep simulations here; a fit that is repeated reads them.",
-            show_default="NAME.fit.runs beside the layer",
+            show_default="NAME.fit.runs next to the layer",
         ),
     ] = None,
     max_minutes: Annotated[
@@ -80,7 +80,11 @@ def fit(
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, show_default="the cores, 1 on a GPU", help="Run so many simulations at once."
+            "--jobs",
+            "-j",
+            min=1,
+            show_default="one for each core, 1 on a GPU",
+            help="Run this many simulations at once.",
         ),
     ] = None,
     overwrite: Annotated[

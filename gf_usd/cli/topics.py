@@ -1,4 +1,6 @@
-"""gf-usd help: a page on what several commands have in common."""
+"""gf-usd help: a page on what several commands have in common.
+
+`main.execute` answers the name of a command by that command's own help."""
 
 from __future__ import annotations
 
@@ -69,18 +71,27 @@ do not read it."""),
 }  # fmt: skip
 
 
+OF_COMMANDS = "gf-usd help COMMAND is the same as gf-usd COMMAND --help"
+
+
 def topic(
-    about: Annotated[str | None, typer.Argument(metavar="TOPIC", help="One of the topics.")] = None,
+    about: Annotated[
+        str | None, typer.Argument(metavar="TOPIC|COMMAND", help="What to explain.")
+    ] = None,
 ) -> None:
-    """Explain a topic; without one, list them."""
+    """Explain a topic, or a command; without one, list the topics."""
     if about is None:
         width = max(map(len, TOPICS))
         listed = [f"  {name:{width}}  {title}" for name, (title, _) in TOPICS.items()]
-        typer.echo("\n".join(["gf-usd help TOPIC:", "", *listed]))
+        typer.echo(
+            "\n".join(["gf-usd help TOPIC explains one of these:", "", *listed, "", OF_COMMANDS])
+        )
         return
     if about not in TOPICS:
         close = difflib.get_close_matches(about, TOPICS, n=1)
         guess = f"did you mean {close[0]}? " if close else ""
-        raise UsageError(f"there is no topic {about!r}", f"{guess}topics are {', '.join(TOPICS)}")
+        raise UsageError(
+            f"there is no topic {about!r}", f"{guess}topics are {', '.join(TOPICS)}; {OF_COMMANDS}"
+        )
     title, text = TOPICS[about]
     typer.echo(f"{about}: {title}\n\n{text}")
