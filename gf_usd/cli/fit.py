@@ -70,7 +70,7 @@ def fit(
         str | None,
         typer.Option(
             metavar="FOLDER|none",
-            help="Keep simulations here; a fit that is repeated reads them.",
+            help="Keep the simulations in this folder, so that a repeated fit can reuse them.",
             show_default="NAME.fit.runs next to the layer",
         ),
     ] = None,
@@ -88,16 +88,18 @@ def fit(
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a layer and a picture that are there.")
+        bool, typer.Option("--overwrite", help="Replace an existing layer and picture.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
     **options: Any,
 ) -> None:
     """Find the material values with which an asset does what was observed.
 
     Simulates the asset with other values until the targets are met, by least squares, and writes
-    the values with their intervals as a layer. What the targets do not tell is said.
+    the values with their intervals as a layer. Values that the targets do not determine are named.
     """
     from gf_usd.api.materials import prepared_fit
     from gf_usd.fitting.fit import fit as run
