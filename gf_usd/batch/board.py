@@ -138,14 +138,14 @@ def summary_line(outcomes: Sequence[Outcome]) -> str:
 def again(asked: Sequence[str], outcomes: Sequence[Outcome]) -> str:
     """The command that repeats just what is not good; "" where all is.
 
-    asked : the arguments of the command, without ``--only`` and ``--failed``.
+    asked : the arguments of the command, without ``--select`` and ``--failed``.
     """
     names = [o.job for o in ordered(outcomes) if not o.good]
     if not names:
         return ""
     if len(names) > NAMED:
         return shlex.join([*asked, "--failed"])
-    return shlex.join([*asked, *(argument for name in names for argument in ("--only", name))])
+    return shlex.join([*asked, *(argument for name in names for argument in ("--select", name))])
 
 
 def write_summary(

@@ -134,7 +134,7 @@ def _bake(plan: BatchPlan, chunk: int, arguments: list[str], adapting: bool) -> 
 
 def _action(arguments: list[str], *, timeout: int | None) -> dict[str, Any]:
     args = [
-        "-m", "gf_usd", "batch", "{{Param.JobsFile}}", "--out", "{{Param.OutDir}}",
+        "-m", "gf_usd", "batch", "{{Param.JobsFile}}", "--output", "{{Param.OutDir}}",
         "--path-mapping", "{{Session.PathMappingRulesFile}}", "--openjd-lines", *arguments,
     ]  # fmt: skip
     action: dict[str, Any] = {

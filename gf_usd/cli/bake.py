@@ -29,13 +29,18 @@ def bake(
     events: Annotated[
         str | None,
         typer.Option(
-            help="File for what happens, a JSON object a line; - is stdout, a number an open file"
-            " descriptor.",
+            metavar="FILE|-|N",
+            help="Write what happens to this file, one JSON object per line; - is stdout, a"
+            " number an open file descriptor.",
             show_default="none",
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Show the plan first.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print the plan before baking.")
+    ] = False,
     serve: Annotated[
         bool, typer.Option("--serve", help="Bake in a warm process of a running gf-usd serve.")
     ] = False,
@@ -45,16 +50,16 @@ def bake(
             "--help-all",
             is_eager=True,
             callback=show_all,
-            help="Show this page with the options of experts, and exit.",
+            help="Show this page with the expert options explained, and exit.",
         ),
     ] = False,
     **options: Any,
 ) -> None:
-    """Make an asset soft: fill it with particles, let it fall, write layers over it.
+    """Turn an asset into a soft body: fill it with particles, simulate it, write layers over it.
 
     Writes NAME.MATERIAL.usda (open this one), NAME.MATERIAL.cache.usdc and
-    NAME.MATERIAL.report.json; the asset itself is left as it is.  A mesh file (obj, ply, stl, off,
-    glb, gltf, fbx) also becomes NAME.source.usdc, with NAME.textures/ where pictures were in it.
+    NAME.MATERIAL.report.json; the asset itself does not change.  A mesh file (obj, ply, stl, off,
+    glb, gltf, fbx) is also converted to NAME.source.usdc, its packed textures to NAME.textures/.
     """
     if as_json and events == STDOUT:
         raise UsageError("--json and --events - both want stdout", "give --events a file")

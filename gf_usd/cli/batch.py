@@ -7,40 +7,49 @@ from typing import Annotated
 
 import typer
 
+from gf_usd.cli.help import METAVARS
 from gf_usd.cli.options import LimitsOf
 
 
 def batch(
     sources: Annotated[
-        list[str], typer.Argument(help="A manifest (.toml or .json), or assets or glob patterns.")
+        list[str],
+        typer.Argument(metavar="MANIFEST|ASSETS...",
+                       help="A manifest (.toml or .json), or assets or glob patterns.")
     ],
     material: Annotated[
         str | None,
-        typer.Option("--material", "-m", help="Materials, separated by commas; each makes a job.",
+        typer.Option("--material", "-m", metavar="PRESET|FILE|auto",
+                     help="Materials, separated by commas; each makes a job.",
                      show_default="the manifest's, else rubber"),
     ] = None,
     seed: Annotated[
-        str | None, typer.Option(help="Seeds, separated by commas; each makes a job.")
+        str | None,
+        typer.Option(metavar="N,...", help="Seeds, separated by commas; each makes a job."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Write the results into this folder.",
+        typer.Option("--output", "-o", metavar="FOLDER", help="Write the results into this folder.",
                      show_default="the manifest's, else baked"),
     ] = None,
     name: Annotated[
         str | None,
-        typer.Option(help="Template of the result names, e.g. {folder}/{asset}.{material}."),
+        typer.Option(metavar="TEMPLATE",
+                     help="Name the results by this template, such as"
+                     " {folder}/{asset}.{material}.", show_default="the manifest's"),
     ] = None,
     particles: Annotated[
         int | None, typer.Option(help="Particles of each bake, as in gf-usd bake.")
     ] = None,
     frames: Annotated[
-        int | None, typer.Option(help="Frames of each bake, as in gf-usd bake.")
+        str | None,
+        typer.Option(metavar=METAVARS["frames"], help="Frames of each bake, as in gf-usd bake."),
     ] = None,
     limits: LimitsOf = None,
     setting: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Set any option of bake: NAME=VALUE; repeatable."),
+        typer.Option("--set", metavar="NAME=VALUE",
+                     help="Set any option of bake, such as drop=2r; repeatable."),
     ] = None,
     at_once: Annotated[
         int | None,
@@ -60,8 +69,10 @@ def batch(
         typer.Option(min=0, help="Repeat a job this often if its process crashed or timed out.",
                      show_default="1"),
     ] = None,
-    only: Annotated[
-        list[str] | None, typer.Option(help="Run only jobs with this name or pattern; repeatable.")
+    select: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME|PATTERN",
+                     help="Run only jobs with this name or pattern; repeatable."),
     ] = None,
     failed: Annotated[
         bool,
@@ -76,15 +87,19 @@ def batch(
                      help="Keep processes running between jobs, which saves start-up time."),
     ] = True,
     scheduler: Annotated[
-        str | None, typer.Option(help="Run on the Dask cluster at this address: tcp://HOST:8786.")
+        str | None,
+        typer.Option(metavar="ADDRESS",
+                     help="Run on the Dask cluster at this address: tcp://HOST:8786."),
     ] = None,
     resource: Annotated[
         list[str] | None,
-        typer.Option(help="Dask resource that each job takes, NAME=AMOUNT; repeatable."),
+        typer.Option(metavar="NAME=AMOUNT",
+                     help="Dask resource that each job takes; repeatable."),
     ] = None,
     openjd: Annotated[
         Path | None,
-        typer.Option(help="Write an Open Job Description bundle here; bake nothing."),
+        typer.Option(metavar="FOLDER",
+                     help="Write an Open Job Description bundle here; bake nothing."),
     ] = None,
     chunk: Annotated[
         int | None,
@@ -100,18 +115,23 @@ def batch(
         ),
     ] = None,
     part: Annotated[
-        str | None, typer.Option(help="Slice of its jobs that a bundle task bakes: 2/5.")
+        str | None,
+        typer.Option(metavar="K/N", help="Slice of its jobs that a bundle task bakes: 2/5."),
     ] = None,
     program: Annotated[
         str | None,
-        typer.Option(help="Python with gf-usd on the workers of the bundle.",
+        typer.Option(metavar="COMMAND", help="Python with gf-usd on the workers of the bundle.",
                      show_default="this one"),
     ] = None,
     tasks: Annotated[
-        str | None, typer.Option(help="Run only jobs with these numbers, from 0: 0,3-5.")
+        str | None,
+        typer.Option(metavar="NUMBERS",
+                     help="Run only jobs with these numbers, from 0: 0,3-5."),
     ] = None,
     path_mapping: Annotated[
-        Path | None, typer.Option(help="Path mapping rules of an Open Job Description session.")
+        Path | None,
+        typer.Option(metavar="FILE",
+                     help="Path mapping rules of an Open Job Description session."),
     ] = None,
     openjd_lines: Annotated[
         bool, typer.Option("--openjd-lines", help="Print openjd_progress and similar lines.")
@@ -153,12 +173,15 @@ def batch(
     asked = Asked(
         materials=material, seeds=seed, name=name, out=out, timeout=timeout, retries=retries,
         settings=parse_settings(
-            setting or (), {"particles": particles, "frames": frames, "limits": limits}
+            setting or (), {
+                "particles": particles, "limits": limits,
+                "frames": int(frames) if frames and frames.isdecimal() else frames,
+            }
         ),
         path_mapping=path_mapping,
     )  # fmt: skip
     plan = plan_of(sources, asked)
-    jobs = chosen(plan, Choice(only=tuple(only or ()), failed=failed, tasks=tasks))
+    jobs = chosen(plan, Choice(select=tuple(select or ()), failed=failed, tasks=tasks))
     how = How(
         at_once=at_once, memory=memory, overwrite=overwrite, scheduler=scheduler,
         resources=tuple(resource or ()), report=not no_report, as_json=as_json,

@@ -78,14 +78,14 @@ class Asked:
 class Choice:
     """Which jobs of a plan."""
 
-    only: tuple[str, ...] = ()
+    select: tuple[str, ...] = ()
     failed: bool = False
     tasks: str | None = None
 
 
 def chosen(plan: BatchPlan, choice: Choice) -> tuple[Job, ...]:
     """The jobs that are asked for.  Raises UsageError for a name or number that none has."""
-    jobs = choose(plan, choice.only) if choice.only else plan.jobs
+    jobs = choose(plan, choice.select) if choice.select else plan.jobs
     if choice.failed:
         names = set(failed_in(plan.out / f"{plan.title}{SUMMARY}"))
         jobs = tuple(job for job in jobs if job.name in names)
@@ -187,7 +187,8 @@ def _bundle(path: Path, asked: Asked) -> BatchPlan:
 
 
 CHUNK = 4  # jobs in a task of a bundle
-SELF = ("--only", "--failed", "--tasks")  # arguments that choose jobs, with their values
+# arguments that choose jobs, with their values
+SELF = ("--select", "--only", "--failed", "--tasks")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,8 +73,8 @@ def compare(
 ) -> None:
     """Compare two motions of the same meshes, point by point over time.
 
-    Meshes are paired by prim path, else by name.  With --tolerance the exit status is 1 where a
-    point is ever farther off, and 0 otherwise.
+    Meshes are paired by prim path, else by name.  With --tolerance, the exit status is 1 where a
+    point is ever farther apart, and 0 otherwise.
     """
     # pxr takes a second to import, which --help must not wait for
     from gf_usd.api.drawing.compare import FILMS, run

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from gf_usd.pipeline.cost.forecast import Activity
     from gf_usd.pipeline.prepared import Prepared
@@ -24,7 +24,7 @@ def show_plan(
     prepared: Prepared, *, max_hours: float, as_json: bool = False, err: bool = False
 ) -> None:
     """What would be done and what it would cost; max_hours is where `run` refuses."""
-    from gf_usd.pipeline.cost.budget import duration, shortcuts
+    from gf_usd.pipeline.cost.budget import shortcuts
     from gf_usd.prepare.plan import describe
 
     d = {**describe(prepared.plan), **prepared.cost}
@@ -39,15 +39,15 @@ def show_plan(
         f" radius {d['radius_m']:.4g} m",
         *(f"  {path}" for path in d["bodies"]),
         f"particles   {d['particles']}, {d['spacing_m']:.3g} m apart",
-        f"frames      {d['frames']} at {d['fps']:g} fps from time code {d['start']:g}",
+        f"frames      {frames_of(d)} at {d['fps']:g} fps from time code {d['start']:g}",
         "substeps    "
         + ", ".join(f"{n} a frame ({look})" for look, n in d["substeps_per_frame"].items()),
         f"drop        {d['drop_m']:.3g} m, "
         + (f"first contact at frame {contact}" if contact is not None else "no contact"),
-        f"time        about {duration(d['estimated_seconds'])}"
+        f"time        {time_of(d)}"
         + (f": refused, it is more than --max-hours {max_hours:g}" if too_long else ""),
         f"memory      about {_bytes(d['estimated_memory_bytes'])}",
-        f"disk        about {_bytes(d['estimated_bytes'])}",
+        f"disk        {disk_of(d)}",
         *(f"would write {path}" for path in d["outputs"]),
         *(_told(prepared.plan, note) for note in (*d["notes"], *saved)),
     ]
@@ -56,22 +56,41 @@ def show_plan(
 
 def announce(prepared: Prepared) -> None:
     """One line on stderr of what is about to be spent, and the notes."""
-    from gf_usd.pipeline.cost.budget import duration, shortcuts
+    from gf_usd.pipeline.cost.budget import shortcuts
 
     plan, cost = prepared.plan, prepared.cost
     substeps = cost["substeps_per_frame"]
     each = ", ".join(
         f"{n} ({look})" if len(substeps) > 1 else f"{n}" for look, n in substeps.items()
     )
-    most = "at most " if plan.choices.until_rest or plan.until_periodic else ""
     for note in (*plan.notes, *shortcuts(cost, plan.materials)):
         typer.echo(_told(plan, note), err=True)
-    spent = f"{duration(cost['estimated_seconds'])} and {_bytes(cost['estimated_bytes'])}"
+    told = {"frames": plan.settings.frames, **cost}
     typer.echo(
-        f"{len(plan.particles)} particles, {most}{plan.settings.frames} frames, {each} substeps a"
-        f" frame: about {spent}",
+        f"{len(plan.particles)} particles, {frames_of(told)}, {each} substeps a frame:"
+        f" {time_of(told)}, {disk_of(told)}",
         err=True,
     )
+
+
+def frames_of(told: Mapping[str, Any]) -> str:
+    """How many frames are simulated; told : its limit, and the cost of the plan."""
+    frames = told["frames"]
+    if not told["ends_early"]:
+        return f"{frames} frames"
+    if told["usual_frames"] >= frames:
+        return f"at most {frames} frames"
+    return f"at most {frames} frames (usually about {told['usual_frames']})"
+
+
+def time_of(told: Mapping[str, Any]) -> str:
+    """How long a bake takes; told : as of `frames_of`."""
+    from gf_usd.pipeline.cost.budget import duration
+
+    whole, usual = (duration(told[name]) for name in ("estimated_seconds", "usual_seconds"))
+    if not told["ends_early"] or whole == usual:
+        return f"about {whole}"
+    return f"about {usual}, at most {whole}"
 
 
 def _told(plan: Plan, note: str) -> str:
@@ -79,6 +98,11 @@ def _told(plan: Plan, note: str) -> str:
     from gf_usd.prepare.asset_size import implausible_size
 
     return f"{'warning' if note == implausible_size(plan.asset) else 'note'}: {note}"
+
+
+def disk_of(told: Mapping[str, Any]) -> str:
+    """What its files take; told : as of `frames_of`."""
+    return f"{'at most' if told['ends_early'] else 'about'} {_bytes(told['estimated_bytes'])}"
 
 
 EVERY = 30.0  # [s] between plain lines, at most
@@ -203,13 +227,21 @@ def _frames(now: Activity) -> str:
 
     if now.stage != SIMULATING or not now.done:
         return ""
-    return f": frame {now.done}/{now.total}{_left(now.left)}"
+    return f": {_counted(now)}{_left(now.left, ends_early=now.ends_early)}"
 
 
-def _left(seconds: float | None) -> str:
+def _counted(now: Activity) -> str:
+    if now.ends_early:
+        return f"frame {now.done} of at most {now.total}"
+    return f"frame {now.done}/{now.total}"
+
+
+def _left(seconds: float | None, *, ends_early: bool) -> str:
     from gf_usd.pipeline.cost.budget import duration
 
-    return "" if seconds is None else f", about {duration(seconds)} left"
+    if seconds is None:
+        return ""
+    return f", {'at most' if ends_early else 'about'} {duration(seconds)} left"
 
 
 @contextmanager
@@ -232,7 +264,8 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
             share = max(task.fields["share"], (task.elapsed or 0.0) / max(whole, 1e-9))
             task.fields["share"] = share
             task.total, task.completed = 1.0, share
-            return Text(_left(left).removeprefix(", "))
+            early = task.fields["ends_early"]
+            return Text(_left(left, ends_early=early).removeprefix(", "))
 
     columns = (
         TextColumn("{task.description}"), Left(), BarColumn(), TextColumn("{task.fields[frames]}"),
@@ -242,16 +275,16 @@ def _bar() -> Iterator[Callable[[Activity], None]]:
         *columns, console=Console(stderr=True), redirect_stdout=False, refresh_per_second=4
     )
     with bar:
-        task = bar.add_task("", total=None, frames="", ends=None, share=0.0)
+        task = bar.add_task("", total=None, frames="", ends=None, share=0.0, ends_early=False)
 
         def show(now: Activity) -> None:
             from gf_usd.pipeline.cost.forecast import COMPILING
 
             ends = None if now.left is None else time.monotonic() + now.left
-            frames = f"frame {now.done}/{now.total}" if now.total else ""
+            frames = _counted(now) if now.total else ""
             what = "(once)" if now.stage == COMPILING else now.what
             said = f"{now.stage} {what}".rstrip()
-            bar.update(task, description=said, ends=ends, frames=frames)
+            bar.update(task, description=said, ends=ends, frames=frames, ends_early=now.ends_early)
 
         yield show
 

@@ -63,15 +63,15 @@ def fit(
         typer.Option(
             metavar="PATH|none",
             help="Picture (.png) of the targets and the fit.",
-            show_default="beside the layer",
+            show_default="NAME.fit.png next to the layer",
         ),
     ] = None,
     evaluations: Annotated[
         str | None,
         typer.Option(
             metavar="FOLDER|none",
-            help="Keep simulations here; a fit that is repeated reads them.",
-            show_default="NAME.fit.runs beside the layer",
+            help="Keep the simulations in this folder, so that a repeated fit can reuse them.",
+            show_default="NAME.fit.runs next to the layer",
         ),
     ] = None,
     max_minutes: Annotated[
@@ -80,20 +80,26 @@ def fit(
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, show_default="the cores, 1 on a GPU", help="Run so many simulations at once."
+            "--jobs",
+            "-j",
+            min=1,
+            show_default="one for each core, 1 on a GPU",
+            help="Run this many simulations at once.",
         ),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a layer and a picture that are there.")
+        bool, typer.Option("--overwrite", help="Replace an existing layer and picture.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and JSON.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print only errors and JSON.")
+    ] = False,
     **options: Any,
 ) -> None:
     """Find the material values with which an asset does what was observed.
 
     Simulates the asset with other values until the targets are met, by least squares, and writes
-    the values with their intervals as a layer. What the targets do not tell is said.
+    the values with their intervals as a layer. Values that the targets do not determine are named.
     """
     from gf_usd.api.materials import prepared_fit
     from gf_usd.fitting.fit import fit as run

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
 
+from gf_usd.cli.renamed import present
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options.option import Option
 from gf_usd.prepare.options.table import OPTIONS
@@ -43,19 +45,19 @@ GROUP_OF = {name: group for group, names in GROUPS.items() for name in names}
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "bake": (
         ("gf-usd bake duck.usda --material rubber", "drop a rubber duck"),
-        ("gf-usd bake duck.usda --material rubber,jelly", "two variants in one file"),
-        ("gf-usd bake duck.usda --dry-run", "what it would cost; writes nothing"),
-        ("gf-usd bake duck.usda --drop 5r --frames 60 -o out/", "higher, longer, elsewhere"),
-        ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "a mesh with holes, in cm"),
+        ("gf-usd bake duck.usda --material rubber,jelly", "both, as variants"),
+        ("gf-usd bake duck.usda --dry-run", "what it would cost"),
+        ("gf-usd bake duck.usda --drop 5r -o out/", "from higher up"),
+        ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "a scan in centimeters"),
     ),
     "fit": (
-        ("gf-usd fit ball.usda --target rebound=0.6", "the stiffness and damping of a bounce"),
-        ("gf-usd fit bar.usda --target film.usda --drop 0", "points that were tracked"),
-        ("gf-usd bake ball.usda --material ball.fit.usda", "bake with what was found"),
+        ("gf-usd fit ball.usda --target rebound=0.6", "from how high it bounces"),
+        ("gf-usd fit bar.usda --target film.usda --drop 0", "from tracked points"),
+        ("gf-usd bake ball.usda --material ball.fit.usda", "bake with the result"),
     ),
     "preview": (
         ("gf-usd preview duck.rubber.usda -o duck.mp4", "a film"),
-        ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "nine frames on a page"),
+        ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "nine frames"),
     ),
 }
 # How a value is written, where a number is not enough said.
@@ -65,7 +67,8 @@ METAVARS = {
     "floor": "HEIGHT|none|X,Y,Z", "pins": "REGION", "velocity": "X,Y,Z", "spin": "X,Y,Z",
     "colliders": "FILE", "material_boxes": "PRESET:BOX",
     "material_labels": "NAME=VALUE:PRESET", "range": "FIRST:LAST", "only": "SHAPES",
-    "loop": "[N|auto]",
+    "loop": "[N|auto]", "frames": "N|rest|rest:N", "fields": "FIELD", "rigid": "REGION",
+    "material_sweep": "NAME=LOW:HIGH:N", "precision": "SHARE|LENGTH", "until": "[NAMES:]SHARE",
     "clamp": "LOW:HIGH|none", "stress_cap": "STRESS|none", "export_ply": "FOLDER",
     "export_spz": "FOLDER", "limits": "LIMITS|none",
 }  # fmt: skip
@@ -80,13 +83,36 @@ def metavar(name: str, kind: type, choices: tuple[str, ...]) -> str | None:
     return METAVARS.get(name) or ("N" if kind is int else "X" if kind is float else "TEXT")
 
 
+# How a value is shown whose option says nothing of it, by the name of its type.
+PLACEHOLDERS = {"path": "PATH", "int": "N", "float": "X", "str": "TEXT", "bool": None}
+
+
+# What typer makes of a default that is said in words, and of a limit that may follow it.
+DEFAULT_IN_WORDS = re.compile(r"\[default: \((.*)\)((?:; [^()]*)?)\]$")
+
+
 class HelpfulCommand(TyperCommand):
     """A command whose help has examples, and options in groups where it has those of a bake."""
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        for param in self.params:
+            if param.metavar is None and param.param_type_name == "argument":
+                many = "..." if param.nargs == -1 else ""
+                param.metavar = f"{param.name}{many}".upper()
+            elif param.metavar is None and not getattr(param, "is_flag", False):
+                param.metavar = PLACEHOLDERS.get(param.type.name.split()[0])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """An option that may stand alone gets the value that this says."""
         known = {flag for param in self.get_params(ctx) for flag in param.opts}
+        args = present(self.name or "", args)
         return super().parse_args(ctx, with_bare_values(args, known))
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """What may stand on the line, without the braces that typer puts around arguments."""
+        words = super().collect_usage_pieces(ctx)
+        return [word.replace("{", "").replace("}", "") for word in words]
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """The examples stand between what a command does and its options."""
@@ -98,10 +124,8 @@ class HelpfulCommand(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Options by group; those of experts are named only, unless they were asked for."""
         params = self.get_params(ctx)
-        if "help_all" not in {param.name for param in params}:
-            super().format_options(ctx, formatter)
-            return
-        for group, rows in self._grouped(ctx, params):
+        grouped = "help_all" in {param.name for param in params}
+        for group, rows in self._grouped(ctx, params) if grouped else self._plain(ctx, params):
             if group != EXPERT or ctx.meta.get(EXPERT):
                 with formatter.section(group):
                     formatter.write_dl(rows)
@@ -111,14 +135,31 @@ class HelpfulCommand(TyperCommand):
                     formatter.write_text(", ".join(flags))
 
     @staticmethod
+    def _plain(ctx: Any, params: Any) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+        for head, kind in (("Arguments", "argument"), ("Options", "option")):
+            mine = [p for p in params if p.param_type_name == kind]
+            rows = [row for p in mine if (row := _row(p, ctx)) is not None]
+            if rows:
+                yield head, rows
+
+    @staticmethod
     def _grouped(ctx: Any, params: Any) -> Iterator[tuple[str, list[tuple[str, str]]]]:
         for group in (*GROUPS, EXPERT):
             mine = [p for p in params if GROUP_OF.get(p.name, EXPERT) == group]
             order = GROUPS.get(group, ())
             mine.sort(key=lambda p: order.index(p.name) if p.name in order else len(order))
-            rows = [row for p in mine if (row := p.get_help_record(ctx)) is not None]
+            rows = [row for p in mine if (row := _row(p, ctx)) is not None]
             if rows:
                 yield group, rows
+
+
+def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
+    """A flag with its value, and its help; a default in words has no second pair of brackets."""
+    record = param.get_help_record(ctx)
+    if record is None:
+        return None
+    flag, words = record
+    return flag, DEFAULT_IN_WORDS.sub(r"[default: \1\2]", words)
 
 
 def with_bare_values(arguments: Sequence[str], known: Collection[str]) -> list[str]:

@@ -22,7 +22,7 @@ def inspect(
 ) -> None:
     """Report what a bake would find: meshes, holes, units, thin parts, time, memory, disk.
 
-    Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same words.
+    Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same message.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
     from gf_usd.system.sandbox import parse_limits

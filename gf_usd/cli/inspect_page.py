@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from gf_usd.cli.console import frames_of
 from gf_usd.geometry.diagnosis import faults
 from gf_usd.prepare.asset_size import size
 
@@ -120,11 +121,12 @@ def _body(console: Console, seen: Inspection) -> None:
     if plan is None or cost is None:
         return
     p, s = plan.particles, plan.settings
+    told = {"frames": s.frames, **cost}
     contact = cost["first_contact_frame"]
     falls = f"first contact at frame {contact}" if contact is not None else "no contact"
     console.print(
         f"\n{len(p)} particles, {_length(p.spacing)} apart, fill {_volume(p.volume)}"
-        f" (a ball of radius {_length(p.radius)}); {s.frames} frames at {s.fps:g} fps,"
+        f" (a ball of radius {_length(p.radius)}); {frames_of(told)} at {s.fps:g} fps,"
         f" falls {_length(plan.drop)}, {falls}"
     )
     if (thick := seen.thickness) is not None:
@@ -134,11 +136,15 @@ def _body(console: Console, seen: Inspection) -> None:
         )
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("material")
-    for title in ("substeps a frame", "time about", "memory about", "disk about"):
+    early = cost["ends_early"]
+    times = ("usual time", "time at most") if early else ("time about",)
+    disk = "disk at most" if early else "disk about"
+    for title in ("substeps a frame", *times, "memory about", disk):
         table.add_column(title, justify="right")
     for row in cost["per_material"]:
         table.add_row(
-            escape(row["name"]), str(row["substeps_per_frame"]), _duration(row["seconds"]),
+            escape(row["name"]), str(row["substeps_per_frame"]),
+            *((_duration(row["usual_seconds"]),) if early else ()), _duration(row["seconds"]),
             amount(row["memory_bytes"]), amount(row["disk_bytes"]),
         )  # fmt: skip
     console.print(table)

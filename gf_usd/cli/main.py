@@ -34,7 +34,7 @@ from gf_usd.cli.preview import preview, thumbnails
 from gf_usd.cli.report import report, view
 from gf_usd.cli.retime import retime
 from gf_usd.cli.serve import serve
-from gf_usd.cli.topics import topic
+from gf_usd.cli.topics import TOPICS, topic
 from gf_usd.cli.verify import verify
 from gf_usd.cli.worker import follow, forked_readers, make_ready
 from gf_usd.core import __version__
@@ -44,23 +44,23 @@ from gf_usd.system.processes import end_with_parent
 STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
-    "bake": (bake, {}),
-    "batch": (batch, {}),
-    "serve": (serve, {}),
-    "inspect": (inspect, {}),
-    "inputs": (inputs, {}),
-    "preview": (preview, {}),
-    "report": (report, {}),
-    "deliver": (deliver, {}),
-    "retime": (retime, {}),
-    "view": (view, {}),
-    "check": (check, {}),
-    "compare": (compare, {}),
-    "fit": (fit, {}),
-    "verify": (verify, {}),
-    "materials": (materials, {}),
-    "schema-path": (schema_path, {}),
-    "help": (topic, {}),
+    "bake": (bake, {"short_help": "Turn an asset into a soft body and write its motion."}),
+    "batch": (batch, {"short_help": "Bake many assets and materials, in parallel."}),
+    "serve": (serve, {"short_help": "Keep processes ready for bakes of other programs."}),
+    "inspect": (inspect, {"short_help": "Report what a bake would find, and what it would cost."}),
+    "inputs": (inputs, {"short_help": "List every file that an asset consists of."}),
+    "preview": (preview, {"short_help": "Draw a picture, a contact sheet or a film."}),
+    "report": (report, {"short_help": "Write an HTML page with the motion and its curves."}),
+    "deliver": (deliver, {"short_help": "Write a bake as joints or blend shapes (usdz, glTF)."}),
+    "retime": (retime, {"short_help": "Write a bake at another speed, without simulating."}),
+    "view": (view, {"short_help": "Play the motion in a window."}),
+    "check": (check, {"short_help": "Check a USD file; every finding says how to fix it."}),
+    "compare": (compare, {"short_help": "Measure how far two motions are apart."}),
+    "fit": (fit, {"short_help": "Find the material values that reproduce a motion."}),
+    "verify": (verify, {"short_help": "Compare the solver with closed forms and references."}),
+    "materials": (materials, {"short_help": "List the material presets."}),
+    "schema-path": (schema_path, {"short_help": "Print the folder of the USD schema."}),
+    "help": (topic, {"short_help": "Explain a topic or a command."}),
     "thumbnails": (thumbnails, {"hidden": True}),
 }
 
@@ -86,7 +86,7 @@ def program(
     """The command line with these commands; defaults : of the options of each, by its name."""
     made = typer.Typer(
         name="gf-usd",
-        help="Make any USD or mesh asset soft, without touching it.",
+        help="Turn USD and mesh assets into soft bodies; the files themselves stay as they are.",
         no_args_is_help=True,
         rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
         pretty_exceptions_enable=False,
@@ -129,6 +129,8 @@ def execute(arguments: Sequence[str]) -> int:
 
     An expected error is said on stderr, never as a traceback.
     """
+    if len(arguments) == 2 and arguments[0] == "help" and arguments[1] in {*COMMANDS} - {*TOPICS}:
+        arguments = (arguments[1], "--help")
     asked = arguments[:1]
     # Typer goes through the options of all the commands it knows before it runs one.
     chosen = asked if asked and asked[0] in COMMANDS else COMMANDS

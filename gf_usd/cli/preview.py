@@ -45,7 +45,6 @@ def preview(
             show_default="the whole motion, each frame of playback",
         ),
     ] = None,
-    old_frames: Annotated[str | None, typer.Option("--frames", hidden=True)] = None,
     show: Annotated[
         str | None,
         typer.Option(
@@ -102,7 +101,6 @@ def preview(
         str,
         typer.Option(
             "--color",
-            "--colour",
             metavar="none|strain|elastic|plastic|stress",
             help="Color by the largest |stretch - 1| (strain), its elastic or plastic part (of a"
             " bake with --internal) or the von Mises stress (of a bake with --stress); none"
@@ -119,11 +117,8 @@ def preview(
             show_default="0 to what 99 % of the particles stay below in every frame",
         ),
     ] = None,
-    old_limits: Annotated[str | None, typer.Option("--range", hidden=True)] = None,
 ) -> None:
     """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
-    # until 1.0: other commands call these otherwise
-    frames, limits = frames or old_frames, limits or old_limits
     quantity = None if color == "none" else color
     options = read_options(
         output or Path(f"{stage.stem}.png"),

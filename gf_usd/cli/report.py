@@ -14,7 +14,9 @@ from gf_usd.api.report import default_page, write, write_splats
 
 
 def report(
-    baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
+    baked: Annotated[
+        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any moving USD file.")
+    ],
     output: Annotated[
         Path | None,
         typer.Option(
@@ -28,7 +30,6 @@ def report(
         str | None,
         typer.Option(
             "--variant",
-            "--look",
             metavar="NAME",
             help="Show this variant only.",
             show_default="all, with a switch between them",
@@ -62,12 +63,13 @@ def report(
 
 
 def view(
-    baked: Annotated[Path, typer.Argument(help="Root layer of a bake, or any moving USD file.")],
+    baked: Annotated[
+        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any moving USD file.")
+    ],
     variant: Annotated[
         str | None,
         typer.Option(
             "--variant",
-            "--look",
             metavar="NAME",
             help="Show this variant.",
             show_default="the one selected in the file",

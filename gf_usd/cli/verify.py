@@ -15,20 +15,28 @@ if TYPE_CHECKING:
 
 def verify(
     case: Annotated[
-        list[str] | None, typer.Option(help="Name of a case, repeatable.", show_default="all")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Run this case only; repeatable.", show_default="all"),
     ] = None,
     full: Annotated[
-        bool, typer.Option("--full", help="Finer and longer: half an hour in place of a minute.")
+        bool,
+        typer.Option("--full", help="Run at higher resolution: half an hour in place of a minute."),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    device: Annotated[
+        str, typer.Option(metavar="cpu|cuda", help="Compute on the CPU, or on a GPU with CUDA.")
+    ] = "cpu",
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, show_default="the cores, 1 on a GPU", help="Run so many cases at once."
+            "--jobs",
+            "-j",
+            min=1,
+            show_default="one for each core, 1 on a GPU",
+            help="Run this many cases at once.",
         ),
     ] = None,
-    show: Annotated[bool, typer.Option("--list", help="Show the cases and run none.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the cases, and run none.")] = False,
 ) -> None:
     """Run the solver against closed forms and published numbers.
 

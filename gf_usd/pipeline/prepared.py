@@ -17,6 +17,7 @@ from gf_usd.pipeline.cost.budget import (
     duration,
     estimate,
     first_contact,
+    usual_rest,
 )
 from gf_usd.pipeline.cost.forecast import (
     FILLING,
@@ -57,6 +58,8 @@ class Prepared:
         setup = plan.contact_setup
         samples = plan.settings.samples_per_frame
         surfaces = plan.asset.surfaces
+        contact = None if pushed(plan) else first_contact(plan.settings, plan.drop)
+        ends = plan.choices.until_rest or plan.choices.settled
         return estimate(
             plan.settings,
             plan.materials,
@@ -65,11 +68,18 @@ class Prepared:
             vertices=sum(len(s.points if s.splats is None else s.splats) for s in surfaces),
             paired=len(plan.samples.X) if setup and setup.any else 0,
             frame_bytes=plan.frame_bytes,
-            first_contact=None if pushed(plan) else first_contact(plan.settings, plan.drop),
+            first_contact=contact,
             flying=flying(plan),
             fall=0.0 if plan.held or plan.goals else max(0.0, plan.drop),
             damping=[self.solvers.damping(variant) for variant in plan.variants],
             crowd=bool(setup and (setup.colliders or len(setup.skins) > 1)),
+            usual=[
+                usual_rest(plan.settings, material, plan.particles.radius, contact)
+                for material in plan.materials
+            ]
+            if ends
+            else (),
+            ends_early=ends or plan.until_periodic,
         )
 
 

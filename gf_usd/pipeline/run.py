@@ -247,6 +247,7 @@ def _run_variant(
     stages.begin(
         SIMULATING, variant.name,
         done=number * total, total=total * len(plan.materials), left=forecast.left,
+        ends_early=prepared.cost["ends_early"],
     )  # fmt: skip
     splats = splat_deformer(plan, variant)
     solver = prepared.solvers.take(variant)

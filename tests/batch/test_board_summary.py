@@ -25,7 +25,9 @@ def test_what_needs_a_look_comes_first() -> None:
 
 def test_the_command_names_just_those() -> None:
     asked = ["gf-usd", "batch", "my toys.toml"]
-    assert again(asked, ENDS) == ("gf-usd batch 'my toys.toml' --only d --only c --only 'f b'")
+    assert again(asked, ENDS) == (
+        "gf-usd batch 'my toys.toml' --select d --select c --select 'f b'"
+    )
     assert again(asked, [o for o in ENDS if o.good]) == ""
     many = [outcome(f"j{i}", "failed") for i in range(21)]
     assert again(asked, many) == "gf-usd batch 'my toys.toml' --failed"

@@ -56,7 +56,7 @@ def page(folder: Path) -> str:
                 seconds=3.25, cpu_seconds=3.0, peak_memory=300_000_000, particles=120, frames=4),
         outcome("bad", "crashed", message=NASTY, hint="fewer at once", log="SIGSEGV", attempts=2),
     ]  # fmt: skip
-    entry = {"repeat": "gf-usd batch x --only bad", "seconds": 5.0, "finished": "now"}
+    entry = {"repeat": "gf-usd batch x --select bad", "seconds": 5.0, "finished": "now"}
     return build_page(plan, ends, entry, {root: "too dark"})
 
 
@@ -72,7 +72,7 @@ def test_failures_are_on_top_with_why_and_what_to_do(tmp_path: Path) -> None:
     numbers = good[1][3:]
     assert numbers == ["1", "2", "", "0.50", "1.0e-05", "120", "4", "", "3.2", "3.0", "300", "1"]
     assert "One job needs a look" in text
-    assert "gf-usd batch x --only bad" in text
+    assert "gf-usd batch x --select bad" in text
     assert "1 were not run yet: never" in text
 
 

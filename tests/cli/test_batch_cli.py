@@ -57,7 +57,7 @@ def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     assert kinds.count("frame") >= 4
     assert "cut.usda is damaged" in first.err
     repeat = f"gf-usd batch '{assets / '*.usda'}' -m rubber,jelly --particles 150 --frames 2 -o out"
-    assert f"{repeat} --json -q --only cut.jelly --only cut.rubber" in first.err
+    assert f"{repeat} --json -q --select cut.jelly --select cut.rubber" in first.err
     out = here / "out"
     assert {"out.batch.html", "out.batch.json", "block.jelly.job.json"} <= set(names(out))
     assert check_file(out / "block.jelly.usda").ok
@@ -187,7 +187,7 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
         (("a.usda", "--set", "seed"), "--set seed: there is no value"),
         (("a.usda", "--set", "speed=1"), "no option 'speed'"),
         (("a.usda", "--seed", "a"), "'a' is no int"),
-        (("a.usda", "--only", "b"), "no job is called b"),
+        (("a.usda", "--select", "b"), "no job is called b"),
         (("a.usda", "--slice", "2"), "a.rubber: --slice counts value clips"),
         (("a.usda", "--part", "1/2"), "--part 1/2 is given without --slice"),
         (("a.usda", "--path-mapping", "x.json"), "--path-mapping goes with"),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from gf_usd.cli.console import Lines, Spent
+from gf_usd.cli.console import Lines, Spent, disk_of, frames_of, time_of
 from gf_usd.pipeline.cost.forecast import (
     CHECKING,
     COMPILING,
@@ -45,6 +47,23 @@ def test_each_stage_has_a_line_and_every_tenth_of_the_frames() -> None:
         "simulating rubber: frame 100/100, about 0 s left",
         "checking",
     ]
+
+
+def test_a_bake_that_ends_at_rest_has_frames_and_time_at_most() -> None:
+    said: list[str] = []
+    lines = Lines(said.append, Clock())
+    lines(replace(frame(10), ends_early=True))
+    assert said == ["simulating rubber: frame 10 of at most 100, at most 40 s left"]
+    told = {
+        "frames": 100, "usual_frames": 60, "estimated_seconds": 50.0, "usual_seconds": 30.0,
+        "estimated_bytes": 2e6, "ends_early": True,
+    }  # fmt: skip
+    assert frames_of(told) == "at most 100 frames (usually about 60)"
+    assert time_of(told) == "about 30 s, at most 50 s"
+    assert disk_of(told) == "at most 2 MB"
+    told |= {"ends_early": False}
+    assert (frames_of(told), time_of(told)) == ("100 frames", "about 50 s")
+    assert disk_of(told) == "about 2 MB"
 
 
 def test_what_takes_long_is_said_again() -> None:

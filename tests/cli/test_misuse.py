@@ -103,7 +103,7 @@ check no.usda
 preview
 preview no.usda
 preview {asset} --size big
-preview {asset} --frames x:y
+preview {asset} --time-codes x:y
 preview {asset} --color heat
 preview {asset} --show bones
 report

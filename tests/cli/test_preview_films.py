@@ -72,7 +72,7 @@ def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
 
 
 def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
-    done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--frames", "1:3:0.25")
+    done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--time-codes", "1:3:0.25")
     # a quarter of a time code at 24 a second are 96 frames a second: every second one is kept
     assert "at most 50 frames a second: 48 are kept" in done.output
     with Image.open(tmp_path / "a.gif") as film:
@@ -158,7 +158,7 @@ def test_a_bake_in_colors_has_a_legend_beside_the_body(gf_usd, here, block):
     done = gf_usd("bake", block, "--particles", 300, "--frames", 8, "--drop", 0, "--stress", "-q")
     assert done.status == 0, done.err
     pictures = {}
-    for color, more in (("none", ()), ("strain", ()), ("stress", ("--range", "0:1e3"))):
+    for color, more in (("none", ()), ("strain", ()), ("stress", ("--color-range", "0:1e3"))):
         out = here / f"{color}.png"
         words = ("--color", color, *more, "--size", "320x240")
         done = gf_usd("preview", here / "block.rubber.usda", "-o", out, "--frame", 105, *words)

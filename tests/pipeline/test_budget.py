@@ -17,7 +17,13 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.materials.material import Material
 from gf_usd.geometry.skinning import KEPT_BYTES
 from gf_usd.pipeline.cost import budget
-from gf_usd.pipeline.cost.budget import PAIR_SECONDS, Solvers, duration, require_affordable
+from gf_usd.pipeline.cost.budget import (
+    PAIR_SECONDS,
+    Solvers,
+    duration,
+    require_affordable,
+    usual_rest,
+)
 from gf_usd.pipeline.prepared import Prepared
 from gf_usd.prepare.outputs import outputs
 from gf_usd.prepare.plan import Plan, Variant
@@ -68,6 +74,23 @@ def test_substeps_grow_with_the_root_of_stiffness(plan: Plan) -> None:
     steps = [cost(p)["per_material"][0]["substeps_per_frame"] for p in made]
     # whole numbers of hundreds and more
     assert [b / a for a, b in pairwise(steps)] == pytest.approx([10.0, 10.0], rel=0.01)
+
+
+def test_a_bake_that_ends_at_rest_has_a_usual_cost_besides_that_of_all_frames(plan: Plan) -> None:
+    whole = cost(plan)
+    assert not whole["ends_early"]
+    assert whole["usual_seconds"] == whole["estimated_seconds"]
+    endless = replace(plan.settings, frames=10**6)
+    usual = usual_rest(endless, plan.materials[0], plan.particles.radius, 0)
+    long = replace(endless, frames=4 * usual)
+    until = replace(plan, settings=long, choices=replace(plan.choices, until_rest=True))
+    both = cost(until)
+    assert both["ends_early"]
+    assert both["usual_frames"] < long.frames / 3
+    # the usual cost is that of a bake of so many frames: both have what is spent once, and rounding
+    short = cost(replace(plan, settings=replace(long, frames=both["usual_frames"])))
+    assert both["usual_seconds"] == pytest.approx(short["estimated_seconds"], rel=1e-9)
+    assert both["estimated_seconds"] > short["estimated_seconds"]
 
 
 def test_what_more_work_costs(plan: Plan) -> None:

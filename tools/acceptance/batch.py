@@ -98,7 +98,7 @@ def openjd(folder: Path, seeds: int) -> list[Claim]:
     """Check, run, SIGTERM, kill, run again."""
     claim = Claims("OpenJD")
     out, bundle, good = folder / "out", folder / "bundle", 9 * seeds
-    words = [manifest(folder, seeds, 1), "--out", out, "--openjd", bundle, "--chunk", CHUNK]
+    words = [manifest(folder, seeds, 1), "--output", out, "--openjd", bundle, "--chunk", CHUNK]
     subprocess.run(
         [sys.executable, "-m", "gf_usd", "batch", *map(str, words)], check=True, cwd=ROOT
     )
@@ -155,7 +155,7 @@ def local(folder: Path, seeds: int) -> list[Claim]:
     out = folder / "out"
     asked = manifest(folder, seeds, 2)
     good = 9 * seeds
-    words = [asked, "--out", out]
+    words = [asked, "--output", out]
     with tmpfs(out, SMALL) as enlarge:
         first = run(words, lambda r, e: _full_disk_kill_and_term(r, e, out, enlarge))
         disk = [e for e in first.ended("failed") if "space" in json.dumps(e)]
@@ -220,7 +220,7 @@ def dask(folder: Path, seeds: int) -> list[Claim]:
     """A scheduler and two workers."""
     claim = Claims("Dask")
     out = folder / "out"
-    words = [manifest(folder, seeds, 1), "--out", out, "--scheduler", f"tcp://127.0.0.1:{PORT}"]
+    words = [manifest(folder, seeds, 1), "--output", out, "--scheduler", f"tcp://127.0.0.1:{PORT}"]
     good = 9 * seeds
     with cluster(folder, PORT) as workers:
 

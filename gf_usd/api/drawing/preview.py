@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from gf_usd.api.host.guest import here_or_away
 from gf_usd.core.errors import UsageError
 from gf_usd.prepare.options import values
 
+T = TypeVar("T")
+# (first, last) or (first, last, step)
+TimeCodes = tuple[float | None, float | None] | tuple[float | None, float | None, float] | None
 Show = Literal["mesh", "splats", "gaussians", "ellipsoids", "points", "both"]
 SHOWN = ("mesh", "splats", "gaussians", "ellipsoids", "points", "both")
 COLORS = ("strain", "elastic", "plastic", "stress")
@@ -50,9 +54,7 @@ def preview(
     output: str | os.PathLike[str] | None = None,
     *,
     frame: float | None = None,
-    frames: tuple[float | None, float | None]
-    | tuple[float | None, float | None, float]
-    | None = None,
+    time_codes: TimeCodes = None,
     show: Show | None = None,
     size: tuple[int, int] | None = None,
     sheet: int | None = None,
@@ -61,8 +63,10 @@ def preview(
     camera: str | None = None,
     variant: str | None = None,
     color: Literal["strain", "elastic", "plastic", "stress"] | None = None,
-    range: tuple[float, float] | None = None,
+    color_range: tuple[float, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    frames: TimeCodes = None,
+    range: tuple[float, float] | None = None,
 ) -> Preview:
     """Draw a stage on the CPU and without a window.
 
@@ -75,21 +79,22 @@ def preview(
     output : picture (.png) or film (.mp4, .gif); a file of that name is replaced.  None: the
         picture is returned and nothing is written.
     frame : time code of a single picture; None: the first of the stage.
-    frames : (first, last) or (first, last, step), time codes of a film or a sheet, the last one
+    time_codes : (first, last) or (first, last, step), time codes of a film or a sheet, the last one
         included, None where it is open; None: the whole motion.
     show : mesh, splats (captured Gaussians), gaussians, ellipsoids (one standard deviation), points
         or both (mesh and gaussians); None: the first of mesh, splats, gaussians, points there is.
     size : (width, height) [pixels]; of one tile for a sheet.
     sheet : number of frames of a contact sheet, spread by how much moves between them, or evenly
-        over `frames`; columns : of the sheet.
+        over `time_codes`; columns : of the sheet.
     fps : frames per second of the film; None: real time.
     camera : path of a camera in the stage; None: one that is fitted to the whole motion.
     variant : of a bake: one of its materials, or "none" for the asset itself; None: the one that
         the file selects.
     color : strain (largest |stretch - 1|), elastic or plastic (its parts, of a bake with internal),
         or stress (von Mises, of a bake with stress); None: the asset's own colors.
-    range : (low, high) of the colors, a pure number for strains, [Pa] for stress.
+    color_range : (low, high) of the colors, a pure number for strains, [Pa] for stress.
     progress : called after each frame of a film with (frames done, frames in all).
+    frames, range : former names of `time_codes` and `color_range`, which work until 1.0.
 
     Returns
     -------
@@ -102,8 +107,10 @@ def preview(
     """
     with keywords(
         "frame", "show", "size", "sheet", "columns", "fps", "camera", "variant", "color",
-        time_codes="frames", color_range="range",
+        "time_codes", "color_range",
     ):  # fmt: skip
+        codes = _renamed("frames", frames, "time_codes", time_codes)
+        limits = _renamed("range", range, "color_range", color_range)
         target = None if output is None else Path(values.path("output", output))
         for name, value in (("frame", frame), ("fps", fps)):
             if value is not None:
@@ -123,12 +130,12 @@ def preview(
             target or UNWRITTEN,
             size=None if size is None else _joined("size", size, "x", (2,)),
             frame=frame,
-            frames=None if frames is None else _joined("frames", frames, ":", (2, 3)),
+            frames=None if codes is None else _joined("time_codes", codes, ":", (2, 3)),
             sheet=sheet,
             columns=columns,
             fps=fps,
             color=color,
-            limits=None if range is None else _joined("range", range, ":", (2,)),
+            limits=None if limits is None else _joined("color_range", limits, ":", (2,)),
         )
         asked = {
             "path": asset_path(path), "options": options, "show": show, "camera": camera,
@@ -136,6 +143,17 @@ def preview(
         }  # fmt: skip
         task = "gf_usd.api.drawing.preview:draw"
         return here_or_away(task, asked, progress, schema=False)[0]
+
+
+def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:
+    """The value of a keyword that may have been given by its former name."""
+    if old is None:
+        return new
+    if new is not None:
+        raise UsageError(f"{name} and {former} mean the same", f"leave {former} out")
+    words = f"{former} is called {name} now; the old name works until 1.0"
+    warnings.warn(words, FutureWarning, stacklevel=3)  # the line that calls `preview`
+    return old
 
 
 def _joined(name: str, value: Any, sign: str, counts: tuple[int, ...]) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 
 from gf_usd.core.errors import InputError, OutOfResources
 from gf_usd.core.frames import Settings, written
+from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
 from gf_usd.prepare.plan import Variant
@@ -89,6 +90,11 @@ PARTICLE_SECONDS = 3e-5  # sample a particle and place it on the grid, once
 VERTEX_SECONDS = 3e-5  # weld, measure and embed a vertex, once
 # [s] of a frame, of a particle and of a vertex in it: skin, Gaussians, health, files
 FRAME_SECONDS = (5e-3, 7e-6, 7e-6)
+# T from the first contact until bodies are usually at rest, by whether their law flows.  Within a
+# factor of two of the duck of 400 particles with eleven presets (`gf-usd bake samples/duck.usda
+# --particles 400 --material NAME`: 25 to 54 T for six that do not flow, 7 to 20 T for five that
+# do), and of the duck and balls of 8,000 particles (33 to 90 T, docs/guide.md).
+RESTS = {False: 45.0, True: 12.0}
 CHECK_SECONDS = 0.1  # of those of the frames, once they are simulated
 PAIR_SECONDS = (6e-9, 1.5e-9)  # of a vertex and a particle under the paper's skin; weights kept
 # [s] of a substep, for each contact sample where several bodies or obstacles meet: in the mean of
@@ -115,6 +121,8 @@ def estimate(
     fall: float = 0.0,
     crowd: bool = True,
     damping: Sequence[float] = (),
+    usual: Sequence[int] = (),
+    ends_early: bool = False,
 ) -> dict[str, Any]:
     """Substeps, seconds, disk and memory of each material and in all; frame of first contact.
 
@@ -129,6 +137,9 @@ def estimate(
     flying : frames at the start without substeps; fall : [m] that bodies fall before they land.
     crowd : several bodies or obstacles meet.
     damping : ratio of each material, of `Solvers.damping`; (): not known.
+    usual : frames of each material after which a bake that ends at rest usually ends, of
+        `usual_rest`; its seconds are then told besides those of all frames.  (): all frames.
+    ends_early : the frames are as many as there may be, not as many as there will be.
     """
     from gf_usd.geometry.skinning import KEPT_BYTES
 
@@ -150,7 +161,8 @@ def estimate(
     moving = max(0, frames - 1 - flying)
     rows = []
     ratios = damping or [0.0] * len(materials)
-    for material, count, ratio in zip(materials, substeps, ratios, strict=True):
+    ends = [min(frames, one) for one in usual] or [frames] * len(materials)
+    for material, count, ratio, last in zip(materials, substeps, ratios, ends, strict=True):
         many = float(count)
         if not settings.substeps:
             many *= strained(material, settings, fall) * (CROWD if paired and crowd else 1.0)
@@ -158,6 +170,8 @@ def estimate(
         end = CHECK_SECONDS * frames * samples * frame
         seconds = start + LAW_SECONDS + PARTICLE_SECONDS * n + end
         seconds += frames * samples * frame + moving * work
+        less = (1.0 - last / frames) * (frames * samples * frame + end)
+        less += (moving - max(0, last - 1 - flying)) * work
         rows.append(
             {
                 "name": material.name,
@@ -170,6 +184,7 @@ def estimate(
                 "moving_seconds": frame + work / samples,
                 "end_seconds": end,
                 "seconds": float(seconds),
+                "usual_seconds": float(seconds - less),
                 "disk_bytes": int(disk),
                 "memory_bytes": int(memory),
             }
@@ -179,6 +194,9 @@ def estimate(
     return {
         "substeps_per_frame": {row["name"]: row["substeps_per_frame"] for row in rows},
         "estimated_seconds": sum(row["seconds"] for row in rows) - shared,
+        "usual_seconds": sum(row["usual_seconds"] for row in rows) - shared,
+        "ends_early": ends_early,
+        "usual_frames": max(ends),
         "estimated_bytes": sum(row["disk_bytes"] for row in rows),
         "estimated_memory_bytes": int(memory),
         "first_contact_frame": first_contact,
@@ -208,6 +226,17 @@ def first_contact(settings: Settings, drop: float) -> int | None:
     height = max(0.0, drop) * float(np.dot(settings.normal, settings.up))
     frame = int(np.ceil(np.sqrt(2.0 * height / g) * settings.fps / settings.time_scale))
     return frame if frame < settings.frames else None
+
+
+def usual_rest(settings: Settings, material: Material, radius: float, contact: int | None) -> int:
+    """Frames until bodies of a material are usually at rest.
+
+    radius : [m] of a ball of their volume; contact : frame of the first contact, None: the first.
+    """
+    after = (
+        RESTS[LAWS[material.law].flows] * time_scale(radius) * settings.fps / settings.time_scale
+    )
+    return min(settings.frames, (contact or 0) + math.ceil(after) + 1)
 
 
 Cost = Mapping[str, Any]  # of `estimate`

@@ -43,6 +43,7 @@ class Activity:
     done: int = 0  # frames of all variants
     total: int = 0
     left: float | None = None  # [s] until the end of the bake; None: not known yet
+    ends_early: bool = False  # total and left are the most that it may take
 
 
 Watch = Callable[[Activity], None]

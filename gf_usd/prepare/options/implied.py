@@ -51,9 +51,10 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
             notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
         if request.solver == "ul":
             raise UsageError(
-                f"{path}: --solver ul does not know obstacles, and {counted}:"
-                f" <{obstacles[0].path}>",
-                "use --solver tl",
+                f"{path}: --solver ul, which sand, pastes and liquids need, does not know"
+                f" obstacles, and {counted}: <{obstacles[0].path}>",
+                "use --solver tl with a material that does not flow without end, or remove the"
+                " obstacles from a copy of the stage",
             )
     for name in ("seed", "solver"):
         if getattr(request, name) is None:

@@ -94,14 +94,14 @@ class RequestOptions:
         above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Seed the random places of --preset paper with this; no other sampling is"
+        PARTICLES, "Random seed of the particle positions of --preset paper; nothing else is"
         " random.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | str | None, Option(
-        TIME, "Simulate this many frames, at --fps; rest: until everything is at rest, and rest:480"
-        " 480 frames at most.",
-        shown="rest, 108.8 T of the body at most; 13.6 T with pins, fields or nothing below",
+        TIME, "Simulate this many frames, at --fps. rest: until everything is at rest; rest:480:"
+        " the same, for at most 480 frames.",
+        shown="rest, for at most 108.8 T of the body; 13.6 T with pins, fields or nothing below",
         noun="number of frames",
         parse=texts.parse_frames, commands=INSPECT, write=values.frames,
     )] = None
@@ -119,8 +119,8 @@ class RequestOptions:
         shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
     settle_only: Annotated[bool, Option(
-        TIME, "Simulate until everything is at rest, --frames at most, and write that pose alone,"
-        " without time samples.",
+        TIME, "Simulate until everything is at rest, for at most --frames, and write only that"
+        " pose, without time samples.",
     )] = False
     drop: Annotated[float | str | None, Option(
         SCENE, "Let the body fall from this height [stage units], or in radii of the body: 3r.",
@@ -128,14 +128,14 @@ class RequestOptions:
         parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
-        SCENE, "Apply this gravity [m/s^2], downward, or along a vector x,y,z; or that of a .csv or"
-        " .txt file with a time code and such numbers in each line.",
+        SCENE, "Apply this gravity [m/s^2]: downward, along a vector x,y,z, or as of a .csv or"
+        " .txt file with a time code and the gravity on each line.",
         shown="9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
     fields: Annotated[str | Sequence[str], Option(
-        SCENE, "Push besides gravity [m/s^2]; repeatable: wind:X,Y,Z, radial:A:at=X,Y,Z (A below 0"
-        " pulls) or noise:A:length=L:rate=R. With at=X,Y,Z and radius=R it falls off around a place"
-        " [stage units].",
+        SCENE, "Add a field of acceleration [m/s^2]; repeatable: wind:X,Y,Z, radial:A:at=X,Y,Z (A"
+        " below 0 pulls) or noise:A:length=L:rate=R. With at=X,Y,Z and radius=R it falls off"
+        " around that point [stage units].",
         shown="none", write=values.fields,
     )] = ()
     floor: Annotated[Floor | None, Option(
@@ -158,17 +158,17 @@ class RequestOptions:
         shown="none", commands=INSPECT, write=values.paths,
     )] = ()
     drag: Annotated[float | None, Option(
-        SCENE, "Slow all motion down by this drag [1/s], as air does.",
+        SCENE, "Slow all motion down with this drag [1/s], as air does.",
         shown="0", low=0.0, high=1e6,
     )] = None
     rolling_resistance: Annotated[float | None, Option(
-        SCENE, "Coefficient of rolling resistance on floor and obstacles: its moment over that of"
-        " the weight at an arm of one radius.",
+        SCENE, "Coefficient of rolling resistance on the floor and on obstacles: the moment that"
+        " opposes rolling, divided by weight and radius.",
         shown="0.05; 0 with --preset paper", low=0.0, high=1.0,
     )] = None
     no_settling: Annotated[bool, Option(
-        SCENE, "Leave out the damping by which bounces of less than half a radius and motion too"
-        " small to be seen come to an end.",
+        SCENE, "Turn off the damping that ends bounces of less than half a radius and motion too"
+        " small to see.",
     )] = False
     device: Annotated[Literal["cpu", "cuda"], Option(
         METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),
@@ -177,10 +177,10 @@ class RequestOptions:
         METHOD, "Use this many CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
-        SCENE, "Region that is held, or moves as the asset's animation does; repeatable. A"
+        SCENE, "Region to hold still, or to move with the asset's animation; repeatable. A"
         " GeomSubset, a mesh or a prim above meshes, box:x0,y0,z0,x1,y1,z1 [stage units],"
-        " paint:PRIMVAR for the faces with a painted weight of 0.5 and more, or joint:NAME for"
-        " those that follow a joint as much.",
+        " paint:PRIMVAR for the faces with a painted weight of at least 0.5, or joint:NAME for"
+        " the faces with at least that weight on a joint.",
         shown="nothing", write=values.pins,
     )] = ()
     rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
@@ -195,33 +195,34 @@ class RequestOptions:
         commands=INSPECT,
     )] = False
     bone_radius: Annotated[float | None, Option(
-        SCENE, "Radius of the cores of --flesh, over the distance from bone to skin.",
+        SCENE, "For --flesh: radius of the rigid cores around the bones, as a share of the"
+        " distance from bone to skin.",
         shown="0.5", low=0.05, high=1.0,
     )] = None
     goal_frequency: Annotated[float | None, Option(
-        SCENE, "Frequency [Hz] of springs that draw the flesh of --flesh to the skinned pose.",
+        SCENE, "For --flesh: frequency [Hz] of springs that pull the flesh to the skinned pose.",
         shown="4 where a goal is painted, else no springs", above_zero=True,
     )] = None
     goal_damping: Annotated[float | None, Option(
         SCENE, "Damping ratio of these springs; 1 is critical.", shown="0.5", low=0.0, high=100.0,
     )] = None
     squish: Annotated[float | None, Option(
-        SCENE, "Least distance from flesh of --flesh to its bone, over that at rest.",
+        SCENE, "For --flesh: smallest distance from flesh to bone, relative to that at rest.",
         shown="no limit", low=0.05, high=0.95,
     )] = None
     stretch: Annotated[float | None, Option(
-        SCENE, "Largest way of flesh of --flesh from its skinned pose, over its distance to the"
-        " bone at rest.",
+        SCENE, "For --flesh: largest distance of flesh from its skinned pose, relative to its"
+        " distance from the bone at rest.",
         shown="no limit", low=0.05, high=10.0,
     )] = None
     preroll: Annotated[int | None, Option(
-        SCENE, "Frames of --flesh that lead from the bind pose to the first pose; they are"
-        " simulated and not written.",
-        shown="as many as keep accelerations below that of gravity, at least a second", low=1,
+        SCENE, "For --flesh: frames that lead from the bind pose to the first pose; they are"
+        " simulated but not written.",
+        shown="enough to keep accelerations below that of gravity, and at least one second", low=1,
     )] = None
     loop: Annotated[bool | int | str | None, Option(
-        SCENE, "Repeat the animation of --flesh, a cycle, this many times and write the last one;"
-        " without a number, or with auto, until it is periodic.",
+        SCENE, "For --flesh: repeat a cyclic animation this many times and write the last cycle;"
+        " without a number, or with auto, repeat until the motion is periodic.",
         shown="1", parse=texts.parse_loop, write=values.repeats, bare=texts.AUTO,
     )] = None
     combine: Annotated[bool, Option(
@@ -229,7 +230,7 @@ class RequestOptions:
     )] = False
     self_contact: Annotated[bool | None, Option(
         SCENE, "Let bodies collide with themselves.",
-        shown="yes, but for nearly convex bodies; no with --preset paper and --solver ul",
+        shown="yes, except for nearly convex bodies; no with --preset paper and --solver ul",
     )] = None
     damping_time: Annotated[float | None, Option(
         MATERIAL, "Damp vibrations with this Kelvin-Voigt time [s]; more is calmer, and takes"
@@ -264,8 +265,9 @@ class RequestOptions:
         shown="none", parse=parse_sweep, write=values.sweep,
     )] = None
     mass_scaling: Annotated[float | None, Option(
-        MATERIAL, "Divide the elastic moduli of materials that flow by this: steps grow by its"
-        " root, as with so many times the mass and strength.", shown="1", low=1.0, high=1e6,
+        MATERIAL, "Divide the elastic moduli of materials that flow by this number; time steps"
+        " grow with its square root, as they would with more mass and strength.",
+        shown="1", low=1.0, high=1e6,
     )] = None
     filter_rate: Annotated[float | None, Option(
         METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
@@ -301,13 +303,13 @@ class RequestOptions:
         shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap, write=values.cap,
     )] = None
     certify: Annotated[bool, Option(
-        WRITE, "Say how certain the figures are: simulate also at a half and a quarter of the"
-        " resolution, and give each an interval.",
+        WRITE, "Give each figure an interval of uncertainty: simulate at half and at a quarter of"
+        " the resolution as well.",
     )] = False
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
     internal: Annotated[bool, Option(
-        WRITE, "Write what laws remember of every particle, such as the plastic strain.",
+        WRITE, "Write the internal variables of every particle, such as the plastic strain.",
     )] = False
     only: Annotated[str | Sequence[str] | None, Option(
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
@@ -324,16 +326,15 @@ class RequestOptions:
         WRITE, "Store Gaussians in half precision where it is safe.",
     )] = False
     precision: Annotated[float | str | None, Option(
-        WRITE, "Store what moves to this precision, as a share of the radius of each body or a"
-        " length: 0.5%, 0.2mm. Gaussians have half precision where that is within it.",
+        WRITE, "Store motion with this precision, a share of the radius of each body or a length:"
+        " 0.5%, 0.2mm. Gaussians are stored in half precision where that is enough.",
         shown="single precision", parse=texts.parse_precision, write=values.precision,
     )] = None
     adaptive_samples: Annotated[bool, Option(
-        WRITE, "Leave out time samples of each prim that linear interpolation gives back within"
-        " --precision.",
+        WRITE, "Omit time samples that linear interpolation reproduces within --precision.",
     )] = False
     no_velocities: Annotated[bool, Option(
-        WRITE, "Leave out velocities: motion blur then has the time samples alone.",
+        WRITE, "Do not write velocities; motion blur then depends on the time samples alone.",
     )] = False
     samples_per_frame: Annotated[int | None, Option(
         WRITE, "Write this many simulated states per frame, for motion blur.", shown="1", low=1,
@@ -373,12 +374,12 @@ class BakeOptions(RequestOptions, AssetOptions):
         shown="never", low=1, commands=BAKE,
     )] = None
     until: Annotated[str | None, Option(
-        WRITE, "Bake again, more finely each time, until the figures of --certify are as certain as"
-        " this share, or those that are named before it, or --max-hours is spent.",
+        WRITE, "Bake again at higher resolution until the intervals of --certify are within this"
+        " share of their figures, all or those named before it, or until --max-hours is spent.",
         shown="never", commands=BAKE,
     )] = None
     overwrite: Annotated[bool, Option(
-        ASSET, "Replace results that are there already.", commands=BAKE,
+        ASSET, "Replace existing results.", commands=BAKE,
     )] = False
     strict: Annotated[bool, Option(
         WRITE, "Treat warnings about the result as an error (status 4).", decides=False,

@@ -113,5 +113,7 @@ def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, words) -
 
 
 def test_updated_lagrangian_and_obstacles_do_not_go_together(plan) -> None:
-    with pytest.raises(UsageError, match="does not know obstacles, and there is 1 obstacle: </"):
+    with pytest.raises(
+        UsageError, match="liquids need, does not know obstacles, and there is 1 obstacle: </"
+    ):
         plan(cubes(), TABLE, solver="ul")
