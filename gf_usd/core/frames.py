@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.materials.keys import StiffnessKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
@@ -57,6 +58,7 @@ class Particles:
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
+    stiffness: StiffnessKeys | None = None  # None: no modulus changes with time
 
     def __len__(self) -> int:
         return len(self.X)
@@ -231,7 +233,9 @@ class Health:
     let_go: int = 0  # contact samples at once that seemed deeper than they can have come
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was redone with half the step
-    work: float = 0.0  # [J] done on the body by pins and moving obstacles during the frame
+    # [J] done on the body during the frame: by pins, goals, fields, obstacles that move, and moduli
+    # that change
+    work: float = 0.0
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
     flying: int = 0  # bodies that flew by the closed form, in a frame without substeps

@@ -35,8 +35,10 @@ from gf_usd.prepare.bodies.contact import (
 )
 from gf_usd.prepare.bodies.plan import plan_bodies
 from gf_usd.prepare.bodies.velocities import start_velocities
-from gf_usd.prepare.materials.assign import assign_materials
+from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
+from gf_usd.prepare.materials.over_time import with_stiffness_keys
+from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
 from gf_usd.prepare.options.implied import stated_values, with_flow, with_stage
 from gf_usd.prepare.options.request import Request
@@ -95,6 +97,7 @@ def fill(
     from gf_usd.geometry.skinning import SKIN_NOTES
     from gf_usd.geometry.solid import build_solid
     from gf_usd.geometry.thin.thickness import thickness
+    from gf_usd.readers.usd_bake.keys import material_keys
 
     mended: tuple[str, ...] = ()
     filled = asset
@@ -188,7 +191,11 @@ def fill(
         stated += (f"{len(left_out)} attachments are not read with --flesh and --solver ul",)
     # Without anything below them bodies fall for ever.
     falls = (settings.floor is None and not physics.colliders) or _weightless(settings)
-    pushed = bool(pins or springs or settings.fields)
+    changes = None
+    if file is not None and spec.says_material and isinstance(presets[0], Authored):
+        changes = material_keys(file, asset.facts, [s.path for s in asset.surfaces])
+    changing = changes is not None and bool(changes.codes)
+    pushed = bool(pins or springs or settings.fields) or changing
     open_end = request.length_is_open and not (falls or pushed)
     shot = settings
     if open_end:
@@ -200,11 +207,19 @@ def fill(
         physics = replace(moving, of_files=physics.of_files)
     if open_end and any(one.deformed is not None for one in physics.colliders):
         open_end, settings = False, shot  # its points may move for as long as there are frames
-    materials = assign_materials(
-        asset.facts.path, solid, particles, bodies, spec, presets,
-        law=law, stated=stated_values(request), regions=request.regions, unit=unit,
-        blend_width=(request.blend_width or 0.0) * unit, mass_scaling=settings.mass_scaling,
-    )  # fmt: skip
+
+    def assigned(spec: StageSpec) -> Assigned:
+        return assign_materials(
+            asset.facts.path, solid, particles, bodies, spec, presets,
+            law=law, stated=stated_values(request), regions=request.regions, unit=unit,
+            blend_width=(request.blend_width or 0.0) * unit, mass_scaling=settings.mass_scaling,
+        )  # fmt: skip
+
+    materials = assigned(spec)
+    if changes is not None and file is not None:
+        materials = with_stiffness_keys(
+            materials, changes, asset, file, spec, settings, assigned, repeats=bool(cycle)
+        )
     particles, made = materials.particles, materials.main
     held = any(not pin.rigid for pin in pins)
     each = tuple(

@@ -10,14 +10,16 @@ import numpy as np
 from gf_usd.core.arrays import Floats
 from gf_usd.core.frames import Health
 from gf_usd.physics import taichi_arrays
+from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.setup import Body
 from gf_usd.physics.total_lagrangian.state import State, StateView
 
 
-def strain_energy(body: Body, stretch: Floats, J: Floats) -> float:
+def strain_energy(body: Body, law: ParticleLaws, stretch: Floats, J: Floats) -> float:
     """sum_p V0 psi(F_p) [J] of singular values (N, 3), ascending, and determinants (N,) of F_e.
 
+    law : of the particles at the time, `Body.law_at`.
     With a clamp it is that of the clipped F, of which the stress is taken.  No kernel: what a frame
     says of itself costs a small body more in launches and kernels than in arithmetic.
     """
@@ -28,7 +30,7 @@ def strain_energy(body: Body, stretch: Floats, J: Floats) -> float:
     if clamp is not None:
         s = np.clip(s, *clamp)
         J = s.prod(1)
-    return float(body.per["V0"] @ body.law.stored(s, J))
+    return float(body.per["V0"] @ law.stored(s, J))
 
 
 def elastic_energy(body: Body, state: State) -> float:
@@ -50,9 +52,11 @@ def kinetic_energies(body: Body, now: StateView, bodies: int) -> Floats:
     return np.bincount(body.stencil.node_body[: len(m)], 0.5 * m * (v * v).sum(1), bodies)
 
 
-def stored_energy(body: Body, now: StateView, stretch: Floats, J: Floats) -> float:
+def stored_energy(
+    body: Body, law: ParticleLaws, now: StateView, stretch: Floats, J: Floats
+) -> float:
     """Elastic, potential and contact energy [J] of a state; see `strain_energy`."""
-    return strain_energy(body, stretch, J) + now.potential + now.contact
+    return strain_energy(body, law, stretch, J) + now.potential + now.contact
 
 
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each
@@ -79,7 +83,7 @@ def measure(body: Body, now: StateView, index: int, pairs: float) -> Health:
     whole = m.sum()
     return Health(
         kinetic=kinetic,
-        elastic=strain_energy(body, *now.elastic_strains(index)),
+        elastic=strain_energy(body, body.law_at(index), *now.elastic_strains(index)),
         potential=now.potential,
         contact=now.contact + pairs,
         mass=float(whole),

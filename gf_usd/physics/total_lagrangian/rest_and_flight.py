@@ -32,6 +32,7 @@ from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
+from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies
 from gf_usd.physics.total_lagrangian.setup import Body
@@ -55,6 +56,7 @@ class Shortcuts:
         bodies = bodies_of(body.particles, body.per["density"])
         held = body.in_place
         asked = s.shortcuts and not acts(s) and body.regions is None and not s.fields
+        asked = asked and body.particles.stiffness is None
         self._body = body
         self._g = np.asarray(s.gravity, float)
         self._free = asked and not held and s.drag == 0.0
@@ -176,18 +178,20 @@ class Fallen:
         return {"fallen": int(fallen.sum()), "fallen_kinetic": float(kinetic[fallen].sum())}
 
 
-def strained_substeps(body: Body, stretch: Floats, J: Floats, now: StateView, depth: float) -> int:
+def strained_substeps(
+    body: Body, law: ParticleLaws, stretch: Floats, J: Floats, now: StateView, depth: float
+) -> int:
     """Substeps a frame that a body as strained at a time [s] asks for; 1 where they are given.
 
     Contact between samples takes shorter ones: see `BodyContact.detect`.
-    depth : [m] of the deepest sample in the floor.
+    law : `Body.law_at`; depth : [m] of the deepest sample in the floor.
     stretch, J : of F_e.  Where a law flows, F changes by n (x) N, F_e by n (x) F_p^-T N, and so the
     stiffness in the grid's frame is that of F_e times |F_p^-1|^2: cells that are pressed flat for
     good are crossed sooner.
     """
     if body.settings.substeps:
         return 1
-    k = stiffness(body.law, stretch, J) * now.plastic_factor
+    k = stiffness(law, stretch, J) * now.plastic_factor
     nodes = body.stencil
     speed = wave_speed(k, body.per["density"], nodes.order, nodes.cell_start)
     rest = pressed_step(body.contact, body.step, depth)

@@ -12,8 +12,9 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import LUMPED, CellCopies, Particles, Pose, Settings, SurfaceSamples
+from gf_usd.core.materials.keys import StiffnessKeys
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.per_particle import spread
+from gf_usd.core.materials.per_particle import spread, with_derived
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.bodies import bodies_of, fastest, start_velocity
@@ -27,7 +28,7 @@ from gf_usd.physics.grid.pins import PinConstraint, PinnedPoints, boundary_held
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.grid.rigid import RigidRegions, rigid_regions
 from gf_usd.physics.grid.spectrum import largest_eigenvalue
-from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
+from gf_usd.physics.laws.registry import MODULI, ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep, per_cell, stable_step
 from gf_usd.physics.total_lagrangian import layout, limits
 from gf_usd.physics.total_lagrangian.stages import QUEUE
@@ -87,6 +88,15 @@ class Body:
         """See `convergence`."""
         return convergence(self.real)
 
+    def law_at(self, index: int) -> ParticleLaws:
+        """The laws on the way to frame `index`, with the moduli of the middle of that way."""
+        keys = self.particles.stiffness
+        if keys is None:
+            return self.law
+        q = np.array(self.law.q)
+        q[:MODULI] *= keys.at(self.settings.time_code(max(index - 0.5, 0.0)))
+        return replace(self.law, q=q)
+
     @property
     def internal(self) -> tuple[str, ...]:
         """Arrays of particles, in lanes, that are part of the state besides u and v."""
@@ -135,6 +145,7 @@ def build_body(
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
     )
+    stiffest = at_stiffest(per, particles.stiffness, settings)
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     copies = _copies(particles, h)
@@ -162,12 +173,12 @@ def build_body(
     frequency = None
     if not lumped:
         seen = (rows,) if stencil.factors is None else axis_rows(stencil, particles, copies)
-        frequency = highest_frequency(seen, mass, per, h, regions)
+        frequency = highest_frequency(seen, mass, stiffest, h, regions)
     on = embedded_body or {}
     start = start_velocity(velocity, stencil.node_X, stencil.node_body)
     meets = contact_setup is not None and contact_setup.any
     contact = surface_contact(
-        samples, particles, stencil, settings, per, pins,
+        samples, particles, stencil, settings, stiffest, pins,
         meets=meets,
         datum=contact_setup.lowest(settings.normal) if contact_setup else np.inf,
         speed=fastest(start), mass=mass,
@@ -182,7 +193,7 @@ def build_body(
         driven=contact is not None and pin_constraint is not None and pin_constraint.moving,
         rigid=regions.count if regions else 0,
     )  # fmt: skip
-    step = largest_step(particles, h, contact, settings, per, frequency)
+    step = largest_step(particles, h, contact, settings, stiffest, frequency)
     law = particle_laws(materials, particles.material, per)
     damped = bool((per["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -258,6 +269,16 @@ def per_particle(
     return {**per, "V0": particles.V0 * free}
 
 
+def at_stiffest(
+    per: dict[str, Floats], keys: StiffnessKeys | None, settings: Settings
+) -> dict[str, Floats]:
+    """Material values of the particles, with moduli as high as they get in any frame."""
+    if keys is None:
+        return per
+    most = keys.most(settings.time_code(max(k - 0.5, 0.0)) for k in range(settings.frames))
+    return with_derived({**per, "mu": per["mu"] * most, "lam": per["lam"] * most})
+
+
 def as_flesh(
     particles: Particles, materials: Sequence[Material], regions: Sequence[Pin]
 ) -> Particles:
@@ -282,7 +303,13 @@ def as_flesh(
     of[stone] = nearest
     own = {name: values[of] for name, values in (particles.own or {}).items()}
     own["density"] = spread(particles, materials)["density"]
-    return replace(particles, material=np.asarray(particles.material)[of], own=own)
+    keys = particles.stiffness
+    return replace(
+        particles,
+        material=np.asarray(particles.material)[of],
+        own=own,
+        stiffness=replace(keys, of=keys.of[of]) if keys else None,
+    )
 
 
 def surface_contact(
@@ -430,15 +457,17 @@ def highest_frequency(
     return float(np.sqrt(w2) * h / per["wave_speed"].max())
 
 
-def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
+def viscosities(per: Mapping[str, Floats], h: float, mu: Floats | None = None) -> Floats:
     """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
 
-    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell.
+    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell; mu : (N,)
+    [Pa] in place of that at rest.
     """
     from gf_usd.physics.laws.stress import SHOCK
 
     tau = per["damping_time"]
-    return np.column_stack([2.0 * per["mu"] * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
+    mu = per["mu"] if mu is None else mu
+    return np.column_stack([2.0 * mu * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
 
 
 def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
@@ -447,6 +476,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
     acceleration : (free, 3) [m/s^2] of a body force.
     """
     stencil, batches, per, contact = body.stencil, body.layout, body.per, body.contact
+    law = body.law_at(0)
     fx = np.empty_like(stencil.fx)
     fx[stencil.order] = stencil.fx
     height = np.zeros(1)
@@ -457,9 +487,9 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "fx": layout.lanes(batches, fx, fill=True),
         "V0": layout.lanes(batches, per["V0"]),
         "m": layout.lanes(batches, per["density"] * per["V0"]),
-        "constants": layout.law_lanes(batches, body.law.constants),
+        "constants": layout.law_lanes(batches, law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, viscosities(per, body.h)),
+        "viscosity": layout.lanes(batches, viscosities(per, body.h, law.q[0])),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "acceleration": acceleration.ravel(),

@@ -115,8 +115,10 @@ class ShapeCorrection:
             clipped, of_first = self._recompute(state, now, index, F)
         else:
             of_first = now.strains_beside(index, F)
-        before = stored_energy(self._body, first, *of_first)
-        return clipped, stored_energy(self._body, now, *now.elastic_strains(index)) - before
+        law = self._body.law_at(index)
+        before = stored_energy(self._body, law, first, *of_first)
+        after = stored_energy(self._body, law, now, *now.elastic_strains(index))
+        return clipped, after - before
 
     def _correct(self, state: State) -> None:
         u, m = state.rows("u"), self._body.stencil.mass

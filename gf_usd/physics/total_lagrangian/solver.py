@@ -25,7 +25,7 @@ from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.grid.embedding import pose
 from gf_usd.physics.grid.fields import Fields
-from gf_usd.physics.total_lagrangian.energies import measure, von_mises
+from gf_usd.physics.total_lagrangian.energies import measure, strain_energy, von_mises
 from gf_usd.physics.total_lagrangian.launch import Launches
 from gf_usd.physics.total_lagrangian.limits import touched
 from gf_usd.physics.total_lagrangian.rest_and_flight import Fallen, Shortcuts, strained_substeps
@@ -115,6 +115,7 @@ class TotalLagrangian(Solver):
         """Move by a frame; `index` is the frame that this leads to."""
         state, pairs = self.state, self.pairs
         state.prescribe(index)
+        stiffened = self._stiffen(index)
         self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state)
@@ -145,7 +146,10 @@ class TotalLagrangian(Solver):
         state.time += substeps * whole
         state.recenter()
         settled = self.settling.frame(state)
-        stats = replace(self._stats(index, active), substeps=taken, settling_dissipation=settled)
+        stats = self._stats(index, active)
+        stats = replace(
+            stats, work=stats.work + stiffened, substeps=taken, settling_dissipation=settled
+        )
         self.shortcuts.note(state, stats)
         return stats
 
@@ -172,6 +176,23 @@ class TotalLagrangian(Solver):
             friction_capped=int(state.get("sample_capped").sum()),
             penetration=float(state.get("sample_depth").max()),
         )
+
+    def _stiffen(self, index: int) -> float:
+        """Set the moduli of the way to a frame; [J] that this does to what is strained.
+
+        They are constant on the way between two frames, so that all their work is done here: the
+        strain energy at the new moduli less that at the old ones.
+        """
+        body, state = self.body, self.state
+        if body.particles.stiffness is None:
+            return 0.0
+        old, new = body.law_at(index - 1), body.law_at(index)
+        state.put_moduli(new)
+        if np.array_equal(old.q, new.q):
+            return 0.0
+        self.settling.wake()
+        strains = state.view().elastic_strains(index - 1)
+        return strain_energy(body, new, *strains) - strain_energy(body, old, *strains)
 
     def _push(self, index: int) -> None:
         """Let the fields push on the way to a frame."""
@@ -210,7 +231,9 @@ class TotalLagrangian(Solver):
         now.strains(index, particles.F)
         stretch, J = now.elastic_strains(index)
         depth = float(state.get("sample_depth").max())
-        self.strained = self.asked(strained_substeps(body, stretch, J, now, depth), depth)
+        self.strained = self.asked(
+            strained_substeps(body, body.law_at(index), stretch, J, now, depth), depth
+        )
         return Frame(
             index=index,
             time=time,

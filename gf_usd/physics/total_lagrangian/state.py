@@ -20,11 +20,11 @@ from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
-from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
+from gf_usd.physics.laws.registry import GRADIENT, ParticleLaws, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
-from gf_usd.physics.total_lagrangian.setup import Body, arrays
+from gf_usd.physics.total_lagrangian.setup import Body, arrays, viscosities
 
 Given = tuple[Floats, ...]
 
@@ -87,6 +87,13 @@ class State(DeviceState):
     def put_particles(self, name: str, values: Floats) -> None:
         """Fill an internal array with what belongs to each particle, (N, k)."""
         self.put(name, layout.law_lanes(self._body.layout, values))
+
+    def put_moduli(self, law: ParticleLaws) -> None:
+        """Set the values of the laws of all particles, and the viscosities that go with them."""
+        body = self._body
+        self.put_particles("constants", law.constants)
+        viscosity = viscosities(body.per, body.h, law.q[0])
+        self.put("viscosity", layout.lanes(body.layout, viscosity))
 
     def take_dissipated(self) -> float | None:
         """[J] that flow dissipated since this was last asked; None where no law flows."""
