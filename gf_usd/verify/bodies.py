@@ -212,12 +212,13 @@ def plane_strain(h: float) -> tuple[Pin, Pin]:
     return mirror_plane(2, 0.0), above
 
 
-FIRM = 1e9  # [Pa] of cohesion
+FIRM = 1e9  # [Pa] of cohesion, and of what else keeps a law elastic
+BEARS = ("cohesion", "critical_compression", "critical_stretch", "cavitation", "viscosity")
 
 
 def firm(law: str) -> dict[str, float]:
     """Parameters with which a law is elastic in tension too."""
-    return {"cohesion": FIRM} if any(p.name == "cohesion" for p in LAWS[law].parameters) else {}
+    return {p.name: FIRM for p in LAWS[law].parameters if p.name in BEARS}
 
 
 def look(name: str, body: Particles, **changes: Any) -> Material:

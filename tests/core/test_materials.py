@@ -17,10 +17,10 @@ from gf_usd.core.materials.presets import Fixed, find_preset, presets
 
 G0 = 9.81
 CHOICES = (
-    "rubber, metal, jelly, dented, clay, styrofoam, gelatin, soft-silicone, silicone, neoprene,"
-    " natural-rubber, hard-rubber, foam, polyurethane-foam, aluminium, mild-steel, copper, lead,"
-    " modelling-clay, wet-clay, dough, dry-sand, wet-sand, gravel, toothpaste, mud, cream, honey,"
-    " wax"
+    "rubber, metal, jelly, dented, clay, styrofoam, water, gelatin, soft-silicone, silicone,"
+    " neoprene, natural-rubber, hard-rubber, foam, polyurethane-foam, aluminium, mild-steel,"
+    " copper, lead, modelling-clay, wet-clay, dough, dry-sand, wet-sand, gravel, powder-snow, wet-snow,"
+    " toothpaste, mud, cream, honey, wax"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
 each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
@@ -154,6 +154,10 @@ def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> Non
     keys = ("yield_stress", "hardening", "flow_viscosity")
     if made.law == "druckerPrager":
         keys = ("internal_friction", "cohesion")
+    if made.law == "snow":
+        keys = ("critical_compression", "critical_stretch", "hardening_coefficient")
+    if made.law == "fluid":
+        keys = ("viscosity", "cavitation")
     own = [made.parameters.get(key, 0.0) for key in keys]
     if isinstance(made, Physical):
         numbers = [made.density, made.youngs_modulus, made.poissons_ratio, *own]
@@ -163,5 +167,5 @@ def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> Non
         assert f"- `{name}`: {made.source}." in " ".join(text.split())
     else:
         assert cells[1] == f"`{made.law}`"
-        assert [float(cell or 0) for cell in cells[2:5]] == own
-        assert cells[5] == made.note
+        assert [float(cell or 0) for cell in cells[2 : 2 + len(own)]] == own
+        assert cells[2 + len(own)] == made.note

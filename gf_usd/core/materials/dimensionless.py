@@ -95,5 +95,11 @@ DIMENSIONLESS: dict[str, DimensionlessPreset] = {
             restitution=0.1, law="crushable", note="is crushed where it is hit, and stays smaller",
             parameters={"yield_stress": 4.0, "hardening": 15.0, "cap_shape": 2.12},
         ),
+        DimensionlessPreset(
+            name="water", mu=6.0, lam=596.0, density=1000.0, damping=0.0, friction=0.0,
+            restitution=0.0, law="fluid",
+            note="splashes; a fall of three radii compresses it by 1 %",
+            parameters={"viscosity": 3e-5},
+        ),
     )
 }  # fmt: skip

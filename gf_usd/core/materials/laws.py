@@ -48,6 +48,7 @@ class LawSpec:
     parameters: tuple[Parameter, ...] = ()  # besides mu and lam
     flows: bool = False  # it has a flow rule, and so a history
     isochoric: bool = False  # its flow keeps the volume, det F_p = 1
+    associated: bool = True  # its flow only ever takes energy
     unbounded: bool = False  # it flows without end: for the Updated Lagrangian solver
     over: str = ""  # the law whose energy it has; "": one of its own
     internal: tuple[Internal, ...] = ()
@@ -70,6 +71,13 @@ ELASTIC_STRAIN = Internal(
     name="elastic_strain", rest=0.0, attribute="elasticStrain",
     meaning="Largest |stretch - 1| of the elastic part F_e of each particle's deformation.",
     label="Elastic Strain",
+)  # fmt: skip
+
+LOOSENING = Internal(
+    name="loosening", rest=0.0, attribute="loosening",
+    meaning="Logarithm of the volume that each particle gained as it came apart, which closes"
+    " before it bears pressure again.",
+    label="Loosening",
 )  # fmt: skip
 
 
@@ -150,7 +158,7 @@ LAWS: dict[str, LawSpec] = {
         ),
         LawSpec(
             token="druckerPrager",
-            code=".drucker_prager",
+            code=".flowing.drucker_prager",
             source="Drucker and Prager 1952; Klar et al. 2016; Tampubolon et al. 2017",
             parameters=(
                 Parameter(
@@ -167,14 +175,62 @@ LAWS: dict[str, LawSpec] = {
             ),
             flows=True,
             unbounded=True,
-            internal=(
-                Internal(
-                    name="loosening", rest=0.0, attribute="loosening",
-                    meaning="Logarithm of the volume that each particle gained as it came apart,"
-                    " which closes before it bears pressure again.",
-                    label="Loosening",
+            internal=(LOOSENING,),
+        ),
+        LawSpec(
+            token="snow",
+            code=".flowing.snow",
+            source="Stomakhin, Schroeder, Chai, Teran and Selle 2013",
+            over="corotated",
+            parameters=(
+                Parameter(
+                    name="critical_compression", unit="", attribute="criticalCompression",
+                    default=0.025,
+                    meaning="Elastic compression 1 - stretch of snow beyond which it is compacted.",
+                    label="Critical compression", low=1e-5, high=0.5, required=True,
+                ),
+                Parameter(
+                    name="critical_stretch", unit="", attribute="criticalStretch", default=0.0075,
+                    meaning="Elastic stretch - 1 of snow beyond which it comes apart.",
+                    label="Critical stretch", low=1e-5, high=0.5,
+                ),
+                Parameter(
+                    name="hardening_coefficient", unit="", attribute="hardeningCoefficient",
+                    default=10.0,
+                    meaning="Logarithm of how much stiffer snow becomes per volume that it loses.",
+                    label="Hardening coefficient", high=20.0,
                 ),
             ),
+            flows=True,
+            associated=False,
+            unbounded=True,
+            internal=(
+                Internal(
+                    name="plastic_volume", rest=1.0, attribute="plasticVolume",
+                    meaning="Determinant of the plastic part F_p of each particle's deformation:"
+                    " below 1 where snow was compacted, above where it came apart.",
+                    label="Plastic Volume",
+                ),
+            ),
+        ),
+        LawSpec(
+            token="fluid",
+            code=".flowing.fluid",
+            source="Tait's equation of state: Batchelor 1967; Monaghan 1994",
+            parameters=(
+                Parameter(
+                    name="viscosity", unit="Pa s", attribute="viscosity", default=0.0,
+                    meaning="Shear viscosity of a fluid.", label="Viscosity", required=True,
+                ),
+                Parameter(
+                    name="cavitation", unit="Pa", attribute="cavitation", default=0.0,
+                    meaning="Tension that a fluid bears before it comes apart.",
+                    label="Cavitation tension",
+                ),
+            ),
+            flows=True,
+            unbounded=True,
+            internal=(LOOSENING,),
         ),
         _von_mises("paste", ".von_mises", unbounded=True),
         _von_mises("vonMisesNeoHookean", ".von_mises_neo_hookean", over="neoHookean"),

@@ -161,6 +161,25 @@ PHYSICAL: dict[str, Physical] = {
             parameters={"internal_friction": 0.84},
             source="crushed rock: angle of repose about 40 degrees; as soft as dry-sand is",
         ),
+        Physical(
+            name="powder-snow", density=120.0, youngs_modulus=4.8e4, poissons_ratio=0.2,
+            friction=0.4, restitution=0.0, damping_time=0.0, law="snow",
+            parameters={
+                "critical_compression": 0.019, "critical_stretch": 0.005,
+                "hardening_coefficient": 10.0,
+            },
+            source="the small critical stretches and E of dry, powdery snow in Stomakhin et al."
+            " 2013; new snow has 50 to 200 kg/m^3 (Fierz et al. 2009)",
+        ),
+        Physical(
+            name="wet-snow", density=400.0, youngs_modulus=1.4e5, poissons_ratio=0.2,
+            friction=0.6, restitution=0.0, damping_time=0.0, law="snow",
+            parameters={
+                "critical_compression": 0.025, "critical_stretch": 0.0075,
+                "hardening_coefficient": 10.0,
+            },
+            source="the reference values of Stomakhin et al. 2013: snow that packs into balls",
+        ),
         _bingham(
             "toothpaste", 1300.0, 3e5, 350.0, 90.0,
             "200 Pa of shear and 30 Pa s, to an order of magnitude (Ahuja and Potanin 2018)",

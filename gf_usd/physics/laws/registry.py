@@ -10,6 +10,9 @@ q = (mu, lam, then the row's own parameters):
                             work [J/m^3] of the remaining stress along the way, P : (trial F - F)
     stored(s, J, q)         psi of signed stretches s (N, 3) and their product J (N,), NumPy
     moduli(s, J, q)         d^2 psi / dF^2 along the planes that keep J, and d^2 psi / dJ^2 [Pa]
+    hardness(q, a)          only where internal variables stiffen the law, Taichi: by how much mu
+                            and lam are to be multiplied; flow is given them as they are at rest
+    hardnesses(q, a)        the same of a (N, internals), NumPy
 
 In Taichi F and P are lists of nine lane vectors (`simd3x3`), q and a lists of lane vectors, in
 NumPy q has rows (N,).  psi and pk1 are defined for every F, inverted ones included.  `flow` gives
@@ -20,7 +23,7 @@ is tested for gradient, objectivity and rest state as soon as it is listed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -46,6 +49,13 @@ class Law:
     flow: Callable | None
     stored: Callable
     moduli: Callable
+    hardness: Callable | None = None
+    hardnesses: Callable | None = None
+
+    @property
+    def hardens(self) -> bool:
+        """Whether its moduli follow its internal variables."""
+        return self.hardness is not None
 
 
 @cache
@@ -57,7 +67,8 @@ def load(spec: LawSpec) -> Law:
         raise ValueError(f"the row of {spec.token} says flows={spec.flows}, {spec.code} otherwise")
     return Law(
         spec=spec, psi=module.psi, pk1=module.pk1, flow=flow, stored=module.stored,
-        moduli=module.moduli,
+        moduli=module.moduli, hardness=getattr(module, "hardness", None),
+        hardnesses=getattr(module, "hardnesses", None),
     )  # fmt: skip
 
 
@@ -95,6 +106,11 @@ class LawSet:
     def flows(self) -> bool:
         """Whether any particle has a history."""
         return any(law.spec.flows for law in self.laws)
+
+    @property
+    def hardens(self) -> bool:
+        """Whether the moduli of any particle follow its history (Updated Lagrangian only)."""
+        return any(law.hardens for law in self.laws)
 
     @property
     def internals(self) -> int:
@@ -145,6 +161,17 @@ class ParticleLaws:
         if not self.set.flows:
             return np.zeros((n, 0))
         return np.column_stack([np.tile(np.eye(3).ravel(), (n, 1)), *self.rest, np.zeros(n)])
+
+    def hardened(self, history: Floats) -> ParticleLaws:
+        """With mu and lam as their history has made them; history : (N, set.history)."""
+        if not self.set.hardens:
+            return self
+        q = self.q.copy()
+        for number, law in enumerate(self.set.laws):
+            if law.hardnesses is not None:
+                mine = self.of == number
+                q[:MODULI, mine] *= law.hardnesses(q[:, mine], history[mine, GRADIENT:-1])
+        return replace(self, q=q)
 
     def written(self, history: Floats, stretch: Floats) -> dict[str, Floats]:
         """`internal`, and |stretch - 1| at most of stretches (N, 3) of F_e; {}: nothing flows."""

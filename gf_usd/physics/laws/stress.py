@@ -77,7 +77,8 @@ def piola(laws: ti.template(), which, F, q, converged):
 def flowed(laws: ti.template(), which, F, q, a, dt, converged):
     """The admissible elastic gradients and internal variables that trial ones return to in dt [s].
 
-    And the energy density [J/m^3] that each lane lost; its rounding, below 0, counts as nothing.
+    And the energy density [J/m^3] that each lane lost; of associated flow its rounding, below 0,
+    counts as nothing.
     """
     E = F
     A = a
@@ -91,8 +92,23 @@ def flowed(laws: ti.template(), which, F, q, a, dt, converged):
                 G, b, work = law.flow(F, q, a, dt, converged)
                 choose(E, mine, G)
                 choose(A, mine, b)
-                loss = ti.select(mine > 0.0, ti.max(work, 0.0), loss)
+                if ti.static(law.spec.associated):
+                    work = ti.max(work, 0.0)
+                loss = ti.select(mine > 0.0, work, loss)
     return E, A, loss
+
+
+@ti.func
+def hardness(laws: ti.template(), which, q, a):
+    """By how much mu and lam of each lane are multiplied, for what has happened to it."""
+    h = q[0] * 0.0 + 1.0
+    for number, law in ti.static(enumerate(laws.laws)):
+        if ti.static(law.hardens):
+            if ti.static(laws.several):
+                h = ti.select(lanes_of(which, number) > 0.0, law.hardness(q, a), h)
+            else:
+                h = law.hardness(q, a)
+    return h
 
 
 @ti.func

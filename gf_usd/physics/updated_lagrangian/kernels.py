@@ -37,13 +37,13 @@ from gf_usd.physics.updated_lagrangian.sort_kernels import (
 )
 from gf_usd.physics.updated_lagrangian.transfer_kernels import (
     admissible,
+    current,
     gather_cell,
     in_order,
     pick,
     piola,
     scatter_cell,
     trial,
-    values,
 )
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
@@ -181,7 +181,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
         """out[p] = V0 psi(F_p)."""
         for b in range((n + LANES - 1) // LANES):
             ids = in_order(b, n)
-            q, which = values(body, ids, laws)
+            q, which = current(body, ids, laws)
             psi = energy_density(laws, which, trial(body, ids, laws), q, converged)
             psi = psi * pick(body.V0, ids, 1, 0)
             for lane in ti.static(range(LANES)):

@@ -167,7 +167,13 @@ class UpdatedLagrangian(Solver):
         if self.settings.substeps:
             return 1
         body = self.body
-        k = world_stiffness(body.law, stretch, J)
+        laws = body.law.set
+        law = (
+            body.law.hardened(self.state.rows("history", laws.history))
+            if laws.hardens
+            else body.law
+        )
+        k = world_stiffness(law, stretch, J)
         speed = strained_speed(k, body.per["density"], cells)
         depth = float(self.state.get("sample_depth").max())
         step = pressed_step(body.contact, body.step, depth)

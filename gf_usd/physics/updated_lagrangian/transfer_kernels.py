@@ -42,6 +42,21 @@ def values(body: ti.template(), ids: ti.template(), laws: ti.template()):
 
 
 @ti.func
+def current(body: ti.template(), ids: ti.template(), laws: ti.template()):
+    """`values` with the moduli as what has happened to the particles has made them."""
+    q, which = values(body, ids, laws)
+    if ti.static(laws.hardens):
+        a = [
+            pick(body.history, ids, laws.history, GRADIENT + k)
+            for k in ti.static(range(laws.internals))
+        ]
+        h = stress.hardness(laws, which, q, a)
+        q[0] = q[0] * h
+        q[1] = q[1] * h
+    return q, which
+
+
+@ti.func
 def trial(body: ti.template(), ids: ti.template(), laws: ti.template()):
     """The gradients that the stress is taken of, before what is due to flow has flowed."""
     if ti.static(laws.flows):
@@ -81,7 +96,7 @@ def piola(
     damped: ti.template(), capped: ti.template(), cap, dt, converged,
 ):  # fmt: skip
     """P of eight particles, with the viscous part, cut to |P| <= cap where that is asked for."""
-    q, which = values(body, ids, laws)
+    q, which = current(body, ids, laws)
     P = stress.piola(laws, which, F, q, converged)
     if ti.static(damped):
         # Kelvin-Voigt: P += 2 mu tau F sym(F^T dF/dt), dF/dt = L F.

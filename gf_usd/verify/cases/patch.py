@@ -40,6 +40,14 @@ def hencky(F: Floats, mu: float, lam: float) -> Floats:
     return U @ np.diag((2.0 * mu * e + lam * e.sum()) / s) @ Vt
 
 
+def tait(F: Floats, mu: float, lam: float) -> Floats:
+    """P = U diag(2 mu dev e_i / s_i) V^T - p J F^-T, p = K / 7 (J^-7 - 1), with an SVD."""
+    U, s, Vt = np.linalg.svd(F)
+    e, J = np.log(s), float(np.prod(s))
+    p = (lam + 2.0 / 3.0 * mu) / 7.0 * (J**-7.0 - 1.0)
+    return U @ np.diag((2.0 * mu * (e - e.mean()) - p * J) / s) @ Vt
+
+
 # P(F) of each law as its source has it, with parameters of its own at their defaults: independent
 # of the kernels.  A law without a row here is an error, not another law.
 REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
@@ -49,6 +57,8 @@ REFERENCE: dict[str, Callable[[Floats, float, float], Floats]] = {
     "crushable": hencky,
     "paste": hencky,
     "druckerPrager": hencky,  # within the cone
+    "fluid": tait,
+    "snow": corotated,  # within its critical stretches
     "vonMisesNeoHookean": neo_hookean,
     "vonMisesCorotated": corotated,
 }

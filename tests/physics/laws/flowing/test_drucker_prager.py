@@ -7,7 +7,7 @@ import pytest
 from lane_kernels import evaluate, flow_with_loss
 from scipy.stats import special_ortho_group
 
-from gf_usd.physics.laws import drucker_prager
+from gf_usd.physics.laws.flowing import drucker_prager
 
 LAW = "druckerPrager"
 MU, LAM = 2.0, 3.0  # [Pa]

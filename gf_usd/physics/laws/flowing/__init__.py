@@ -1,0 +1,1 @@
+"""Laws that flow without end, for the Updated Lagrangian solver: sand, snow, fluids."""

@@ -1,0 +1,162 @@
+"""A weakly compressible fluid: Tait's equation of state, viscosity, and no tension.
+
+    p = K / gamma (J^-gamma - 1),  gamma = 7,  K = lam + 2 mu / 3
+    psi = mu |dev e|^2 + K / gamma ((J^(1 - gamma) - 1) / (gamma - 1) + J - 1)
+
+[Tait's equation as Batchelor 1967, section 1.8, has it; for particles Monaghan 1994, for grids
+Tampubolon et al. 2017].  e is the logarithmic strain of F_e, whose deviator relaxes as Maxwell's
+does, backward Euler in time,
+
+    dev e = k dev e*,   k = viscosity / (viscosity + mu dt)
+
+so that the deviator of the stress is 2 viscosity D in a flow at the rate D slower than mu /
+viscosity, whatever mu is.  K is no property of the fluid: with K = rho (10 v)^2 what flows at v is
+compressed by 1 % or less [Monaghan 1994].
+
+At a free surface, and where it is torn apart, the fluid bears no more tension than `cavitation`;
+what it gains in volume there, `loosening`, closes before it bears pressure again, as in
+`drucker_prager`.  Below J = 0.5 p is continued by its tangent, so that it is defined for every F.
+"""
+
+import numpy as np
+import taichi as ti
+
+from gf_usd.physics.laws import hencky
+from gf_usd.physics.laws.hencky import (
+    cayley,
+    deviator_of_series,
+    exp,
+    exponential,
+    gram,
+    near,
+    size_squared,
+    spectral,
+    strains,
+)
+from gf_usd.physics.laws.simd3x3 import (
+    assign,
+    choose,
+    cofactor,
+    combination,
+    determinant,
+    log,
+    product,
+    scaled,
+)
+
+GAMMA = 7
+J_TANGENT = 0.5
+LEAST = 1e-6  # of 1 - gamma cavitation / K: a fluid that is to bear more bears this much
+
+
+@ti.func
+def flow(F, q, a, dt, converged):
+    """See the module."""
+    D, C = gram(F)
+    Z = cayley(D, C)
+    E = F
+    loose = a[0]
+    work = a[0] * 0.0
+    J = determinant(F, cofactor(F))
+    k = q[2] / ti.max(q[2] + q[0] * dt, 1e-30)
+    if near(Z, converged) and J.min() > 0.0:
+        X = deviator_of_series(Z)
+        trace = log(J)
+        t = returned(q, a[0], trace)
+        acts = (1.0 - k) * size_squared(X) + ti.max(t - trace, trace - t)
+        if acts.max() > 0.0:
+            loose = ti.max(a[0] + (trace - t), 0.0)
+            work = dissipated(q, size_squared(X), trace, k, t)
+            assign(X, scaled(k - 1.0, X))
+            choose(E, acts, scaled(exp((t - trace) / 3.0), product(F, exponential(X))))
+    else:
+        d, trace, V = strains(F)
+        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+        t = returned(q, a[0], trace)
+        acts = (1.0 - k) * square + ti.max(t - trace, trace - t)
+        if acts.max() > 0.0:
+            loose = ti.max(a[0] + (trace - t), 0.0)
+            work = dissipated(q, square, trace, k, t)
+            m = (t - trace) / 3.0
+            n = k - 1.0
+            back = [exp(n * d[0] + m), exp(n * d[1] + m), exp(n * d[2] + m)]
+            choose(E, acts, product(F, spectral(back, V)))
+    return E, [loose], work
+
+
+@ti.func
+def returned(q, loose, trace):
+    """tr e after what came apart has closed and tension has been cut."""
+    t = ti.select(trace < 0.0, ti.min(trace + loose, 0.0), trace)
+    K = q[1] + q[0] * (2.0 / 3.0)
+    borne = ti.max(1.0 - GAMMA * q[3] / K, LEAST)
+    return ti.min(t, (0.0 - log(borne)) / GAMMA)
+
+
+@ti.func
+def dissipated(q, square, trace, k, t):
+    """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
+    J = exp(t)
+    K = q[1] + q[0] * (2.0 / 3.0)
+    return 2.0 * q[0] * k * (1.0 - k) * square + J * slope(J, K) * (trace - t)
+
+
+@ti.func
+def slope(J, K):
+    """-p = dU/dJ = K / gamma (1 - J^-gamma), its tangent below J_TANGENT."""
+    r = 1.0 / ti.max(J, J_TANGENT)
+    r2 = r * r
+    r7 = r2 * r2 * r2 * r
+    return K * ((1.0 - r7) / GAMMA + r7 * r * ti.min(J - J_TANGENT, 0.0))
+
+
+@ti.func
+def psi(F, q, converged):
+    """psi = mu |dev e|^2 + U(J)."""
+    J = determinant(F, cofactor(F))
+    K = q[1] + q[0] * (2.0 / 3.0)
+    r = 1.0 / ti.max(J, J_TANGENT)
+    r2 = r * r
+    r6 = r2 * r2 * r2
+    at = ti.max(J, J_TANGENT)
+    t = ti.min(J - J_TANGENT, 0.0)
+    U = ((r6 - 1.0) / (GAMMA - 1) + at - 1.0) / GAMMA
+    U = U + t * ((1.0 - r6 * r) / GAMMA + 0.5 * t * r6 * r2)
+    return hencky.psi(F, [q[0], q[0] * (-2.0 / 3.0)], converged) + K * U
+
+
+@ti.func
+def pk1(F, q, converged):
+    """P = F V diag(2 mu dev e_i / s_i) V^T - p cof F."""
+    cof = cofactor(F)
+    J = determinant(F, cof)
+    K = q[1] + q[0] * (2.0 / 3.0)
+    shear = hencky.pk1(F, [q[0], q[0] * (-2.0 / 3.0)], converged)
+    return combination(J * 0.0 + 1.0, shear, slope(J, K), cof)
+
+
+def stored(s, J, q):
+    """psi of signed stretches."""
+    K = q[1] + q[0] * (2.0 / 3.0)
+    at, t = np.maximum(J, J_TANGENT), np.minimum(J - J_TANGENT, 0.0)
+    U = ((at ** (1 - GAMMA) - 1.0) / (GAMMA - 1) + at - 1.0) / GAMMA
+    U = U + t * ((1.0 - at**-GAMMA) / GAMMA + 0.5 * t * at ** (-GAMMA - 1))
+    return hencky.stored(s, J, (q[0], q[0] * (-2.0 / 3.0))) + K * U
+
+
+def moduli(s, J, q):
+    """Bounds as of `hencky`, whose deviator alone has 4/3 mu along a stretch, and d^2 U / dJ^2.
+
+    With d = dev e and g = ln s a wave along the least stretch feels 2 mu (2/3 g'^2 + d g''), one
+    along another at most its tension over the stretch; the quadratic form of waves is convex, so
+    that it is largest along an axis.
+    """
+    mu, e, least = q[0], hencky.logarithms(s), np.maximum(s[:, 0], hencky.J_EXTENSION)
+    t = np.minimum(s[:, 0] - hencky.J_EXTENSION, 0.0) / hencky.J_EXTENSION
+    d = e - e.mean(1)[:, None]
+    slope, curvature = (1.0 - t) / least, -1.0 / least**2
+    pressed = 2.0 * mu * (2.0 / 3.0 * slope**2 + d[:, 0] * curvature)
+    pulled = 2.0 * mu[:, None] * d / np.maximum(s, hencky.J_EXTENSION) ** 2
+    shear = np.maximum(np.maximum(pressed, pulled.max(1)), 0.0)
+    K = q[1] + mu * (2.0 / 3.0)
+    return shear, K * np.maximum(J, J_TANGENT) ** (-GAMMA - 1.0)
