@@ -233,9 +233,7 @@ class Health:
     let_go: int = 0  # contact samples at once that seemed deeper than they can have come
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
     rollbacks: int = 0  # times the frame was redone with half the step
-    # [J] done on the body during the frame: by pins, goals, fields, obstacles that move, and moduli
-    # that change
-    work: float = 0.0
+    work: float = 0.0  # [J] done on the body by pins, goals, fields, obstacles and new moduli
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
     flying: int = 0  # bodies that flew by the closed form, in a frame without substeps

@@ -19,8 +19,8 @@ G0 = 9.81
 CHOICES = (
     "rubber, metal, jelly, dented, clay, styrofoam, water, gelatin, soft-silicone, silicone,"
     " neoprene, natural-rubber, hard-rubber, foam, polyurethane-foam, aluminium, mild-steel,"
-    " copper, lead, modelling-clay, wet-clay, dough, dry-sand, wet-sand, gravel, powder-snow, wet-snow,"
-    " toothpaste, mud, cream, honey, wax"
+    " copper, lead, modelling-clay, wet-clay, dough, dry-sand, wet-sand, gravel, powder-snow,"
+    " wet-snow, toothpaste, mud, cream, honey, wax"
 )
 OTHERWISE = f"choose one of {CHOICES} (gf-usd materials shows them), or a USD file with a material"
 each_look = pytest.mark.parametrize("look", DIMENSIONLESS.values(), ids=lambda look: look.name)
