@@ -23,6 +23,7 @@ import taichi as ti
 
 from gf_usd.physics.laws import hencky
 from gf_usd.physics.laws.hencky import (
+    LEAST_J,
     cayley,
     deviator_of_series,
     exp,
@@ -59,7 +60,7 @@ def flow(F, q, a, dt, converged):
     work = a[0] * 0.0
     J = determinant(F, cofactor(F))
     k = q[2] / ti.max(q[2] + q[0] * dt, 1e-30)
-    if near(Z, converged) and J.min() > 0.0:
+    if near(Z, converged) and J.min() > LEAST_J:
         X = deviator_of_series(Z)
         trace = log(J)
         t = returned(q, a[0], trace)
@@ -70,13 +71,14 @@ def flow(F, q, a, dt, converged):
             assign(X, scaled(k - 1.0, X))
             choose(E, acts, scaled(exp((t - trace) / 3.0), product(F, exponential(X))))
     else:
-        d, trace, V = strains(F)
+        d, trace, V, least = strains(F)
         square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
         t = returned(q, a[0], trace)
         acts = (1.0 - k) * square + ti.max(t - trace, trace - t)
+        acts = ti.select(least > hencky.J_EXTENSION, acts, 0.0)
         if acts.max() > 0.0:
-            loose = ti.max(a[0] + (trace - t), 0.0)
-            work = dissipated(q, square, trace, k, t)
+            loose = ti.select(acts > 0.0, ti.max(a[0] + (trace - t), 0.0), a[0])
+            work = ti.select(acts > 0.0, dissipated(q, square, trace, k, t), 0.0)
             m = (t - trace) / 3.0
             n = k - 1.0
             back = [exp(n * d[0] + m), exp(n * d[1] + m), exp(n * d[2] + m)]
