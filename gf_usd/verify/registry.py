@@ -37,6 +37,7 @@ from gf_usd.verify.cases.flesh import driven, rigid
 from gf_usd.verify.cases.plastic import (
     column,
     expansion,
+    incline,
     membrane,
     rim,
     slump,
@@ -68,6 +69,7 @@ CASES: tuple[Case, ...] = (
     *uniaxial.CASES,
     *expansion.CASES,
     *slump.CASES,
+    *incline.CASES,
     *column.CASES,
     *membrane.CASES,
     *taylor.CASES,

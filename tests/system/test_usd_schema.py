@@ -160,6 +160,7 @@ def test_particle_arrays_have_types_and_no_fallback() -> None:
         "plasticStrain float[] Varying None",
         "lostVolume float[] Varying None",
         "loosening float[] Varying None",
+        "plasticVolume float[] Varying None",
         "elasticStrain float[] Varying None",
         *(f"{p.attribute} float[] Uniform None" for p in law_parameters()),
         "materials rel Uniform None",

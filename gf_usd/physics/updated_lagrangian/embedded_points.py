@@ -78,3 +78,18 @@ def embed(points: Floats, X: Floats) -> EmbeddedPoints:
     return EmbeddedPoints(
         X=points, particle=particle, weight=weight, arm=points[:, None] - X[particle]
     )
+
+
+def attach(points: Floats, X: Floats) -> EmbeddedPoints:
+    """Points (n, 3) [m] that go with the particle at X (N, 3) [m] that is nearest at rest.
+
+    For what flows without end: neighbors at rest do not stay neighbors, and a mean of where they
+    have gone to is no place of the body.
+    """
+    nearest = kd_tree(X).query(points, k=1)[1]
+    particle = np.repeat(np.reshape(nearest, (len(points), 1)), SUPPORT, axis=1)
+    weight = np.zeros((len(points), SUPPORT))
+    weight[:, 0] = 1.0
+    return EmbeddedPoints(
+        X=points, particle=particle, weight=weight, arm=np.zeros((len(points), SUPPORT, 3))
+    )

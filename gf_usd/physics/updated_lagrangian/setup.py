@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,12 @@ from gf_usd.physics.total_lagrangian.setup import (
     surface_contact,
     viscosities,
 )
-from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT, EmbeddedPoints, embed
+from gf_usd.physics.updated_lagrangian.embedded_points import (
+    SUPPORT,
+    EmbeddedPoints,
+    attach,
+    embed,
+)
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
@@ -79,9 +84,10 @@ def build_body(
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     at_rest = build_stencil(particles.X, m, h, particles.corner, free_mass=0.0)
     rows = at_rest.rows(particles.X)
-    contact, embedding = floor_contact(samples, particles, at_rest, rows, settings, per)
-    center = m @ particles.X / m.sum()
     law = particle_laws(materials, particles.material, per)
+    ride = attach if law.unbounded.any() else embed
+    contact, embedding = floor_contact(samples, particles, at_rest, rows, settings, per, ride)
+    center = m @ particles.X / m.sum()
     damped = bool((per["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
     kind = ti.f64 if real is np.float64 else ti.f32
@@ -145,12 +151,16 @@ def floor_contact(
     rows: Rows,
     settings: Settings,
     per: dict[str, Floats],
+    ride: Callable[[Floats, Floats], EmbeddedPoints] = embed,
 ) -> tuple[FloorContact | None, EmbeddedPoints | None]:
-    """Stiffness and damping as for the Total Lagrangian solver, on embedded samples."""
+    """Stiffness and damping as for the Total Lagrangian solver, on embedded samples.
+
+    ride : how the samples are embedded in the particles at rest, `embed` or `attach`.
+    """
     contact = surface_contact(samples, particles, stencil, settings, per)
     if contact is None or samples is None:
         return None, None
-    embedding = embed(samples.X, particles.X)
+    embedding = ride(samples.X, particles.X)
     B = embedding.rows(rows)
     return replace(
         contact,

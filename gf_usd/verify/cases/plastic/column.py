@@ -4,7 +4,7 @@ Of columns of radius r and height a r, released at once, the heap reaches furthe
 by
 
     (r_end - r) / r = 1.24 a   for a < 1.7,   1.6 sqrt(a) above     [Lube et al. 2004]
-                    = a        for a < 3                            [Lajeunesse et al. 2004]
+                    = a        for a < 3,     sqrt(3 a) above       [Lajeunesse et al. 2004]
 
 whatever the grains, glass beads with an angle of repose of 22 degrees among them; their friction is
 taken here.
@@ -34,8 +34,9 @@ FPS, LONG = 50, 7.0  # frames a second, and how long it takes to rest [sqrt(a r 
 
 
 def published(a: float) -> tuple[float, float]:
-    """Runout [r] of Lajeunesse et al. and of Lube et al., a < 3."""
-    return a, 1.24 * a if a < 1.7 else 1.6 * float(np.sqrt(a))
+    """Runout [r] of Lajeunesse et al., their root continued from a = 3, and of Lube et al."""
+    root = float(np.sqrt(a))
+    return a if a < 3.0 else float(np.sqrt(3.0)) * root, 1.24 * a if a < 1.7 else 1.6 * root
 
 
 def cylinder(height: float) -> Surface:
@@ -116,6 +117,6 @@ CASES = (
         source="experiments: Lube, Huppert, Sparks and Hallworth 2004; Lajeunesse,"
         " Mangeney-Castelnau and Vilotte 2004",
         quick=column((2.0,), (4000,)),
-        full=column((1.0, 2.0), (4000, 12000)),
+        full=column((1.0, 2.0, 5.0), (4000, 12000)),
     ),
 )

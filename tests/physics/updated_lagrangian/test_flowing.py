@@ -1,0 +1,34 @@
+"""What flows without end: each particle meets the floor where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gf_usd.core.frames import SurfaceSamples
+from gf_usd.core.materials.physical import PHYSICAL
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+from gf_usd.verify.bodies import block, settings
+
+
+def solver(name: str = "dry-sand", **changes) -> UpdatedLagrangian:
+    """A block of 64 particles of a preset over a floor, each of which is a contact sample."""
+    body = block((0.0, 0.05, 0.0), (2, 2, 2), 0.1)
+    return UpdatedLagrangian(
+        body, [PHYSICAL[name].material(1.0)],
+        settings("cpu", **{"floor": 0.0, "gravity": (0.0, -9.81, 0.0), "solver": "ul", **changes}),
+        samples=SurfaceSamples(X=body.X, area=body.V0 / body.spacing),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["dry-sand", "wet-snow", "honey"])
+def test_particles_feel_the_floor_where_they_are_however_far_they_have_come(name: str) -> None:
+    """Not at the mean of where those have gone to that were their neighbors at rest."""
+    run = solver(name)
+    state, embedding = run.state, run.body.embedding
+    assert embedding is not None
+    n = len(run.particles)
+    moved = np.random.default_rng(0).uniform(-1.0, 1.0, (n, 3)).astype(np.float32)
+    state.put("x", moved)
+    state.put("F", np.tile(np.diag([3.0, 0.2, 5.0]).ravel(), n))
+    assert np.array_equal(embedding.pose(*state.motion()).x, moved.astype(float))
