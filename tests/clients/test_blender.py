@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm import LAST
-from client_assets import FRAMES, Baked, shot, world_points
+from client_assets import DRIVEN, FRAMES, Baked, bake_driven, shot, world_points
 from client_runs import in_blender, needs
 from pxr import Usd, UsdGeom, UsdShade, Vt
 
@@ -37,6 +37,18 @@ def test_every_vertex_is_where_we_put_it_in_every_frame(
     theirs, said = in_blender(baked.root, tmp_path)
     assert all(points.shape[0] in (FRAMES, LAST) for points in ours.values())
     # it does move: a still picture would pass otherwise
+    assert all(np.ptp(points, axis=0).max() > 100 * NEAR for points in ours.values())
+    assert off(theirs, ours) < NEAR
+    stage = Usd.Stage.Open(str(baked.root))
+    assert said["range"] == [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+
+
+@pytest.mark.parametrize("what", DRIVEN)
+def test_flesh_plays_as_it_was_baked(what: str, tmp_path: Path) -> None:
+    """Springs, limits, fields and a loop: where we put every vertex, and so not skinned twice."""
+    baked = bake_driven(tmp_path, what)
+    ours = world_points(baked.root)
+    theirs, said = in_blender(baked.root, tmp_path)
     assert all(np.ptp(points, axis=0).max() > 100 * NEAR for points in ours.values())
     assert off(theirs, ours) < NEAR
     stage = Usd.Stage.Open(str(baked.root))

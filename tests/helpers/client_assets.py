@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from arm import LAST, arm
+from arm import LAST, arm, swinging
 from arm import write as write_arm
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
@@ -79,6 +79,31 @@ def bake_arm(folder: Path) -> Baked:
     """The flesh of an arm whose skeleton bends it: the file binds it, the bake may not."""
     asset = write_arm(folder, arm())
     return _bake(asset, material="jelly", flesh=True, frames=LAST)
+
+
+GOALS = "float primvars:gaussianFlesh:goal.timeSamples = { 1: 0.8, 7: 0.2 }"
+GRAVITY = "# time code, gravity\n1, 9.81\n6, 0, 3, 0\n"
+# each is what moves or bounds the flesh of a character besides its bones
+DRIVEN = ("goals", "limits", "fields", "loop")
+
+
+def bake_driven(folder: Path, what: str) -> Baked:
+    """The arm with one of DRIVEN."""
+    (folder / "gravity.csv").write_text(GRAVITY, encoding="utf-8")
+    options: dict[str, dict[str, object]] = {
+        "goals": {"goal_frequency": 4.0},
+        "limits": {"bone_radius": 0.3, "squish": 0.6, "stretch": 0.3},
+        "fields": {
+            "fields": ("wind:0,0,4", "noise:3:length=0.5:rate=1"),
+            "gravity": str(folder / "gravity.csv"),
+        },
+        "loop": {"loop": 2},
+    }
+    text = {"goals": arm(more=GOALS), "loop": swinging()}.get(what, arm())
+    frames = None if what == "loop" else LAST  # a loop has the length of its cycle
+    return _bake(
+        write_arm(folder, text), material="jelly", flesh=True, frames=frames, **options[what]
+    )
 
 
 def bake_obj(folder: Path) -> Baked:

@@ -9,9 +9,12 @@ with c the coefficient and N the weight m g_n on the floor.  Over a frame its im
 velocities by a rotation about the point P of the floor below the center of mass, where a body that
 rolls stands still:
 
-    v_i += dw x (x_i - P),    dw = -min(1, c N r dt / |I w|) w,    I w = sum m_i (x_i - P) x v_i
+    v_i += dw x (x_i - P),    dw = -min(1, c N r dt / |I w|, b) w,    I w = sum m_i (x_i - P) x v_i
+    b = max(0, w . w_c / |w|^2)
 
-w and I in the plane of the floor, so that it stops the body and does not turn it back.  On an
+w and I in the plane of the floor, so that it stops the body and does not turn it back.  w_c is the
+same about the center of mass: a body that slides has an angular momentum about P as well, and would
+be braked beyond Coulomb's friction without b.  It is 0 for what slides, 1 for what rolls.  On an
 obstacle that stands still N is its force F = |sum f_s| on the body, P the mean of the places of the
 samples weighted by |f_s|, and the normal that of F.
 
@@ -267,6 +270,25 @@ def resistance(
     arm = x - pivot[body]
     first, second = across(normal)
     flat = np.stack([second, -first], 1)
+    w, spin = _rotation(m, arm, v, body, count, flat)
+    mass = np.bincount(body, m, count)
+    center = node_sums(m[:, None] * arm, body, count) / mass[:, None]
+    own, _ = _rotation(m, arm - center[body], v, body, count, flat)
+    square = (w**2).sum(1)
+    turns = np.divide((w * own).sum(1), square, out=np.zeros(count), where=square > 0.0)
+    moment = np.linalg.norm(spin, axis=1)
+    share = np.divide(most, moment, out=np.ones(count), where=moment > most)
+    share = np.minimum(share, np.clip(turns, 0.0, 1.0))
+    return cross((-share[:, None] * w @ flat.T)[body], arm)
+
+
+def _rotation(
+    m: Floats, arm: Floats, v: Floats, body: Ints, count: int, flat: Floats
+) -> tuple[Floats, Floats]:
+    """w (B, 2) [1/s] and I w (B, 2) [N m s] of each body, in the plane of the columns of `flat`.
+
+    arm : (n, 3) [m] from the point about which a body rotates.
+    """
     spin = node_sums(m[:, None] * cross(arm, v), body, count) @ flat
     # I = sum m (|a|^2 1 - a a^T), in the plane of the floor
     along = arm @ flat
@@ -274,7 +296,4 @@ def resistance(
     products = (along[:, :, None] * along[:, None, :]).reshape(-1, 4)
     inertia = square[:, None, None] * np.eye(2)
     inertia = inertia - node_sums(m[:, None] * products, body, count).reshape(-1, 2, 2)
-    w = np.linalg.solve(inertia, spin[:, :, None])[:, :, 0]
-    moment = np.linalg.norm(spin, axis=1)
-    share = np.divide(most, moment, out=np.ones(count), where=moment > most)
-    return cross((-share[:, None] * w @ flat.T)[body], arm)
+    return np.linalg.solve(inertia, spin[:, :, None])[:, :, 0], spin

@@ -178,6 +178,9 @@ class BakedMotion:
                 f"{self._path}: nothing in it moves.",
                 "bake it first: gf-usd bake, and give the root layer that this writes",
             )
+        for prim in prims:
+            if prim.IsA(UsdGeom.Points) and not is_ours(prim) and _moves(prim):
+                self._notes.add("its points move, and are left out", str(prim.GetPath()))
         self._read_rest(candidates)
 
     def _read_rest(self, candidates: Sequence[Usd.Prim]) -> None:
@@ -251,6 +254,10 @@ class BakedMotion:
             return None
         floor = settings.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
+
+
+def _moves(prim: Usd.Prim) -> bool:
+    return UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples() > 1
 
 
 def world_points(

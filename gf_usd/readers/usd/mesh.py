@@ -22,6 +22,7 @@ from gf_usd.readers.usd.primvars import Corners
 from gf_usd.readers.usd.shading import ShadingReader, colors
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.points import cover, widths
+from gf_usd.readers.usd.solids.poses import BrokenPose, bound_points
 from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of
 from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
 
@@ -64,6 +65,8 @@ def read_surface(prim: Usd.Prim, reading: Reading) -> Surface:
     without a surface.
     """
     polygons = _polygons(prim, reading)
+    if prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.TetMesh):
+        polygons = replace(polygons, points=_bound(prim, polygons.points, reading))
     place = _placement(prim, reading)
     points = place.points(polygons.points) * reading.meters_per_unit
     if not np.isfinite(points).all():
@@ -119,6 +122,17 @@ def posed_points(prim: Usd.Prim, reading: Reading) -> Floats:
     else:
         local = _polygons(prim, reading).points
     return _placement(prim, reading).points(local) * reading.meters_per_unit
+
+
+def _bound(prim: Usd.Prim, points: Floats, reading: Reading) -> Floats:
+    """See `bound_points`."""
+    try:
+        bound, note = bound_points(prim, points, reading.time)
+    except BrokenPose as fault:
+        raise _broken(prim, reading, str(fault)) from fault
+    if note:
+        reading.notes.add(note, str(prim.GetPath()))
+    return bound
 
 
 def _placement(prim: Usd.Prim, reading: Reading) -> Placement:

@@ -3,12 +3,17 @@
     PhysicsAttachment   physics:src0, type0 "point", indices0    points of a mesh that is baked
                         physics:src1, type1 "xform", coords1     places in the frame of a prim
                         physics:stiffness                        inf, or not authored: held
-
                         physics:damping                          of springs
+
+    OmniPhysicsVtxXformAttachment, of Omniverse: omniphysics:src0, :vtxIndicesSrc0, :src1,
+    :localPositionsSrc1, :stiffness and :damping, with the same meaning
 
 The faces whose corners are all attached are held, and move as the prim does.  A finite stiffness k
 [mass / second^2] and damping c [mass / second] stand for a spring and a damper of each point p to
-its place y, k (y - p) + c (dy/dt - dp/dt).  What attaches other things is left alone with a note.
+its place y, k (y - p) + c (dy/dt - dp/dt).  These are the units of Omniverse's schema.  The
+proposal (OpenUSD-proposals 111, June 2026) has the same damping, and a stiffness of force / area,
+which no constraint of two points has: it is read as force / length.  As there, damping counts where
+the stiffness is finite only.  What attaches other things is left alone with a note.
 """
 
 from __future__ import annotations
@@ -32,9 +37,13 @@ from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.attributes import authored, refuse, switch
 from gf_usd.readers.usd_physics.motion import Readings, matrix, transform_varies
 
-ATTACHMENT = "PhysicsAttachment"
-ENABLED, STIFFNESS = "physics:attachmentEnabled", "physics:stiffness"
-DAMPING = "physics:damping"
+AOUSD, OMNI = "PhysicsAttachment", "OmniPhysicsVtxXformAttachment"
+# by type of prim: prefix of its attributes, and names of the points' and the places' arrays
+KINDS = {
+    AOUSD: ("physics:", "indices0", "coords1"),
+    OMNI: ("omniphysics:", "vtxIndicesSrc0", "localPositionsSrc1"),
+}
+ENABLED, STIFFNESS, DAMPING = "attachmentEnabled", "stiffness", "damping"
 APART = 1e-3  # of the body: farther apart than this, attached points are not where they are held
 
 
@@ -54,13 +63,17 @@ def attachments_of(
     found: list[str] = []
     soft: list[str] = []
     for prim in prims:
-        if prim.GetTypeName() != ATTACHMENT or not switch(prim, ENABLED, time, otherwise=True):
+        if prim.GetTypeName() not in KINDS:
+            continue
+        if not switch(prim, _name(prim, ENABLED), time, otherwise=True):
             continue
         sources = [_source(prim, name) for name in ("src0", "src1")]
         if not set(sources) & set(bodies):
             continue
         path = str(prim.GetPath())
-        kinds = [authored(prim, f"physics:type{k}", time) for k in (0, 1)]
+        kinds = [authored(prim, _name(prim, f"type{k}"), time) for k in (0, 1)]
+        if prim.GetTypeName() == OMNI:
+            kinds = ["point", "xform"]
         stiffness, _ = (_constant(file, prim, name, time) for name in (STIFFNESS, DAMPING))
         if kinds != ["point", "xform"] or sources[0] not in bodies:
             notes.add("attaches other than points of a mesh to an xform: not read", path)
@@ -75,12 +88,12 @@ def attachments_of(
 
 def _constant(file: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
     """A stiffness or a damping, stage units; None where it is not authored."""
-    value = authored(prim, name, time)
+    value = authored(prim, _name(prim, name), time)
     if value is None:
         return None
     finite = name == STIFFNESS or value != np.inf
     if not isinstance(value, float | int) or not value >= 0.0 or not finite:
-        raise refuse(file, prim, name, value, "author a number of 0 or more")
+        raise refuse(file, prim, _name(prim, name), value, "author a number of 0 or more")
     return float(value)
 
 
@@ -151,9 +164,14 @@ def read_soft_attachments(
     return tuple(out)
 
 
+def _name(prim: Usd.Prim, name: str) -> str:
+    """An attribute's name on this type of attachment."""
+    return KINDS[str(prim.GetTypeName())][0] + name
+
+
 def _source(prim: Usd.Prim, name: str) -> str:
     """The path that a relationship names; empty where it names none, or several."""
-    relation = prim.GetRelationship(f"physics:{name}")
+    relation = prim.GetRelationship(_name(prim, name))
     targets = relation.GetForwardedTargets() if relation else []
     return str(targets[0]) if len(targets) == 1 else ""
 
@@ -203,16 +221,17 @@ def _attached(
     where = f"{facts.path}: <{prim.GetPath()}>"
     body = named_prim(stage, facts.path, _source(prim, "src0"))
     surface = read_surface(body, readings.at(time))
-    indices = np.asarray(_array(prim, "indices0", time), np.int64).reshape(-1)
-    coords = np.asarray(_array(prim, "coords1", time), np.float64).reshape(-1, 3)
+    _, of, places = KINDS[str(prim.GetTypeName())]
+    indices = np.asarray(_array(prim, of, time), np.int64).reshape(-1)
+    coords = np.asarray(_array(prim, places, time), np.float64).reshape(-1, 3)
     if len(coords) != len(indices) or not len(indices):
         raise InputError(
-            f"{where} has {len(indices)} indices0 and {len(coords)} coords1",
+            f"{where} has {len(indices)} {of} and {len(coords)} {places}",
             "author one place for each attached point",
         )
     if indices.min() < 0 or indices.max() >= len(surface.points):
         raise InputError(
-            f"{where}: its indices0 reach from {indices.min()} to {indices.max()}, and"
+            f"{where}: its {of} reach from {indices.min()} to {indices.max()}, and"
             f" <{body.GetPath()}> has {len(surface.points)} points",
             "attach points of the mesh",
         )
@@ -220,7 +239,7 @@ def _attached(
 
 
 def _array(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats:
-    value = authored(prim, f"physics:{name}", time)
+    value = authored(prim, _name(prim, name), time)
     return np.asarray([] if value is None else value)
 
 

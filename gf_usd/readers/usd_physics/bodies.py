@@ -178,6 +178,12 @@ def _moving(values: Floats) -> Triple | None:
 
 
 PURPOSE = "physics"
+# Materials that have moduli: of the AOUSD proposal by its earlier and later name, and Omniverse's.
+DEFORMABLE = {
+    "PhysicsDeformableMaterialAPI",
+    "PhysicsVolumeDeformableMaterialAPI",
+    "OmniPhysicsDeformableMaterialAPI",
+}
 
 
 class PhysicsMaterials:
@@ -188,6 +194,7 @@ class PhysicsMaterials:
         self._time = time
         self._notes = notes
         self._words: dict[Sdf.Path, PhysicsMaterialSpec] = {}
+        self._deformable: set[str] = set()  # paths of those that could state moduli
 
     def bound(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
         """What the material says that is bound to a prim (or above it, or by a collection) for
@@ -208,6 +215,12 @@ class PhysicsMaterials:
 
         density : [kg/m^3] that goes before the material's, so that it needs none of its own.
         """
+        if not spec.elastic and spec.path in self._deformable:
+            self._notes.add(
+                "no Young's modulus is stated, which the AOUSD proposal leaves to the simulator:"
+                " the moduli are those of the bake's material, rubber where none is named",
+                spec.path,
+            )
         if spec.elastic and spec.density is None and density is None:
             self._notes.add(f"no density is stated: {WATER:g} kg/m^3 is assumed", spec.path)
         return spec.whole()
@@ -217,6 +230,8 @@ class PhysicsMaterials:
             return authored(prim, name, self._time)
 
         where = str(prim.GetPath())
+        if apis(prim) & DEFORMABLE:
+            self._deformable.add(where)
         return read_material_spec(
             value,
             where,

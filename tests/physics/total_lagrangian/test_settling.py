@@ -57,15 +57,43 @@ def test_it_stops_a_body_and_does_not_turn_it_back() -> None:
     np.testing.assert_allclose(v + change, 0.0, atol=1e-14)
 
 
-def test_it_takes_energy_from_any_motion() -> None:
+def test_it_takes_energy_from_what_turns_and_gives_none_to_any_motion() -> None:
     rng = np.random.default_rng(2)
     m, x = _ball()
     P = np.array([[1.0, 0.0, 2.0]])
     body = np.zeros(len(m), int)
     for most in (1e-4, 1e-2, 1.0, 100.0):
-        v = rng.normal(size=x.shape) + rng.normal(size=3)
+        for _ in range(8):
+            v = rng.normal(size=x.shape) + rng.normal(size=3)
+            change = resistance(m, x, v, body, P, UP, np.array([most]))
+            assert _kinetic(m, v + change) <= _kinetic(m, v)
+        v += np.cross([20.0, 0.0, 10.0], x - P)
         change = resistance(m, x, v, body, P, UP, np.array([most]))
         assert _kinetic(m, v + change) < _kinetic(m, v)
+
+
+def test_what_slides_without_turning_is_left_to_friction() -> None:
+    m, x = _ball()
+    P = np.array([[1.0, 0.0, 2.0]])
+    v = np.tile([3.0, 0.0, -1.0], (len(m), 1))
+    change = resistance(m, x, v, np.zeros(len(m), int), P, UP, np.array([1e9]))
+    np.testing.assert_allclose(change, 0.0, atol=1e-13)
+
+
+def test_a_body_that_slides_and_turns_loses_no_more_than_its_turning() -> None:
+    m, x = _ball()
+    P = np.array([[1.0, 0.0, 2.0]])
+    body, w = np.zeros(len(m), int), np.array([0.0, 0.0, -0.5])
+    rolls = np.cross(w, x - P)
+    v = rolls + [3.0, 0.0, 0.0]  # forwards, as it slips while it begins to roll
+    change = resistance(m, x, v, body, P, UP, np.array([1e9]))
+    lost = _kinetic(m, v) - _kinetic(m, v + change)
+    # dw = -(w . w_c / |w|^2) w, at most |w_c|: the center slows by at most |w_c| R
+    assert lost > 0.0
+    assert np.linalg.norm(m @ change / m.sum()) <= np.linalg.norm(w) * R * (1.0 + 1e-12)
+    # with backspin the moment would push the body on
+    v = [3.0, 0.0, 0.0] - rolls
+    np.testing.assert_array_equal(resistance(m, x, v, body, P, UP, np.array([1e9])), 0.0)
 
 
 def test_spin_about_the_normal_and_what_does_not_turn_are_left() -> None:

@@ -1,4 +1,4 @@
-"""Young's modulus with time samples: of a bound material, of paint, and what is left alone."""
+"""Young's modulus of a stage: with time samples, of a material or of paint, and not authored."""
 
 from __future__ import annotations
 
@@ -120,3 +120,17 @@ def test_a_bake_says_what_stiffening_did(tmp_path: Path) -> None:
     (bake,) = result.bakes
     assert bake.health["work_of_pins_J"] > 0.0
     assert not [w for w in result.warnings if "energy" in str(w)]
+
+
+@pytest.mark.parametrize("said", ["", "float physics:youngsModulus = -inf"])
+@pytest.mark.parametrize("api", ["PhysicsVolumeDeformableMaterialAPI", "PhysicsMaterialAPI"])
+def test_a_deformable_material_without_a_modulus_is_noted(
+    tmp_path: Path, said: str, api: str
+) -> None:
+    """-inf, and nothing, leave the modulus to the simulator: here, to rubber."""
+    path = stage(tmp_path, said)
+    path.write_text(path.read_text().replace('["PhysicsMaterialAPI"]', f'["{api}"]'))
+    plan = plan_of(path)
+    assert plan.materials[0].name == "rubber"
+    noted = [note for note in plan.notes if "no Young's modulus is stated" in note]
+    assert len(noted) == (api != "PhysicsMaterialAPI")

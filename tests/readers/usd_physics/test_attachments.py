@@ -163,6 +163,24 @@ def test_a_point_that_is_not_there_is_refused(tmp_path: Path) -> None:
         prepare(path, draw=None, particles=100, output=tmp_path / "out.usda")
 
 
+def test_an_attachment_of_omniverse_holds_as_the_proposals_does(tmp_path: Path) -> None:
+    path = stage(tmp_path)
+    text = path.read_text().replace("PhysicsAttachment", "OmniPhysicsVtxXformAttachment")
+    for ours, theirs in (
+        ("physics:src", "omniphysics:src"),
+        ("physics:indices0", "omniphysics:vtxIndicesSrc0"),
+        ("vector3f[] physics:coords1", "point3f[] omniphysics:localPositionsSrc1"),
+    ):
+        assert ours in text
+        text = text.replace(ours, theirs)
+    path.write_text("\n".join(x for x in text.splitlines() if "physics:type" not in x))
+    options = {"particles": 100, "frames": 13, "output": tmp_path / "out.usda"}
+    plan, _ = prepare(path, draw=None, **options)
+    (pin,) = plan.pins
+    rise = pin.path[:, :, 1] - pin.path[0, :, 1]
+    np.testing.assert_allclose(rise, np.linspace(0.0, 2.0, 13)[:, None].repeat(4, 1), atol=1e-6)
+
+
 def test_a_stage_without_attachments_has_none(tmp_path: Path) -> None:
     path = tmp_path / "block.usda"
     path.write_text(BLOCK)
