@@ -284,6 +284,8 @@ def _run_variant(
                     sample = splats.held(sample)
                 settled = rest is not None and rest.reached(sample.health, index)
                 settled = settled and (alone or index % n == 0)
+                if settled:
+                    sample = builder.at_end(sample)
                 if index >= settings.first and (settled or not alone):
                     guard.require(index, cache.unsaved)
                     cache.write(sample)
@@ -430,5 +432,6 @@ def frame_builder(
     surfaces = plan.asset.surfaces if plan.choices.mesh else ()
     keys = [tets.key for tets in plan.tets]
     return FrameBuilder(
-        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer
-    )
+        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer,
+        open_end=plan.choices.until_rest or plan.choices.settled,
+    )  # fmt: skip

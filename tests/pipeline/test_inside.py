@@ -76,6 +76,8 @@ def test_a_few_frames_and_the_last_are_looked_at():
     assert 0 not in asked
     assert LOOKS - 1 <= len(asked) <= LOOKS + 1
     assert [i for i in range(2) if InsideMeasure([ball], 0.1, 2).asked(i)] == [1]
+    open_end = InsideMeasure([ball], 0.1, 50, open_end=True)
+    assert [i for i in range(50) if open_end.asked(i)] == [8, 16, 32, 49]
 
 
 def test_directions_are_spread_over_the_half_space():

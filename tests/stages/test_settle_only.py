@@ -195,6 +195,8 @@ def test_a_bake_until_rest_is_the_longer_one_up_to_there(tmp_path: Path) -> None
     done = gf_usd.bake(SPHERE, output=tmp_path / "rest.usda", frames="rest", only="mesh", **SMALL)
     (bake,) = done.bakes
     assert bake.at_rest == bake.frames
+    # it is looked at where it ends, not where it may have ended
+    assert (bake.health["inside_at_end_share"], bake.health["inside_at_end_m"]) == (0.0, 0.0)
     assert any(note == f"clay: at rest at frame {bake.frames}" for note in done.notes)
     stage = Usd.Stage.Open(str(done.root))
     assert stage.GetEndTimeCode() == bake.frames

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from gf_usd.core.frames import (
     Frame,
     GaussianPose,
     MeshPose,
+    Pose,
     Settings,
 )
 from gf_usd.pipeline.checkpoint import Checkpoint
@@ -38,6 +39,7 @@ class FrameBuilder:
     splats : the captured Gaussians.
     tets : keys of the tetrahedra among the embedded points.
     observer : is shown every frame.
+    open_end : the motion may end before its last frame: see `at_end`.
     """
 
     def __init__(
@@ -50,6 +52,8 @@ class FrameBuilder:
         splats: SplatDeformer,
         tets: Sequence[str] = (),
         observer: Observer | None = None,
+        *,
+        open_end: bool = False,
     ) -> None:
         self._tets, self._observer = tets, observer
         self.solver, self._track, self._skin = solver, track, skin
@@ -57,7 +61,10 @@ class FrameBuilder:
         meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
         self._inside = None
         if meshes:
-            self._inside = InsideMeasure(meshes, solver.particles.spacing, settings.frames)
+            self._inside = InsideMeasure(
+                meshes, solver.particles.spacing, settings.frames, open_end=open_end
+            )
+        self._poses: Mapping[str, Pose] = {}  # of the last sample
 
     def state(self) -> dict[str, Any]:
         """What the next sample starts from: `solver` and `track` of a `Checkpoint`."""
@@ -113,6 +120,7 @@ class FrameBuilder:
             meshes[surface.path] = MeshPose(
                 points=pose.x, velocities=pose.v * s.time_scale, normals=normals
             )
+        self._poses = poses
         health = frame.health
         if self._inside and self._inside.asked(frame.index):
             found = self._inside.measure(frame.index, poses)
@@ -135,6 +143,16 @@ class FrameBuilder:
                 for key in self._tets
             },
         )
+
+    def at_end(self, sample: BakedFrame) -> BakedFrame:
+        """The sample made last, as the one that the motion ends with: its surfaces are looked at
+        as closely as those of a last frame.
+        """
+        if self._inside is None:
+            return sample
+        found = self._inside.measure(sample.index, self._poses, ends=True)
+        health = replace(sample.health, inside_share=found.share, inside_depth=found.depth)
+        return replace(sample, health=health)
 
 
 def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:

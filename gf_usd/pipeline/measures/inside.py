@@ -47,10 +47,13 @@ class Inside:
 class InsideMeasure:
     """The meshes of all bodies.
 
-    surfaces : at rest; spacing : [m] of the particles; frames : of the solver.
+    surfaces : at rest; spacing : [m] of the particles; frames : of the solver, at most; open_end :
+    the motion may end before the last of them.
     """
 
-    def __init__(self, surfaces: Sequence[Surface], spacing: float, frames: int) -> None:
+    def __init__(
+        self, surfaces: Sequence[Surface], spacing: float, frames: int, *, open_end: bool = False
+    ) -> None:
         first = np.cumsum([0, *(len(one.points) for one in surfaces)])
         self._paths = [one.path for one in surfaces]
         self._triangles = np.ascontiguousarray(
@@ -61,16 +64,23 @@ class InsideMeasure:
         self._ends = np.cumsum([0, *counts])
         self._surface = np.repeat(np.arange(len(surfaces)), counts)
         self._spacing, self._last = spacing, frames - 1
-        self._stride = max(1, -(-frames // LOOKS))
+        self._stride, self._open_end = max(1, -(-frames // LOOKS)), open_end
         self._rest: dict[int, Ints] = {}  # which of a look's triangles are inside at rest
 
     def asked(self, index: int) -> bool:
-        """Whether a frame is looked at."""
+        """Whether a frame is looked at: LOOKS times evenly, or where the end is open after 8, 16,
+        32, ... frames.
+        """
+        if self._open_end and index != self._last:
+            return index >= LOOKS and index & (index - 1) == 0
         return index == self._last or (index > 0 and index % self._stride == 0)
 
-    def measure(self, index: int, poses: Mapping[str, Pose]) -> Inside:
-        """What is inside at a frame, in which the meshes have these poses."""
-        most = MOST if index == self._last else GLANCE
+    def measure(self, index: int, poses: Mapping[str, Pose], *, ends: bool = False) -> Inside:
+        """What is inside at a frame, in which the meshes have these poses.
+
+        ends : the motion ends there, whatever frames there might have been.
+        """
+        most = MOST if ends or index == self._last else GLANCE
         step = max(1, -(-len(self._triangles) // most))
         looked = np.arange(0, len(self._triangles), step)
         rest = self._wound(self._points)
