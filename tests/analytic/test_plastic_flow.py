@@ -110,6 +110,7 @@ def uniaxial(a: float, stress: float) -> Floats:
     return np.diag(np.exp([e, across, across]))
 
 
+@pytest.mark.slow
 @families
 @pytest.mark.parametrize(
     ("real", "tolerance"),

@@ -20,6 +20,7 @@ def spun(X):
     return np.cross(SPIN, X) + X @ SQUEEZE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-13)])
 def test_free_fall_is_exact_at_every_frame(real, tolerance):
     # Position Verlet is exact under a constant force: f32 rounds x by 6e-8 in each of 70 substeps.

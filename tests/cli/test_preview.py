@@ -24,6 +24,7 @@ def red_rows(path) -> np.ndarray:
     return np.flatnonzero((pixels[..., 0] > 2 * pixels[..., 1]).any(axis=1))
 
 
+@pytest.mark.slow
 def test_a_picture_of_each_frame_with_one_camera(stage, tmp_path):
     rows = {}
     for frame in (1, 3):

@@ -153,6 +153,7 @@ def test_a_signal_says_how_to_go_on(gf_usd, here: Path, block: Path) -> None:
     require_whole(here)
 
 
+@pytest.mark.slow
 def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -> None:
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "--slice", "1").status == 5
@@ -172,6 +173,7 @@ def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -
 WALL = "v {x} 0 -50\nv {x} 0 50\nv {x} 300 0\nv -90 0 0\nf 1 2 3\nf 2 1 4\nf 3 2 4\nf 1 3 4\n"
 
 
+@pytest.mark.slow
 def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path) -> None:
     wall = here / "wall.obj"
     wall.write_text(WALL.format(x=-60), encoding="utf-8")
@@ -214,6 +216,7 @@ def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, blo
     assert "--slice 1 counts value clips, and this bake has none" in refused.err
 
 
+@pytest.mark.slow
 def test_a_new_bake_removes_what_it_does_not_go_on_with(gf_usd, here: Path, block: Path) -> None:
     words = ("bake", block, *SMALL, "-q")
     assert gf_usd(*words, "--slice", "1").status == 5

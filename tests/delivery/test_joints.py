@@ -110,6 +110,7 @@ def test_it_is_deterministic() -> None:
     assert np.array_equal(one.weights, two.weights)
 
 
+@pytest.mark.slow
 def test_many_points_are_fitted_by_some_and_bound_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """The error that is stated is that of all points, and within the tolerance at the end."""
     rng = np.random.default_rng(4)

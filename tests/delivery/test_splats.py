@@ -240,6 +240,7 @@ def test_usd_without_them_shows_the_first_frame(over_mesh: Path, tmp_path: Path)
     np.testing.assert_allclose(first, world_splats(over_mesh, "/Ball/Splats", 1.0)[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_usd_holds_every_variant_of_a_bake(tmp_path: Path) -> None:
     """A real bake of a capture: its root layer has no mesh, and a variant for each material."""
     source = write_ply(tmp_path / "ball.ply", ball(300))

@@ -153,6 +153,7 @@ def test_a_missing_side_is_closed_flat(axis, end, level):
     assert any("a side of it is missing and is closed flat" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_what_is_no_part_of_the_body_is_set_aside():
     rest = ball(2000)
     far = replace(rest.take(np.arange(3)), positions=np.array([[9, 0, 0], [0, 9, 0], [0, 0, -9.0]]))
@@ -182,6 +183,7 @@ def facts():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_an_asset_gets_one_for_each_capture():
     other = replace(ball(500, radius=0.25), path="/other", to_world=np.diag([2.0, 2.0, 2.0, 1.0]))
     asset = with_hulls(Asset(facts=facts(), surfaces=(), splats=(ball(500), other)))
@@ -225,6 +227,7 @@ def test_the_same_discs_in_bytes_give_the_same_surface():
     np.testing.assert_array_equal(a.points, b.points)
 
 
+@pytest.mark.slow
 def test_a_solid_cloud_needs_no_filling():
     """Gaussians all through the body, as gf-usd itself makes them."""
     rng = np.random.default_rng(3)

@@ -235,6 +235,7 @@ def test_an_elastic_body_remembers_nothing_and_says_so(tmp_path: Path) -> None:
     assert any("--internal writes nothing" in note for note in report["notes"]), made
 
 
+@pytest.mark.slow
 def test_mass_scaling_leaves_the_same_shape_in_fewer_substeps(tmp_path: Path) -> None:
     heights, substeps = [], []
     for factor in (1.0, 4.0):

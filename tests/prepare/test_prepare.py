@@ -247,6 +247,7 @@ def test_parts_without_particles_are_named(stage):
     assert part["suggested_particles"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("particles", [1000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_memory_is_estimated_within_a_factor_of_two(tmp_path, particles):
     sizes = {"particles": particles, "frames": 2}

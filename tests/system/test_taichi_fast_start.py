@@ -88,6 +88,7 @@ print(x.to_numpy().tolist(), type(sys.modules["taichi.lang.kernel_impl"].ast).__
 """
 
 
+@pytest.mark.slow
 def test_the_same_kernel_comes_of_a_source_and_under_the_same_key(tmp_path: Path) -> None:
     script = tmp_path / "kernel.py"
     script.write_text(MANY_WAYS)

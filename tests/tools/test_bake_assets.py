@@ -32,6 +32,7 @@ def run(monkeypatch: pytest.MonkeyPatch, folder: Path, *words: str) -> tuple[int
     return bake_assets.main(), page.read_text()
 
 
+@pytest.mark.slow
 def test_baked_or_refused_in_words(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     status, page = run(monkeypatch, folder, "--particles", "100")
     assert status == 0

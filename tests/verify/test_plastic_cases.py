@@ -18,6 +18,7 @@ def bars() -> list[Measure]:
     return [next(figures), next(figures)]
 
 
+@pytest.mark.slow
 def test_taylors_bar_passes_with_copper_and_fails_with_ten_times_its_yield_stress(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

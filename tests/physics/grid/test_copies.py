@@ -125,6 +125,7 @@ def swung(particles, skin, copy, *, plain=False, frames=8, gravity=(0.0, 0.0, 0.
     return solver
 
 
+@pytest.mark.slow
 def test_teeth_swing_apart_and_their_skin_goes_with_them(fork) -> None:
     particles, skin, _, copy = fork
     frames = list(swung(particles, skin, copy).frames())

@@ -47,6 +47,7 @@ def first(serial_below: int) -> np.ndarray:
         return landed(threads=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("serial_below", slow_but([10**9, 0], 10**9), ids=["serial", "parallel"])
 def test_reruns_and_thread_counts_agree_to_the_bit(monkeypatch, serial_below, threads):
@@ -173,6 +174,7 @@ def test_stress_is_read_where_asked_for():
     assert last.stress.min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
     monkeypatch.setattr(state_module, "LARGEST_BOX", 1)  # eight boxes of the body at rest
     body, _ = ball(300)
@@ -202,6 +204,7 @@ def test_a_position_that_is_no_place_is_noticed_and_nothing_is_written_for_it(va
     assert np.abs(solver.state.get("F").astype(float) - before).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_positions_move_to_the_offset_by_whole_cells():
     body, _ = ball(300, radius=0.1)
     s = settings(frames=20, gravity=(0.0, -9.81, 0.0))

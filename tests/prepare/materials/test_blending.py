@@ -209,6 +209,7 @@ def test_a_primvar_of_another_type_is_refused(stage, tmp_path):
         prepared(stage, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_cache_and_the_report_hold_the_values_of_particles(stage, tmp_path):
     halves(stage)
     stage.Save()

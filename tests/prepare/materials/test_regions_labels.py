@@ -59,6 +59,7 @@ def names(plan) -> np.ndarray:
     return np.array([m.name for m in table(plan)])[plan.particles.material]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["int", "float", "uchar", "usd"])
 def test_particles_have_the_preset_of_the_nearest_gaussian(tmp_path: Path, kind: str) -> None:
     ball = halves()
@@ -102,6 +103,7 @@ def test_labels_are_written_as_primvars_of_the_source_layer(tmp_path: Path) -> N
     assert np.array_equal(primvar.Get(), halves().labels["label"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("label", "words"),
     [

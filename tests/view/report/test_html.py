@@ -114,6 +114,7 @@ def test_without_a_report_curves_are_of_the_geometry():
     assert "Missing:" in page
 
 
+@pytest.mark.slow
 def test_several_variants_have_a_switch():
     report = report_of()
     report["bakes"] += report_of(look="jelly")["bakes"]

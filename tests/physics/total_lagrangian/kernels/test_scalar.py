@@ -86,6 +86,7 @@ def first():
         return launched_drop("alone", 1, patch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("way", WAYS)
 def test_threads_launches_and_reruns_change_no_bit(first, way, threads, monkeypatch):
