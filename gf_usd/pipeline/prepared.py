@@ -28,7 +28,7 @@ from gf_usd.pipeline.cost.forecast import (
 from gf_usd.prepare.plan import Plan, Variant
 from gf_usd.prepare.prepare import Refill
 from gf_usd.prepare.prepare import prepare as prepare_plan
-from gf_usd.prepare.settings import REST_WORK, shot_frames
+from gf_usd.prepare.settings import REST_SECONDS, REST_WORK, shot_frames
 from gf_usd.system.taichi_runtime import watching
 
 if TYPE_CHECKING:
@@ -125,21 +125,23 @@ def prepare(
 
 
 def of_a_shot(prepared: Prepared) -> Prepared:
-    """A bake that nobody gave a length, as long as a shot where rest would take too much work.
+    """A bake that nobody gave a length, as long as a shot where rest would take too much work, or
+    usually more than REST_SECONDS of playback, as of bodies of a hundred meters.
 
-    By a count of substeps, so that the length is the same on every machine.
+    By counts of substeps and frames, so that the length is the same on every machine.
     """
     plan = prepared.plan
     if not plan.choices.open_end:
         return prepared
     rows = prepared.cost["per_material"]
     work = max(row["substeps"] for row in rows) * len(plan.particles)
-    if work <= REST_WORK:
+    usual = prepared.cost["usual_frames"]
+    if work <= REST_WORK and usual <= REST_SECONDS * plan.settings.fps:
         return prepared
     frames = shot_frames(plan.settings.frames)
     note = (
-        f"{frames} frames are simulated, and not until rest, which may take"
-        f" {plan.settings.frames} frames and about"
+        f"{frames} frames are simulated, and not until rest, which usually takes about {usual}"
+        f" frames, and may take {plan.settings.frames} and about"
         f" {duration(prepared.cost['estimated_seconds'])}; --frames rest asks for it"
     )
     shorter = replace(

@@ -53,6 +53,8 @@ ROLLING_RESISTANCE = 0.05  # soft rubber on a hard floor; a bouncing ball has 0.
 # Particle-substeps until then above which a bake ends with the shot where nobody said how long:
 # half an hour on one core.
 REST_WORK = 2e10
+# [s] of playback that rest usually takes, above which it does so: of bodies of 17 m in radius.
+REST_SECONDS = 60.0
 
 
 def span(

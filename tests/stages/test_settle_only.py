@@ -242,8 +242,9 @@ def test_what_holds_pushes_or_says_how_long_ends_without_rest(more: dict[str, An
     assert not gf_usd.inspect(SPHERE, **(FEW | more)).plan.choices.until_rest
 
 
-def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch) -> None:
-    monkeypatch.setattr("gf_usd.pipeline.prepared.REST_WORK", 100.0)
+@pytest.mark.parametrize(("limit", "value"), [("REST_WORK", 100.0), ("REST_SECONDS", 1.0)])
+def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit, value) -> None:
+    monkeypatch.setattr(f"gf_usd.pipeline.prepared.{limit}", value)
     plan = gf_usd.inspect(SPHERE, **FEW).plan
     assert not plan.choices.until_rest
     assert (
@@ -251,7 +252,10 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch) -> Non
     )
     (note,) = (note for note in plan.notes if "not until rest" in note)
     assert note.startswith(f"{plan.settings.frames} frames are simulated")
-    assert re.search(r"which may take \d+ frames and about [\d.]+ (s|minutes|hours|days);", note)
+    assert re.search(
+        r"usually takes about \d+ frames, and may take \d+ and about [\d.]+ (s|minutes|hours);",
+        note,
+    )
 
 
 @pytest.mark.slow
