@@ -41,8 +41,13 @@ def strained(kind: Any, law: str, solver: str) -> tuple[float, float, dict[str, 
     return float(frame.stress.mean()), frame.health.plastic_dissipation or 0.0, internal
 
 
+# Bakes refuse both for the Total Lagrangian solver: moduli follow the history of snow in the other
+# alone, and a fluid bears no shear to compare.
+UPDATED_ONLY = {"snow", "fluid"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [law for law in LAWS if law not in UPDATED_ONLY])
 def test_both_solvers_agree_to_the_order_of_the_strain(law: str) -> None:
     total = strained(TotalLagrangian, law, "tl")
     updated = strained(UpdatedLagrangian, law, "ul")
