@@ -126,7 +126,7 @@ def prepare(
 
 def of_a_shot(prepared: Prepared) -> Prepared:
     """A bake that nobody gave a length, as long as a shot where rest would take too much work, or
-    usually more than REST_SECONDS of playback, as of bodies of a hundred meters.
+    usually more than REST_SECONDS of playback, as of bodies tens of meters wide.
 
     By counts of substeps and frames, so that the length is the same on every machine.
     """

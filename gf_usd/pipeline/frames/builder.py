@@ -13,6 +13,7 @@ from gf_usd.core.frames import (
     BakedFrame,
     Frame,
     GaussianPose,
+    Health,
     MeshPose,
     Pose,
     Settings,
@@ -20,7 +21,7 @@ from gf_usd.core.frames import (
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.period import Period
-from gf_usd.pipeline.measures.inside import InsideMeasure
+from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
@@ -123,8 +124,7 @@ class FrameBuilder:
         self._poses = poses
         health = frame.health
         if self._inside and self._inside.asked(frame.index):
-            found = self._inside.measure(frame.index, poses)
-            health = replace(health, inside_share=found.share, inside_depth=found.depth)
+            health = _looked(health, self._inside.measure(frame.index, poses))
         return BakedFrame(
             index=frame.index,
             time_code=s.time_code(frame.index),
@@ -151,8 +151,12 @@ class FrameBuilder:
         if self._inside is None:
             return sample
         found = self._inside.measure(sample.index, self._poses, ends=True)
-        health = replace(sample.health, inside_share=found.share, inside_depth=found.depth)
-        return replace(sample, health=health)
+        return replace(sample, health=_looked(sample.health, found))
+
+
+def _looked(health: Health, found: Inside) -> Health:
+    """With what was found inside a body."""
+    return replace(health, inside_share=found.share, inside_depth=found.depth)
 
 
 def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[BakedFrame]:
