@@ -17,7 +17,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 from gf_usd.core.arrays import Ints
 from gf_usd.core.materials.laws import law_parameters
 from gf_usd.core.materials.material import Material
-from gf_usd.core.stage import NEWTONS
+from gf_usd.core.stage import GRAINS, NEWTONS
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import new_layer, refresh, save, to_metadata
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
@@ -156,23 +156,26 @@ def _write(
         ("newton:mpm:poissonsRatio", material.poissons_ratio),
         ("newton:mpm:elasticDamping", young * material.damping_time),
         # Newton's fallback, 0, is a material that falls apart under tension, like sand
-        ("newton:mpm:tensileYieldRatio", 1.0),
+        ("newton:mpm:tensileYieldRatio", 0.0 if material.law == "druckerPrager" else 1.0),
         *_newtons_flow(material, units),
     ):
         prim.CreateAttribute(name, Types.Float, False).Set(value)
 
 
 def _newtons_flow(material: Material, units: StageUnits) -> list[tuple[str, float]]:
-    """Newton's words on a material that flows without losing volume; see `core.stage.NEWTONS`.
+    """Newton's words on a material that flows; see `core.stage.NEWTONS` and `GRAINS`.
 
-    Newton's fallback of internalFriction would make its strength grow with pressure.
+    Newton's fallback of internalFriction would make the strength of a metal grow with pressure.
     """
-    if material.law not in VOLUME_KEEPING:
+    if material.law == "druckerPrager":
+        words, known = [], GRAINS
+    elif material.law in VOLUME_KEEPING:
+        words, known = [("newton:mpm:internalFriction", 0.0)], NEWTONS
+    else:
         return []
-    words = [("newton:mpm:internalFriction", 0.0)]
     for one in law_parameters([material.law]):
-        if one.name in NEWTONS:
-            name, factor = NEWTONS[one.name]
+        if one.name in known:
+            name, factor = known[one.name]
             value = material.parameter(one) / units.factor(one.unit) / factor
             words.append((f"newton:mpm:{name}", value))
     return words

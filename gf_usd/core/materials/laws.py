@@ -269,6 +269,12 @@ def flowing_law(stated: Iterable[str], otherwise: str) -> str:
     return (whole or having)[0]
 
 
+def stated_flow(law: str) -> str:
+    """What of a law says that a material flows, in words: "a yield stress"."""
+    label = next(p.label for p in LAWS[law].parameters if p.required).lower()
+    return f"{'an' if label[0] in 'aeiou' else 'a'} {label}"
+
+
 def check_law(law: str) -> str:
     """The law's token; UsageError where there is none of that name."""
     if law in LAWS:

@@ -11,7 +11,7 @@ import numpy as np
 from gf_usd.core.arrays import Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.presets import Fixed
 from gf_usd.core.stage import StageSpec
@@ -47,7 +47,8 @@ def flow_notes(
                 " does not flow: --law vonMises does"
             )
         elif law is None and stated and own and own.law is None:
-            notes.append(f"<{own.path}>: a yield stress is stated and no law: {material.law}")
+            what = stated_flow(material.law)
+            notes.append(f"<{own.path}>: {what} is stated and no law: {material.law}")
         elif law is None and painted and not stated and (own is None or own.law is None):
             notes.append(f"<{path}>: a yield stress is painted: the law is {material.law}")
     return tuple(dict.fromkeys(notes))

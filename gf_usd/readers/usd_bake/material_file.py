@@ -11,7 +11,7 @@ from typing import Any
 from pxr import Tf, Usd, UsdGeom, UsdShade
 
 from gf_usd.core.errors import InputError
-from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.laws import LAWS, stated_flow
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import StageUnits
 from gf_usd.readers.usd_physics.materials import (
@@ -106,5 +106,5 @@ def _material(path: Path, prim: Usd.Prim, units: StageUnits, say: Assume | None)
     material = spec.whole()
     assert material is not None  # both moduli are there
     if spec.law is None and LAWS[material.law].flows:
-        tell(f"a yield stress is stated and no law: {material.law}")
+        tell(f"{stated_flow(material.law)} is stated and no law: {material.law}")
     return material

@@ -13,7 +13,7 @@ from typing import Any
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.materials.laws import LAWS, law_parameters
-from gf_usd.core.stage import NEWTONS, PhysicsMaterialSpec
+from gf_usd.core.stage import GRAINS, NEWTONS, PhysicsMaterialSpec
 from gf_usd.core.units import StageUnits
 
 PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
@@ -104,28 +104,40 @@ def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, 
 
 # What has no counterpart here, with the value at which it changes nothing.
 NOT_OURS = {"internalFriction": 0.0, "tensileYieldRatio": 1.0, "yieldPressure": float("inf")}
+# Of what is granular: Newton bounds its tension by a share of the yield pressure, which is none by
+# its fallback, ours by the tip of the cone.
+GRANULAR = "druckerPrager"
+NOT_OF_GRAINS = {"tensileYieldRatio": 0.0, "yieldPressure": float("inf"), "viscosity": 0.0}
 
 
 def _newtons(
     authored: Authored, where: str, units: StageUnits, law: str | None, say: Assume | None
 ) -> dict[str, float]:
-    """Newton's words on flow as parameters of ours, in SI; none without a yield stress above 0."""
+    """Newton's words on flow as parameters of ours, in SI; none where they say of no flow.
+
+    Newton bears a shear stress sqrt(J2) <= yieldStress + internalFriction p.  Without internal
+    friction that is a von Mises yield stress of sqrt(3) yieldStress, with it Drucker and Prager's
+    cone, whose cohesion is yieldStress.
+    """
 
     def stated(name: str) -> float | None:
         value = _float(authored(PREFIXES[1] + name), PREFIXES[1] + name, where)
         return None if value is None or value == float("-inf") else value
 
+    granular = bool(stated("internalFriction")) and law in (None, GRANULAR)
+    ours = GRAINS if granular else NEWTONS
     out = {}
-    for one in law_parameters():
-        if one.name in NEWTONS:
-            name, factor = NEWTONS[one.name]
+    for one in law_parameters([GRANULAR] if granular else None):
+        if one.name in ours:
+            name, factor = ours[one.name]
             value = stated(name)
             if value:
                 SI = value * factor * units.factor(one.unit)
                 out[one.name] = _closed(where, PREFIXES[1] + name, SI, one.high, one.low)
-    if "yield_stress" not in out:
+    if not granular and "yield_stress" not in out:
         return {}
-    left = [name for name, nothing in NOT_OURS.items() if stated(name) not in (None, nothing)]
+    unread = NOT_OF_GRAINS if granular else NOT_OURS
+    left = [name for name, nothing in unread.items() if stated(name) not in (None, nothing)]
     hardening = stated("hardening")
     if hardening and law == "crushable":
         # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
@@ -135,10 +147,15 @@ def _newtons(
     elif hardening:
         left.append("hardening")
     if say and left:
+        what, why = (
+            ("internal friction", "what is granular bears no more tension than its cohesion gives")
+            if granular
+            else ("yield stress", "it is the same in tension and under any pressure")
+        )
         say(
-            "the yield stress is read in Newton's words, but not "
+            f"the {what} is read in Newton's words, but not "
             + ", ".join(PREFIXES[1] + name for name in left)
-            + ": it is the same in tension and under any pressure"
+            + f": {why}"
         )
     return out
 

@@ -82,14 +82,73 @@ def test_what_newton_says_beyond_our_laws_is_named(tmp_path: Path) -> None:
     _, said = read(
         tmp_path,
         "float newton:mpm:yieldStress = 20",
-        "float newton:mpm:internalFriction = 0.5",
         "float newton:mpm:tensileYieldRatio = 0.1",
         "float newton:mpm:hardening = 5",
     )
     assert said[0].startswith(
-        "the yield stress is read in Newton's words, but not newton:mpm:internalFriction,"
-        " newton:mpm:tensileYieldRatio, newton:mpm:hardening"
+        "the yield stress is read in Newton's words, but not newton:mpm:tensileYieldRatio,"
+        " newton:mpm:hardening"
     )
+
+
+def test_newtons_internal_friction_is_that_of_grains(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:internalFriction = 0.5",
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:tensileYieldRatio = 0",
+        "float newton:mpm:yieldPressure = -inf",
+    )
+    assert made.law == "druckerPrager"
+    assert made.parameters == {
+        "internal_friction": pytest.approx(0.5, rel=REL),
+        "cohesion": pytest.approx(2000.0, rel=REL),  # both bound sqrt(J2)
+    }
+    assert said == ["an internal friction is stated and no law: druckerPrager"]
+
+
+def test_what_newton_says_beyond_grains_is_named(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:internalFriction = 0.5",
+        "float newton:mpm:tensileYieldRatio = 0.1",
+        "float newton:mpm:yieldPressure = 1e6",
+    )
+    assert made.law == "druckerPrager"
+    assert said[0].startswith(
+        "the internal friction is read in Newton's words, but not newton:mpm:tensileYieldRatio,"
+        " newton:mpm:yieldPressure"
+    )
+
+
+def test_internal_friction_of_a_metal_is_named(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:internalFriction = 0.5",
+        'uniform token gaussianFlesh:law = "vonMises"',
+    )
+    assert made.parameters == {"yield_stress": pytest.approx(3**0.5 * 2000.0, rel=REL)}
+    assert "but not newton:mpm:internalFriction" in said[0]
+
+
+@pytest.mark.parametrize("name", ["dry-sand", "wet-sand"])
+def test_grains_come_back_by_newtons_words_alone(tmp_path: Path, name: str) -> None:
+    stage = Usd.Stage.CreateInMemory()
+    units = StageUnits(meters_per_unit=0.01)
+    (path,) = write_materials(
+        stage, Sdf.Path("/Materials"), [PHYSICAL[name].material(1.0)], name, units
+    )
+    prim = stage.GetPrimAtPath(path)
+    lines = [
+        f"float {one.GetName()} = {one.Get()}"
+        for one in prim.GetAttributes()
+        if one.GetName().startswith("newton:mpm:")
+    ]
+    made, _ = read(tmp_path, *[line for line in lines if "Modulus" not in line])
+    assert made.law == "druckerPrager"
+    own = {name: value for name, value in PHYSICAL[name].parameters.items() if value}
+    assert made.parameters == {name: pytest.approx(value, rel=REL) for name, value in own.items()}
 
 
 def test_newtons_hardening_is_that_of_lost_volume(tmp_path: Path) -> None:
