@@ -215,7 +215,7 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
     if outcome.hint:
         parts.append(tag("p", outcome.hint, class_="hint"))
     parts += [
-        tag("p", f"{w.get('look', '')}: {w.get('message', '')}", class_="warning")
+        tag("p", f"{w.get('variant', w.get('look', ''))}: {w.get('message', '')}", class_="warning")
         for w in outcome.warnings
     ]
     parts += [tag("p", note, class_="hint") for note in outcome.notes]

@@ -133,8 +133,8 @@ def bake(
         for note in result.notes[len(plan.notes) :]:
             if note not in told:
                 emit("note", message=note)
-        for look, warning in result.warnings:
-            emit("warning", look=look, **warning.as_json())
+        for name, warning in result.warnings:
+            emit("warning", variant=name, look=name, **warning.as_json())
         emit("finished", **result.as_json())
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))

@@ -305,8 +305,8 @@ def summarize(result: BakeResult, plan: Plan, spent: str) -> None:
     for bake in result.bakes:
         lines.append(_measured(bake))
         if bake.certificate is not None:
-            lines += [f"{bake.look}: {line}" for line in bake.certificate.lines()]
-        lines += [f"warning: {bake.look}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
+            lines += [f"{bake.variant}: {line}" for line in bake.certificate.lines()]
+        lines += [f"warning: {bake.variant}: {c.message}\n  hint: {c.hint}" for c in bake.warnings]
     lines += [
         f"check: {f['rule']} <{f['prim']}>: {f['message']}\n  fix: {f['fix']}"
         for f in result.findings
@@ -322,7 +322,7 @@ def _measured(bake: VariantResult) -> str:
     redone = f", {h['rollbacks']} times a frame was redone" if h["rollbacks"] else ""
     rest = f", at rest at frame {bake.at_rest}" if bake.at_rest else ""
     return (
-        f"{bake.look}: {bake.frames} frames{rest}, {h['substeps']} substeps{redone}, {rebound},"
+        f"{bake.variant}: {bake.frames} frames{rest}, {h['substeps']} substeps{redone}, {rebound},"
         f" deepest penetration {h['deepest_penetration_spacings']:.2f} spacings"
         f" ({h['deepest_penetration_m']:.3g} m){met}, volume ratio J {h['min_J']:.2f} to"
         f" {h['max_J']:.2f}"

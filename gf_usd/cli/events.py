@@ -58,7 +58,7 @@ def event_stream(target: str | None) -> Iterator[Emit]:
 
 def _emit_end(emit: Emit, end: GfUsdError | SystemExit) -> None:
     if isinstance(end, Unfinished):
-        emit("sliced", look=end.variant, done=end.done, frames=end.frames)
+        emit("sliced", variant=end.variant, look=end.variant, done=end.done, frames=end.frames)
     elif isinstance(end, GfUsdError):
         emit("error", status=end.exit_status, message=end.message, hint=end.hint)
     elif isinstance(end.code, int) and end.code > 128:  # a signal: see `main._stop`

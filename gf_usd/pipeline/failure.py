@@ -51,7 +51,8 @@ def place(
             "rest_position": [float(x) / unit for x in particles.X[error.particle]],
         }
     return {
-        "look": variant,
+        "variant": variant,
+        "look": variant,  # its name before; until 1.0
         "frame": math.ceil(error.frame / settings.samples_per_frame),
         "time_code": sampled(settings).time_code(error.frame),
         **found,

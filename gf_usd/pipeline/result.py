@@ -21,11 +21,11 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     strict : warnings are errors too.
     """
     warnings = [
-        (look, warning) for look, warning in result.warnings if strict or warning.level == ERROR
+        (name, warning) for name, warning in result.warnings if strict or warning.level == ERROR
     ]
     if not warnings:
         return
-    lines = "".join(f"\n  {look}: {warning.message}" for look, warning in warnings)
+    lines = "".join(f"\n  {name}: {warning.message}" for name, warning in warnings)
     hints = list(dict.fromkeys(warning.hint for _, warning in warnings))
     errors = any(warning.level == ERROR for _, warning in warnings)
     kind = "error" if errors else "warning"
@@ -52,7 +52,7 @@ def report_json(
 
     description : of `describe`.
     """
-    warnings = [(bake.look, warning) for bake in bakes for warning in bake.warnings]
+    warnings = [(bake.variant, warning) for bake in bakes for warning in bake.warnings]
     return {
         **description,
         "outputs": [*description["outputs"], *(str(c) for bake in bakes for c in bake.clips)],
@@ -69,7 +69,7 @@ def report_json(
 class VariantResult:
     """One material's bake."""
 
-    look: str  # name of the variant
+    variant: str  # its name
     cache: Path  # the layer that the frames are in
     material: Material  # the one that most of the volume has
     frames: int  # that were written
@@ -81,10 +81,16 @@ class VariantResult:
     certificate: Certificate | None = None  # how certain its figures are; None: not asked for
     storage: dict[str, Any] | None = None  # what storing less saved; docs/guide.md has the keys
 
+    @property
+    def look(self) -> str:
+        """The name of `variant` before; it stays until 1.0."""
+        return self.variant
+
     def as_json(self, *, frames: bool = False) -> dict[str, Any]:
         """Plain values; with every frame's health on request."""
         out = {
-            "look": self.look,
+            "variant": self.variant,
+            "look": self.variant,  # its name before; until 1.0
             "cache": str(self.cache),
             "material": self.material.values,
             "frames": self.frames,
@@ -129,8 +135,8 @@ class BakeResult:
 
     @property
     def warnings(self) -> tuple[tuple[str, HealthWarning], ...]:
-        """(look, warning) of every bake."""
-        return tuple((bake.look, warning) for bake in self.bakes for warning in bake.warnings)
+        """(variant, warning) of every bake."""
+        return tuple((bake.variant, warning) for bake in self.bakes for warning in bake.warnings)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values, as ``bake --json`` prints them."""

@@ -335,7 +335,7 @@ def _run_variant(
     if plan.choices.until_rest:  # its layers end where it ended
         info = replace(info, settings=replace(info.settings, frames=len(log.frames)))
     result = VariantResult(
-        look=variant.name,
+        variant=variant.name,
         cache=plan.outputs.root if plan.outputs.flat else variant.cache,
         material=variant.material,
         frames=summary.frames,

@@ -163,7 +163,8 @@ def describe(plan: Plan) -> dict[str, Any]:
         "bodies": [s.path for s in plan.asset.surfaces],
         "separate_bodies": [list(paths) for paths in plan.bodies.surfaces] if plan.bodies else [],
         "obstacles": [c.path for c in plan.contact_setup.colliders] if plan.contact_setup else [],
-        "riders": [list(r) for r in plan.embedded],
+        "embedded": [list(r) for r in plan.embedded],
+        "riders": [list(r) for r in plan.embedded],  # its name before; until 1.0
         "particles": len(plan.particles),
         "spacing_m": plan.particles.spacing,
         "volume_m3": plan.particles.volume,

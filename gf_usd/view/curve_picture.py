@@ -72,8 +72,8 @@ def _curves(panel: Panel) -> Image.Image:
     y = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in known])
     divisor, unit = prefix(float(np.abs(y).max()), panel.unit)
     low, high = float(y.min()) / divisor, float(y.max()) / divisor
-    room = 0.06 * (high - low) or 0.5
-    box = (float(x.min()), float(x.max()), low - room, high + room)
+    margin = 0.06 * (high - low) or 0.5
+    box = (float(x.min()), float(x.max()), low - margin, high + margin)
     _axes(draw, box, f"{panel.title} [{unit}]" if unit else panel.title)
     for curve in known:
         at = _pixels(box, curve.x, curve.y / divisor)

@@ -35,7 +35,7 @@ def script(name: str) -> Any:
 def test_the_duck_is_baked_and_read(tmp_path: Path) -> None:
     result = script("bake_the_duck").main(ROOT / "samples" / "duck.usda", tmp_path, particles=300)
     assert (tmp_path / "duck.png").is_file()
-    assert [bake.look for bake in result.bakes] == ["rubber", "soft-foam"]
+    assert [bake.variant for bake in result.bakes] == ["rubber", "soft-foam"]
     table = tmp_path / "table.csv"
     script("read_a_bake").main(result.root, table)
     rows = list(csv.reader(table.open()))

@@ -34,7 +34,7 @@ def test_an_unhealthy_bake_says_so_and_is_written(gf_usd, here: Path, block: Pat
     health = report["bakes"][0]["health"]
     assert health["inverted_particle_frames"] > 0
     warned = [w for w in report["warnings"] if w["about"] == "inside-out"]
-    assert [set(w) for w in warned] == [{"look", "about", "message", "hint", "level"}]
+    assert [set(w) for w in warned] == [{"variant", "look", "about", "message", "hint", "level"}]
     assert f"up to {health['inverted_max']} at once" in warned[0]["message"]
     assert f"warning: jelly: {warned[0]['message']}\n  hint: {warned[0]['hint']}" in done.out
     stage = Usd.Stage.Open(str(here / "block.jelly.usda"))

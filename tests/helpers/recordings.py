@@ -126,7 +126,7 @@ def report_of(look: str = "rubber", **more: Any) -> dict[str, Any]:
         "check": [],
         "bakes": [
             {
-                "look": look,
+                "variant": look,
                 "material": {"name": look, "law": "corotated", "density": 1100.0},
                 "health": {"min_J": 0.5, "inverted_particle_frames": 0, "rollbacks": 0},
                 "per_frame": [health(i) for i in range(FRAMES)],

@@ -15,17 +15,17 @@ RESULT = [
     "notes", "check",
 ]  # fmt: skip
 REPORT = {
-    "command", "version", "source", "input_sha256", "bodies", "riders", "particles", "spacing_m",
-    "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m", "settings", "outputs",
-    "notes", "seconds", "bakes", "warnings", "check", "pins", "rigid",
+    "command", "version", "source", "input_sha256", "bodies", "embedded", "riders", "particles",
+    "spacing_m", "volume_m3", "radius_m", "materials", "frames", "fps", "start", "drop_m",
+    "settings", "outputs", "notes", "seconds", "bakes", "warnings", "check", "pins", "rigid",
     "separate_bodies", "obstacles", "tables", "advice", "own_values",
 }  # fmt: skip
-BAKE = ["look", "cache", "material", "frames", "at_rest", "health"]
+BAKE = ["variant", "look", "cache", "material", "frames", "at_rest", "health"]
 HEALTH = {
     "frames", "substeps", "substeps_max_per_frame", "rollbacks", "restitution",
     "frames_without_substeps", "flying_body_frames", "sleeping_body_frames",
     "deepest_penetration_m", "deepest_penetration_spacings", "penetration_at_end_spacings",
-    "deepest_overlap_m", "deepest_overlap_spacings", "let_go_max",
+    "deepest_overlap_m", "deepest_overlap_spacings", "released_max", "let_go_max",
     "inside_at_end_share", "inside_at_end_m", "inside_max_share", "inside_max_m",
     "resting_penetration_m", "resting_penetration_spacings", "first_contact_frame", "min_J",
     "max_J", "min_stretch", "max_stretch", "inverted_particle_frames", "inverted_max",

@@ -12,10 +12,10 @@ from gf_usd.pipeline.failure import place
 
 
 def test_the_prim_is_that_of_the_particle_where_a_surface_before_it_only_rides(plan) -> None:
-    # Particles count the surfaces that are filled: the rider stands before both in the asset.
+    # Particles count the surfaces that are filled: the embedded one stands before both.
     seen = plan(mesh("One"), mesh("Two", at(3.0)), particles=200)
-    rider = replace(seen.asset.surfaces[0], path="/Cloth")
-    asset = replace(seen.asset, surfaces=(rider, *seen.asset.surfaces))
+    embedded = replace(seen.asset.surfaces[0], path="/Cloth")
+    asset = replace(seen.asset, surfaces=(embedded, *seen.asset.surfaces))
     seen = replace(seen, asset=asset, embedded=(("/Cloth", "is open"),))
     for particle in (0, len(seen.particles) - 1):
         surface = int(seen.particles.surface[particle])

@@ -145,6 +145,7 @@ def test_totals_and_extremes() -> None:
         "deepest_penetration_spacings": pytest.approx(0.5),
         "deepest_overlap_m": 0.0,
         "deepest_overlap_spacings": 0.0,
+        "released_max": 0,
         "let_go_max": 0,
         "inside_at_end_share": None,
         "inside_at_end_m": None,

@@ -162,7 +162,7 @@ def result(*healths: dict[str, Any]) -> BakeResult:
     material = look("rubber", ball(100)[0])
     bakes = [
         VariantResult(
-            look=f"look{i}", cache=Path("c.usdc"), material=material, frames=2, health=health,
+            variant=f"look{i}", cache=Path("c.usdc"), material=material, frames=2, health=health,
             warnings=health_warnings(health),
         )
         for i, health in enumerate(healths)

@@ -57,7 +57,7 @@ def plan(source: Path) -> Plan:
 def result(plan: Plan, **changes) -> BakeResult:
     looks = tuple(
         VariantResult(
-            look=m.name,
+            variant=m.name,
             cache=cache,
             material=m,
             frames=5,
@@ -152,7 +152,7 @@ def test_a_result_has_the_documented_keys(plan: Plan) -> None:
     assert out["report"] == "out/my ball.rubber-jelly.report.json"
     assert out["settings"].keys() == Settings.__dataclass_fields__.keys()
     assert [list(b) for b in out["bakes"]] == [
-        ["look", "cache", "material", "frames", "at_rest", "health"]
+        ["variant", "look", "cache", "material", "frames", "at_rest", "health"]
     ] * 2
     assert out["bakes"][1]["material"] == plain(plan.materials[1])
     assert out["check"] == [{"rule": "finite", "prim": "/A", "message": "m", "fix": "f"}]

@@ -115,9 +115,9 @@ def test_the_frames_before_it_are_kept(here: Path, fault: Fault) -> None:
     said = report(here / f"{STEM}.report.json")
     failed = said["failed"]
     assert set(failed) == {
-        "look", "frame", "time_code", "particle", "prim", "rest_position", "why", "hint",
+        "variant", "look", "frame", "time_code", "particle", "prim", "rest_position", "why", "hint",
     }  # fmt: skip
-    assert (failed["look"], failed["frame"], failed["time_code"]) == ("rubber", 4, 5.0)
+    assert (failed["variant"], failed["frame"], failed["time_code"]) == ("rubber", 4, 5.0)
     assert (failed["particle"], failed["prim"]) == (7, BODY)
     assert failed["why"].startswith("it looks odd, with ")
     rest = np.array(splats.GetAttribute("gaussianFlesh:restPositions").Get())

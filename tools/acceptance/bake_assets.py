@@ -116,7 +116,7 @@ def _checked(result: dict[str, Any], patience: float) -> tuple[str, str]:
     ours = report["check"]
     bodies = len(report["bodies"])
     words = f"{bodies} mesh{'es' if bodies > 1 else ''}, {result['particles']} particles"
-    if embedded := len(report["riders"]):
+    if embedded := len(report["embedded"]):
         words += f", {embedded} not filled"
     if found and not ours:
         words += f"; check: {len(found)} error{'s' if len(found) > 1 else ''} of the source's own"

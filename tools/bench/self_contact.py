@@ -69,7 +69,7 @@ def pile() -> None:
         ("frames", health["frames"]),
         ("CPU seconds", round(seconds)),
         ("deepest overlap [spacings]", round(health["deepest_overlap_spacings"], 3)),
-        ("samples released", health["let_go_max"]),
+        ("samples released", health["released_max"]),
         ("share of the energy that new planes gave", f"{health['planes_gain_share']:.2g}"),
         ("smallest J", round(health["min_J"], 3)),
     ):

@@ -20,7 +20,7 @@ COLUMNS = 6
 
 def draw_sweep(result: BakeResult, target: Path) -> None:
     """Write the sheet: all variants at the same times, seen by the same camera."""
-    sources = [PictureStage(result.root, None, variant=bake.look) for bake in result.bakes]
+    sources = [PictureStage(result.root, None, variant=bake.variant) for bake in result.bakes]
     motion = sources[0].motion
     bounds = [one.motion.bounds for one in sources if one.motion.bounds is not None]
     camera = None
@@ -34,6 +34,6 @@ def draw_sweep(result: BakeResult, target: Path) -> None:
     tiles = []
     for bake, source in zip(result.bakes, sources):
         draw = Drawing(source, TILE, fitted=camera)
-        words = [bake.look, *(f"time code {code:g}" for code in codes[1:])]
+        words = [bake.variant, *(f"time code {code:g}" for code in codes[1:])]
         tiles += [label(draw(code), text) for code, text in zip(codes, words)]
     write_png(target, contact_sheet(tiles, len(codes)))

@@ -76,7 +76,7 @@ TOTAL: dict[str, tuple[Any, str, str]] = {
     "stressCappedParticles": (Types.Int64, "stress_capped_particle_frames", ""),
     "penetration": (Types.Float, "deepest_penetration_m", "length"),
     "overlap": (Types.Float, "deepest_overlap_m", "length"),
-    "contactsLetGo": (Types.Int, "let_go_max", ""),
+    "contactsLetGo": (Types.Int, "released_max", ""),
     "restingPenetration": (Types.Float, "resting_penetration_m", "length"),
     "insideShare": (Types.Float, "inside_at_end_share", ""),
     "insideDepth": (Types.Float, "inside_at_end_m", "length"),

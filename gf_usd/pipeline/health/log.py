@@ -96,7 +96,8 @@ class HealthLog:
             **self._fallen(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
-            "let_go_max": max(f.let_go for f in h),
+            "released_max": max(f.let_go for f in h),
+            "let_go_max": max(f.let_go for f in h),  # its name before; until 1.0
             **self._inside(),
             "first_contact_frame": next((i for i, f in enumerate(h) if touches(f)), None),
             "min_J": min(f.min_J for f in h),

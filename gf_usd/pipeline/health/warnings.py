@@ -173,10 +173,10 @@ def _overlap(h: HealthSummary) -> Said:
 
 
 def _let_go(h: HealthSummary) -> Said:
-    if not h["let_go_max"]:
+    if not h["released_max"]:
         return None
     return (
-        f"{h['let_go_max']} contact points at once seemed deeper in another surface than they can"
+        f"{h['released_max']} contact points at once seemed deeper in another surface than they can"
         " have come, where it was folded or turned inside out, and were let go: there the bodies"
         " may stand in each other",
         "lower the impact (--drop), take a stiffer material, or more --particles",
@@ -283,5 +283,8 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
 
 
 def warnings_json(warnings: Sequence[tuple[str, HealthWarning]]) -> list[dict[str, str]]:
-    """``[{look, about, message, hint, level}]`` as reports hold it."""
-    return [{"look": look, **warning.as_json()} for look, warning in warnings]
+    """``[{variant, look, about, message, hint, level}]`` as reports hold it.
+
+    `look` is the name of `variant` before; it stays until 1.0.
+    """
+    return [{"variant": name, "look": name, **one.as_json()} for name, one in warnings]

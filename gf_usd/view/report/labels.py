@@ -67,7 +67,7 @@ ROWS: tuple[Row, ...] = (
     Row("deepest_overlap_m", "Deepest overlap", "m", "with a body or an obstacle"),
     Row("deepest_overlap_spacings", "Deepest overlap", "spacings", "in particle spacings"),
     Row(
-        "let_go_max",
+        "released_max",
         "Released contact samples",
         "",
         "most at once; released where a surface is folded or inverted",
@@ -208,7 +208,7 @@ MARKS: dict[str, tuple[str, ...]] = {
     "planes": ("planes_J", "planes_gain_share"),
     "penetration": ("deepest_penetration_m", "deepest_penetration_spacings"),
     "overlap": ("deepest_overlap_m", "deepest_overlap_spacings"),
-    "let-go": ("let_go_max",),
+    "let-go": ("released_max",),
     "fallen": ("fallen_bodies", "first_fallen_frame"),
     "inside": ("inside_at_end_share", "inside_at_end_m"),
     "resting-depth": ("resting_penetration_m", "resting_penetration_spacings"),

@@ -93,20 +93,20 @@ def test_wls_gives_energy_that_is_counted():
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.02, 0.3, 1.0])
 def test_the_shape_correction_moves_towards_the_rest_shape_by_its_strength(alpha):
-    rider = np.array([[0.0, 1.0, 0.0], [0.3, -0.2, 0.9]])
+    embedded = np.array([[0.0, 1.0, 0.0], [0.3, -0.2, 0.9]])
     A, b = SQUASH - np.eye(3), np.array([0.5, -2.0, 1.0])
     poses = []
     for strength in (0.0, alpha):
         # The motion of one frame is A X + b, times the time.
         solver = made(
-            procrustes=strength, embedded={"r": rider}, velocity=lambda X: 1e5 * (X @ A.T + b)
+            procrustes=strength, embedded={"r": embedded}, velocity=lambda X: 1e5 * (X @ A.T + b)
         )
         frame = list(solver.frames())[-1]
         poses.append((frame.particles, frame.embedded["r"], frame.health))
     (plain, rode, before), (moved, rides, after) = poses
     X, m = body().X, body().V0 / body().V0.sum()
     mean, rest = m @ plain.x, m @ X
-    for was, now, at in ((plain, moved, X), (rode, rides, rider)):
+    for was, now, at in ((plain, moved, X), (rode, rides, embedded)):
         target = mean + (at - rest)
         np.testing.assert_allclose(now.x, was.x + alpha * (target - was.x), atol=1e-9)
         np.testing.assert_allclose(now.v, was.v, atol=1e-9 * 1e5)

@@ -209,16 +209,16 @@ def limit_pull(body: ti.template(), node):
 
 
 @ti.func
-def pull_of(way, room, hardest):
-    """A s^2 / (1 - s) of s = (way - room) / room, and a straight line from where it is as steep as
-    `hardest`; 0 where there is no room to speak of.
+def pull_of(way, slack, hardest):
+    """A s^2 / (1 - s) of s = (way - slack) / slack, and a straight line from where it is as
+    steep as `hardest`; 0 where there is no slack.
     """
     out = 0.0 * way
-    if room > 0.0 and way > room:
-        s = way / room - 1.0
-        left = 1.0 / ti.sqrt(1.0 + hardest * room / PULL)  # 1 - s*
+    if slack > 0.0 and way > slack:
+        s = way / slack - 1.0
+        left = 1.0 / ti.sqrt(1.0 + hardest * slack / PULL)  # 1 - s*
         soft = ti.min(s, 1.0 - left)
-        out = PULL * soft * soft / (1.0 - soft) + hardest * room * (s - soft)
+        out = PULL * soft * soft / (1.0 - soft) + hardest * slack * (s - soft)
     return out
 
 
