@@ -98,7 +98,7 @@ def _require_file(path: Path) -> None:
     """Raise InputError where `path` is not a file with something in it that may be read."""
     try:
         if path.is_dir():
-            raise InputError(f"{path} is a folder, not an asset file", _what_can_be_read())
+            raise InputError(f"{path} is a folder, not an asset file", _of_folder(path))
         if not path.exists():
             raise InputError(f"{path} does not exist", f"{_near(path)}{_what_can_be_read()}")
         if not path.is_file():
@@ -111,6 +111,18 @@ def _require_file(path: Path) -> None:
             f"{path} cannot be read: {error.strerror or error}",
             "check the spelling of the path and the permissions of the file",
         ) from error
+
+
+def _of_folder(folder: Path) -> str:
+    """The asset file of a folder: that of its name, as asset libraries have it, or the only one."""
+    names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
+    own = [name for name in names if Path(name).stem == folder.resolve().name]
+    if len(found := own or names) == 1:
+        return f"give its asset file: {folder / found[0]}"
+    if found:
+        more = f" or one of {len(found) - 3} others" if len(found) > 3 else ""
+        return f"give one of its asset files: {', '.join(found[:3])}{more}"
+    return _what_can_be_read()
 
 
 def _near(path: Path) -> str:

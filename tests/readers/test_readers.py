@@ -33,8 +33,9 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
     empty.touch()
     word.write_text("x")
     bare.write_text("x")
+    (tmp_path / "none").mkdir()
     for path, words in (
-        (tmp_path, f"{tmp_path} is a folder, not an asset file"),
+        (tmp_path / "none", f"{tmp_path / 'none'} is a folder, not an asset file"),
         (empty, f"{empty} is empty (0 bytes)"),
         (word, f"{word} has the suffix '.docx': there is no reader for it"),
         (bare, f"{bare} has no suffix: there is no reader for it"),
@@ -43,6 +44,29 @@ def test_folder_empty_file_and_unknown_suffix(tmp_path):
             read_asset(path)
         assert error.value.message == words
         assert all(suffix in error.value.hint for suffix in SUFFIXES)
+
+
+@pytest.mark.parametrize(
+    ("names", "hint"),
+    [
+        (("lamp.usd", "lamp_geo.usdc", "notes.txt"), "give its asset file: {lamp.usd}"),
+        (("shade.usdc",), "give its asset file: {shade.usdc}"),
+        (("b.obj", "a.usda"), "give one of its asset files: a.usda, b.obj"),
+        (tuple("edcba"), ""),
+        (tuple(f"{k}.usda" for k in range(5)),
+         "give one of its asset files: 0.usda, 1.usda, 2.usda or one of 2 others"),
+    ],
+)  # fmt: skip
+def test_a_folder_says_which_file_is_meant(tmp_path, names, hint):
+    folder = tmp_path / "lamp"
+    folder.mkdir()
+    for name in names:
+        (folder / name).write_text("x")
+    with pytest.raises(InputError) as error:
+        read_asset(folder)
+    name = hint.partition("{")[2].rstrip("}")
+    wanted = hint.replace(f"{{{name}}}", str(folder / name)) if name else hint
+    assert error.value.hint == (wanted or f"give a file that ends in {', '.join(SUFFIXES)}")
 
 
 def test_suffix_in_capitals(write):
