@@ -153,6 +153,7 @@ def test_a_body_at_rest_on_another_does_not_stand_in_it():
     assert last.embedded["/Upper"].x[:, 1].min() > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [-0.02, 0.0, 0.01])
 def test_bodies_that_are_near_at_rest_stay_where_they_are(gap):
     """What touches, overlaps or is nearer than APART in the asset is not pushed."""
@@ -231,6 +232,7 @@ def slope(degrees: float, frames: int = 36) -> np.ndarray:
     return np.diff(x @ tilted([[-1.0, 0.0, 0.0]], degrees)[0]) * 24.0
 
 
+@pytest.mark.slow
 def test_a_box_slides_above_the_friction_angle_and_sticks_below():
     # The angle is atan(0.5) = 26.6 degrees.
     sliding = slope(35.0)
@@ -278,6 +280,7 @@ def test_a_body_that_closes_meets_itself_if_asked(material, rate):
     assert 0.0 <= min(gap[True]) < OFFSET
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
 def test_no_sample_of_two_arms_that_close_is_let_go(material, rate):

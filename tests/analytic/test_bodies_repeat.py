@@ -47,6 +47,7 @@ def first():
         return march(1, "alone", patch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("way", slow_but(WAYS, "alone"))
 def test_reruns_threads_and_launches_agree_to_the_bit(first, way, threads, monkeypatch):

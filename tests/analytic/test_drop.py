@@ -49,6 +49,7 @@ def _energy(h) -> float:
     return h.kinetic + h.elastic + h.potential + h.contact
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BANDS)
 def test_peak_squash_and_penetration(name):
     seen = drop(name, 1.0)

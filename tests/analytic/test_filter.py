@@ -38,6 +38,7 @@ def filtered(body: str, velocity: Any, *, substeps: int, followers: bool):
     return solver.body.stencil.free_X, solver.body.mass, before, solver.state.view().v
 
 
+@pytest.mark.slow
 @on_every_body
 @followed
 def test_momentum_and_its_moment_are_kept_to_rounding(body, followers):
@@ -59,6 +60,7 @@ def test_rigid_and_affine_motion_pass_unchanged(body, followers):
     np.testing.assert_allclose(after, before, atol=1e-11)
 
 
+@pytest.mark.slow
 @on_every_body
 @followed
 def test_noise_loses_energy_and_never_gains(body, followers):

@@ -66,6 +66,7 @@ def test_drag_slows_a_fall_as_its_formula_says():
     assert -frame.health.momentum[1] / frame.health.mass == pytest.approx(speed, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_lagrangian_limit_conserves_momentum_spin_and_energy():
     # Forces are the adjoint of F, so both momenta are exact: f32 rounding of 100 frames is left.
     # Energy of position Verlet swings by (w dt)^2 / 4 of the vibration, which is a few per cent
@@ -101,6 +102,7 @@ def test_apic_every_substep_conserves_reference_spin_and_only_loses_energy():
     assert np.isfinite(v).all()
 
 
+@pytest.mark.slow
 def test_one_filter_conserves_reference_angular_momentum_exactly():
     # Without stress (moduli a billionth) a frame is nothing but filters: the sum of X x p over all
     # nodes, followers with their own mass, must stay; so must that of the free nodes' momenta,
@@ -119,6 +121,7 @@ def test_one_filter_conserves_reference_angular_momentum_exactly():
     np.testing.assert_allclose(reference_spin(), before, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_finite_filter_rate_does_not_depend_on_the_step():
     # The rate is per second: halving the step leaves the loss of vibration as it is, up to the
     # splitting error of FILTER_STEP = 0.2, a tenth of the loss itself.

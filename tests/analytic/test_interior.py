@@ -31,6 +31,7 @@ def even_cube() -> Particles:
     return replace(particles, X=X)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("A", MAPS.values(), ids=MAPS.keys())
 @pytest.mark.parametrize("token", slow_but(ENERGIES, "neoHookean"))
 @pytest.mark.parametrize("real", slow_but([np.float32, np.float64], np.float32))

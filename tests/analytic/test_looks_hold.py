@@ -27,6 +27,7 @@ def drop(name: str, **changes) -> tuple[int, int, float]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rubber", "metal", "jelly"])
 def test_nothing_turns_inside_out(name) -> None:
     inverted, redone, least = drop(name)

@@ -54,6 +54,7 @@ def core(damping: float) -> tuple[float, float]:
     return float(inner.mean()), float(inner.std())
 
 
+@pytest.mark.slow
 def test_behind_a_shock_matter_is_as_dense_as_the_jump_conditions_say():
     # A material without damping has no shock viscosity: behind its shock single particles ring, and
     # the mean is off.  A half is five cells long and the shock about one of them wide.

@@ -53,6 +53,7 @@ def tip_compliance(thickness, tilt):
     return np.array(found) / beam
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [TILT, (0.0, 0.0, 0.0)])
 @pytest.mark.parametrize("thickness", [1.0, 0.5, 0.15])
 def test_a_rod_thinner_than_a_cell_is_a_rod(thickness, tilt):

@@ -65,6 +65,7 @@ def test_each_body_moves_as_in_a_bake_of_its_own_law(solver: str) -> None:
         close(mixed.stress[which], one.stress[which])
 
 
+@pytest.mark.slow
 def test_energy_is_kept_and_a_border_inside_a_body_holds() -> None:
     """One body, half of each law: with the wrong energy for a half it would not be kept.
 

@@ -65,6 +65,7 @@ def test_the_series_formula_of_two_halves():
     assert np.tan(k1 / 2) * np.tan(k2 / 2) == pytest.approx(np.sqrt(SOFT / STIFF), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.0, 0.5])
 def test_the_first_frequency_is_that_of_springs_in_series(width):
     exact, x, shape = first_mode(width)

@@ -48,6 +48,7 @@ def test_peak_squash_is_that_of_the_total_lagrangian_solver(name, apart):
     assert ul == pytest.approx(tl, abs=apart)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rubber", "metal", "jelly"])
 def test_no_energy_comes_from_nowhere_and_the_floor_holds(name):
     _, health, spacing = drop(UpdatedLagrangian, name)
@@ -60,6 +61,7 @@ def test_no_energy_comes_from_nowhere_and_the_floor_holds(name):
     assert not any(h.rollbacks or h.inverted for h in health)
 
 
+@pytest.mark.slow
 def test_a_small_ball_lands_as_a_large_one():
     # Looks are the same at any size: the same frames but for rounding of f32 in contact.
     small, large = (drop(UpdatedLagrangian, "rubber", radius=r)[0] for r in (0.025, 1.0))

@@ -39,6 +39,7 @@ def test_free_fall_is_exact_at_every_frame(real, tolerance):
         np.testing.assert_allclose(speed, g * frame.time, atol=30.0 * tolerance)
 
 
+@pytest.mark.slow
 def test_drag_slows_a_fall_as_its_formula_says():
     # dv/dt = g - k v: the splitting (kick, then exp(-k dt)) is first order in k dt = 0.5 / 150.
     body, _ = ball(300)
@@ -49,6 +50,7 @@ def test_drag_slows_a_fall_as_its_formula_says():
     assert -frame.health.momentum[1] / frame.health.mass == pytest.approx(speed, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("real", "tolerance"), [(np.float32, 1e-5), (np.float64, 1e-13)])
 def test_both_momenta_are_kept_and_energy_is_only_lost(real, tolerance):
     # In the world frame APIC keeps sum x x m v with the particles' own spin, the stress is
@@ -72,6 +74,7 @@ def test_both_momenta_are_kept_and_energy_is_only_lost(real, tolerance):
     assert not any(h.rollbacks for h in health)
 
 
+@pytest.mark.slow
 def test_a_body_at_rest_stays_at_rest():
     # F = I is the rest state of the law to the bit, so nothing moves at all.
     body, _ = ball(300)

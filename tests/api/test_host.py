@@ -141,6 +141,7 @@ print(any('Taichi runs for another part' in note for note in result.notes), mine
     assert words == [ended, "3", ended, "True [7. 7. 7.]"]
 
 
+@pytest.mark.slow
 def test_nothing_stays_replaced(tmp_path: Path) -> None:
     said = run(
         tmp_path,

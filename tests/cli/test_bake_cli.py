@@ -91,6 +91,7 @@ def test_several_materials_are_variants_of_one_layer(gf_usd, here: Path, block: 
     assert np.abs(last["rubber"] - last["jelly"]).max() > 0.1
 
 
+@pytest.mark.slow
 def test_gradients_and_stress_are_written_for_every_particle(
     gf_usd, here: Path, block: Path
 ) -> None:
@@ -135,6 +136,7 @@ def test_auto_slows_a_small_body_down(gf_usd, here: Path, block: Path) -> None:
     np.testing.assert_allclose(velocities[:, 2], expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_paper_s_preset_runs(gf_usd, here: Path) -> None:
     done = gf_usd("bake", SAMPLES / "sphere.usda", "--preset", "paper", "--frames", "4", "--json")
     assert done.status == 0

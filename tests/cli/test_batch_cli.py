@@ -41,6 +41,7 @@ def assets(block: Path) -> Path:
     return block.parent
 
 
+@pytest.mark.slow
 def test_one_asset_stops_no_other_and_a_rerun_does_what_is_missing(
     gf_usd: Call, here: Path, assets: Path
 ) -> None:

@@ -67,6 +67,7 @@ def test_a_textured_glb_from_file_to_layers(gf_usd, glb, tmp_path, monkeypatch):
     assert (colors[:, 2] > 0.5).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_bakes_of_one_file_share_its_layer(gf_usd, tmp_path):
     path = tmp_path / "box.obj"
     path.write_text(trimesh.creation.box((0.2, 0.4, 0.6)).export(file_type="obj"))

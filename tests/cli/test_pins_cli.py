@@ -54,6 +54,7 @@ def world(path: Path, time: float) -> np.ndarray:
     return points @ M[:3, :3] + M[3, :3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pin", ["/Arm/Bar/end", "box:-5,-5,45,6,25,75"])
 def test_what_is_held_follows_the_source_and_the_rest_swings(arm: Path, pin: str) -> None:
     out = arm.with_name("out.usda")

@@ -39,6 +39,7 @@ def same(ply, spz, turn: np.ndarray) -> None:
     np.testing.assert_allclose(spz.harmonics, turned, atol=0.51 / 255 / 0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("axis", "turn"), [("Y", np.eye(3)), ("-Y", HALF_TURN), ("Z", STOOD), ("-Z", STOOD @ HALF_TURN)]
 )
@@ -57,6 +58,7 @@ def test_a_capture_stands_in_spz_as_it_does_in_the_bake(gf_usd, here, tmp_path, 
     assert 0.0 < spz.positions[:, 1].min() < 0.09
 
 
+@pytest.mark.slow
 def test_several_captures_and_particles_stand_too(gf_usd, here, tmp_path):
     stage = Usd.Stage.CreateNew(str(tmp_path / "two.usda"))
     UsdGeom.SetStageMetersPerUnit(stage, 0.1)

@@ -36,6 +36,7 @@ def off(surface, radius=0.5):
     return np.abs(np.linalg.norm(surface.points, axis=1) - radius)
 
 
+@pytest.mark.slow
 def test_a_hollow_ball_is_closed_and_filled():
     surface, notes = hull(ball(2000), up=1)
     assert len(boundary_edges(surface.triangles)) == 0

@@ -51,6 +51,7 @@ def test_options_that_ul_does_not_know_are_refused_before_anything_is_read(optio
     Request(solver="ul", filter_rate=np.inf).check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample", ["sphere", "duck", "deformed_sphere"])
 def test_every_sample_bakes_and_checks(tmp_path, sample):
     made = gf_usd.bake(

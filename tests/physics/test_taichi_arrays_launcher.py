@@ -31,6 +31,7 @@ def test_a_launcher_moves_a_body_as_its_kernel_does(real) -> None:
     np.testing.assert_array_equal(ends[0], ends[1])
 
 
+@pytest.mark.slow
 def test_launchers_of_two_bodies_keep_to_their_own() -> None:
     one, other = made(), made()
     for solver in (one, other):

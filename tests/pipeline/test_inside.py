@@ -15,6 +15,7 @@ def pose(points) -> Pose:
     return Pose(x=np.asarray(points, float), v=np.zeros((n, 3)), F=np.tile(np.eye(3), (n, 1, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flip", [False, True])
 def test_a_ball_that_sinks_into_another(flip):
     left = sphere(center=(-3.0, 0.0, 0.0), subdivisions=4, path="/Left")

@@ -62,6 +62,7 @@ def test_its_parameter_is_read_in_units_of_the_stage(clay: Path) -> None:
         read_material(clay)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", slow_but(["tl", "ul"], "tl"))
 def test_a_bake_says_what_flowed_and_writes_the_parameter(
     clay: Path, tmp_path: Path, solver: str

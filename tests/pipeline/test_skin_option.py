@@ -36,6 +36,7 @@ def test_choice(options: dict[str, Any], skin: str, tmp_path: Path) -> None:
     assert list(embedded) == ([s.path for s in plan.asset.surfaces] if skin == "embed" else [])
 
 
+@pytest.mark.slow
 def test_skins_are_written(tmp_path: Path) -> None:
     found = {}
     for skin in ("embed", "idw", "paper"):

@@ -197,10 +197,12 @@ def test_a_device_that_is_not_there(tmp_path: Path) -> None:
         [sys.executable, "-m", "gf_usd", *words], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert done.stderr.startswith("error: No CUDA device was found.\n\nhint: use --device cpu")
+    told = done.stderr.removeprefix("reading sphere.usda\n")  # of a machine that is slow to start
+    assert told.startswith("error: No CUDA device was found.\n\nhint: use --device cpu")
     assert names(tmp_path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_second_interrupt_ends_what_the_first_waits_for(tmp_path: Path) -> None:
     """A save that never comes back stands for a network disk that does not answer."""

@@ -40,6 +40,7 @@ def in_meters(stage: Usd.Stage, path: str, name: str, code: float) -> np.ndarray
     return 0.01 * (x @ matrix[:3, :3] + matrix[3, :3])
 
 
+@pytest.mark.slow
 def test_an_independent_reader_finds_the_error_that_is_told(bakes) -> None:
     true, mine = (Usd.Stage.Open(str(bakes[name].root)) for name in ("all", "few"))
     storage = json.loads(bakes["few"].report.read_text())["bakes"][0]["storage"]

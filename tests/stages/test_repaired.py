@@ -86,6 +86,7 @@ def bake(tmp_path: Path) -> Callable[..., tuple[Path, dict]]:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mesh", "volume", "alone", "said", "cells"),
     [

@@ -89,6 +89,7 @@ def test_kernels_of_hundreds_of_bakes_stay_in_the_cache():
     assert config.offline_cache_max_size_of_files >= 1000 * 600e3
 
 
+@pytest.mark.slow
 def test_what_outlives_a_restart_is_not_freed_by_its_address(monkeypatch) -> None:
     import taichi as ti
     from taichi.lang import _ndarray

@@ -68,6 +68,7 @@ def test_its_widths_are_those_of_the_paper_for_its_ball() -> None:
     np.testing.assert_allclose(np.diag(A[0]), [0.1, 0.2, 0.2], rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_distances_are_exact_and_drift_is_their_mean() -> None:
     pytest.importorskip(
         "open3d", reason="open3d or its libraries are missing", exc_type=ImportError

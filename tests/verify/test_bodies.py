@@ -49,6 +49,7 @@ def test_a_clamp_holds_what_is_under_its_plane() -> None:
     np.testing.assert_array_equal(pin.nearest(X), [[0.0, 0.5, 1.0], [0.0, 0.5, 1.0]])
 
 
+@pytest.mark.slow
 def test_virial_and_force_of_a_strained_block() -> None:
     body = block(np.zeros(3), (2, 2, 2), 0.5, places=GAUSS)
     made = elastic(E=2.0, nu=0.0, density=3.0)
@@ -106,6 +107,7 @@ def swinging() -> TotalLagrangian:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_motion_is_that_of_frames():
     frames = list(swinging().frames())
     seen = [(t, now.particles.x) for t, now in motion(swinging())]

@@ -12,6 +12,7 @@ from gf_usd.verify.cases.elastic.slanted import breathing
 from gf_usd.verify.ritz import bending_frequency
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
 def test_a_slender_bar_bends_as_euler_says(nu: float) -> None:
     slender = 60.0
@@ -49,6 +50,7 @@ def test_forces_of_the_made_up_solution() -> None:
     assert np.linalg.det(F).min() > 0.2
 
 
+@pytest.mark.slow
 def test_the_case_of_large_strain_notices_a_wrong_law(monkeypatch: pytest.MonkeyPatch) -> None:
     right = finite.stress
     monkeypatch.setattr(finite, "stress", lambda X, t, made: 1.1 * right(X, t, made))

@@ -107,6 +107,7 @@ def test_what_has_no_limbs_is_left_as_it_is(body) -> None:
     assert filled(solid(body))[1] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("thickness", [0.04, 0.1, 0.25])
 def test_a_thin_bowl_hangs_together(thickness) -> None:
     """A hollow sphere: between two particles of its wall there may be nothing but air."""

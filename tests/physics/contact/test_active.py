@@ -24,6 +24,7 @@ def landed(self_contact: bool = False):
     return solver
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("self_contact", [False, True])
 def test_samples_left_alone_change_no_bit(self_contact: bool, monkeypatch):
     some = landed(self_contact)

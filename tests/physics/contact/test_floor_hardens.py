@@ -50,6 +50,7 @@ def collide(share: float, frame: float) -> list[Health]:
     return [frame.health for frame in solver.frames()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, 1.0 / 16.0, 1.0 / 64.0])
 def test_a_mass_that_k_is_too_soft_for_stops_where_the_springs_hold_its_energy(share):
     # Linear springs let it in by .25, 1 and 2 spacings.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from contact_scenes import contact_solver, half_space
 from two_legs import legs
 
@@ -19,6 +20,7 @@ def put(solver, y: float) -> None:
     solver.state.put("u", u)
 
 
+@pytest.mark.slow
 def test_what_is_inside_something_else_is_not_held_to_be_inside_its_own_body():
     """The other side of a body squeezed flat lies behind a sample; it never came through it."""
     solver = contact_solver(

@@ -27,6 +27,7 @@ def goals(w: float = W, damping: float = 0.0) -> Goals:
     return Goals(pose=still, rate=lambda X: np.full(len(X), w), damping=damping, moving=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 def test_a_body_swings_as_its_springs_say(damping: float) -> None:
     """y = v / w_d e^(-zeta w t) sin(w_d t); the midpoint rule is slow by (w dt)^2 / 12."""

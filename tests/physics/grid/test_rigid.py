@@ -83,6 +83,7 @@ def test_a_region_has_the_inertia_of_its_particles() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_region_keeps_its_shape_and_its_stiffness_takes_no_part_in_the_step() -> None:
     body, _, _ = bar()
     inside = body.X[:, 0] < 1.0

@@ -135,6 +135,7 @@ def test_a_bar_between_planes_contracts_freely_and_pulls_with_E_strain():
     assert abs(reaction) == pytest.approx(E * strain * 0.25, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_work_of_a_sliding_pin_is_what_the_energy_gains():
     # Summed over substeps by the rectangle rule, of which there are dozens.
     _, health = pulled(0.02, frames=30, drag=0.0)
@@ -158,6 +159,7 @@ def test_a_thrown_bar_keeps_its_energy_and_what_it_has_along_the_plane():
     np.testing.assert_allclose(energy[1:], energy[1], rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [False, True])
 def test_kernels_and_operator_have_the_same_mass_where_axes_have_springs_of_their_own(plain):
     # A piece of a ball: at its rim one axis has springs that the others lack.

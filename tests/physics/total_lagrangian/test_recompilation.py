@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from solids import look
 from strained_ball import made
 
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 
 
+@pytest.mark.slow
 def test_another_step_stiffness_and_count_compile_nothing() -> None:
     first = made(np.float32)
     first.advance(1, 2)

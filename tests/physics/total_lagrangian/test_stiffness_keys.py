@@ -52,6 +52,7 @@ def test_factors_are_straight_between_keys_and_the_same_beyond():
     np.testing.assert_array_equal(alone.at(-1.0), [2.0])
 
 
+@pytest.mark.slow
 def test_a_factor_that_stays_is_another_material(body):
     """Four times the moduli from the start are four times the moduli."""
     frames = [

@@ -188,6 +188,7 @@ def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
     assert 0 <= caught.value.particle < len(body)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
 def test_a_position_that_is_no_place_is_noticed_and_nothing_is_written_for_it(value):

@@ -73,7 +73,7 @@ def test_newtons_yield_stress_does_so_too(plan) -> None:
     stiff = "float newton:mpm:youngsModulus = 2e5"
     made = plan(
         stage + material(stiff, "float newton:mpm:yieldStress = 1e3",
-                         "float newton:mpm:internalFriction = 0.4")
+                         "float newton:mpm:tensileYieldRatio = 0.4")
     )  # fmt: skip
     (one,) = table(made)
     assert one.law == "vonMises"
@@ -81,7 +81,7 @@ def test_newtons_yield_stress_does_so_too(plan) -> None:
     said = "\n".join(about_yield(made))
     assert "no law: vonMises" in said
     assert "/Stuff: the yield stress is read in Newton's words" in said
-    assert "internalFriction" in said
+    assert "tensileYieldRatio" in said
 
 
 def test_without_a_modulus_it_goes_over_the_preset(plan) -> None:

@@ -113,6 +113,7 @@ def filtered(stencil, v, m):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [False, True], ids=["fast", "plain"])
 @pytest.mark.parametrize("mass", slow_but([LUMPED, CONSISTENT], CONSISTENT))
 def test_one_substep_is_the_sum_that_numpy_makes(plain, mass):
