@@ -1,9 +1,9 @@
-"""Write the samples: a duck, its capture, two spheres, a rigged creature, and two shots.
+"""Write the samples: a duck, its capture, two spheres, a rigged creature, and five shots.
 
     python tools/make_samples.py [--out FOLDER]
 
 The shapes are this project's own work, computed from the formulas in samples/duck.py,
-sphere.py, creature.py and bowl.py next to this file; running it again gives the same bytes.
+sphere.py, creature.py, bowl.py and flowing.py; running it again gives the same bytes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from tools.samples.capture import write_capture
 from tools.samples.creature_usd import write_creature
 from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
+from tools.samples.flowing import write_sand_castle, write_snowball, write_toothpaste
 from tools.samples.implicit import unit_normals
 from tools.samples.quads import Quads
 from tools.samples.shot import write_shot
@@ -95,6 +96,12 @@ def main() -> None:
     path = folder / "ten_ducks.usda"
     write_ten_ducks(path, "./duck.usda")
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+    write_sand_castle(folder / "sand_castle.usda", "./duck.usda")
+    write_snowball(folder / "snowball.usda")
+    write_toothpaste(folder / "toothpaste.usda")
+    for name in ("sand_castle", "snowball", "toothpaste"):
+        path = folder / f"{name}.usda"
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":
