@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from tools.samples.bowl import bowl
-from tools.samples.implicit import Field, Floats, ellipsoid, join, unit_normals
+from tools.samples.implicit import Field, Floats, ellipsoid, join, lozenge, meet, unit_normals
 from tools.samples.quads import Quads
 from tools.samples.sphere import sphere_quads
 from tools.samples.surface_nets import surface_nets
@@ -85,11 +85,12 @@ def castle_mesh() -> Quads:
 
 
 def paste(p: Floats) -> Floats:
-    """A ribbon of paste [cm] as it leaves the tube: four lumps in a row, and a tip."""
-    f = ellipsoid(p, (0.0, 0.0, -0.95), (0.42, 0.36, 0.52))
+    """A ribbon of paste [cm] as it lies: four flat lumps in a row, and a tip."""
+    f = lozenge(p, (0.0, 0.0, -0.95), (0.52, 0.34, 0.55))
     for z in (-0.3, 0.35, 0.95):
-        f = join(f, ellipsoid(p, (0.0, 0.02, z), (0.42, 0.38, 0.50)), 0.12)
-    return join(f, ellipsoid(p, (0.0, 0.30, 1.2), (0.16, 0.34, 0.20)), 0.15)
+        f = join(f, lozenge(p, (0.0, 0.0, z), (0.52, 0.36, 0.52)), 0.12)
+    f = join(f, ellipsoid(p, (0.0, 0.30, 1.1), (0.18, 0.34, 0.24)), 0.15)
+    return meet(f, -0.24 - p[..., 1], 0.08)  # its flat underside
 
 
 def paste_mesh() -> Quads:
@@ -149,7 +150,7 @@ def write_toothpaste(path: Path) -> None:
     """A ribbon of toothpaste just above a brush that lies on the ground."""
     stage = _stage(path, "Toothpaste", "Toothpaste settles on the bristles of a brush.")
     mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste")
-    mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 0.6, 0.0))
+    mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 0.4, 0.0))
     bristles = _mesh(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
     _collide(bristles.GetPrim())
     for name, at, size in (
