@@ -108,8 +108,9 @@ def tufts() -> tuple[Floats, Ints, Ints, Floats]:
                       [1, 5, 7, 3]])  # fmt: skip
     points = [corners * half + np.array([x, 0.6 + half[1], z]) for x, z in rows]
     indices = np.concatenate([faces + 8 * k for k in range(len(rows))])
-    outward = np.tile(corners / np.sqrt(3.0), (len(rows), 1))
-    return np.concatenate(points), np.full(len(indices), 4), indices.ravel(), outward
+    outward = corners[faces].mean(1)  # of a face, at each of its corners
+    normals = np.tile(np.repeat(outward, 4, 0), (len(rows), 1))
+    return np.concatenate(points), np.full(len(indices), 4), indices.ravel(), normals
 
 
 def write_sand_castle(path: Path, duck: str) -> None:
@@ -208,7 +209,9 @@ def _mesh(
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(values))
     rounded = (np.round(normals, 4) + 0.0).astype(np.float32)
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(rounded))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    tokens = UsdGeom.Tokens
+    smooth = len(normals) == len(points)
+    mesh.SetNormalsInterpolation(tokens.vertex if smooth else tokens.faceVarying)
     mesh.CreateDisplayColorAttr([Gf.Vec3f(*color)])
     return mesh
 
