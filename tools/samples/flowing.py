@@ -151,7 +151,7 @@ def write_toothpaste(path: Path) -> None:
     """A ribbon of toothpaste just above a brush that lies on the ground."""
     stage = _stage(path, "Toothpaste", "Toothpaste settles on the bristles of a brush.")
     mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste")
-    mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 0.4, 0.0))
+    mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 2.2, 0.0))
     bristles = _mesh(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
     _collide(bristles.GetPrim())
     for name, at, size in (
