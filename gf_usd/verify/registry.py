@@ -35,14 +35,19 @@ from gf_usd.verify.cases.elastic import (
 )
 from gf_usd.verify.cases.flesh import driven, rigid
 from gf_usd.verify.cases.plastic import (
-    column,
     expansion,
-    incline,
     membrane,
     rim,
     slump,
     taylor,
     uniaxial,
+)
+from gf_usd.verify.cases.plastic.flowing import (
+    column,
+    dam,
+    hydrostatic,
+    incline,
+    solvers,
 )
 
 CASES: tuple[Case, ...] = (
@@ -71,6 +76,9 @@ CASES: tuple[Case, ...] = (
     *slump.CASES,
     *incline.CASES,
     *column.CASES,
+    *hydrostatic.CASES,
+    *dam.CASES,
+    *solvers.CASES,
     *membrane.CASES,
     *taylor.CASES,
     *rim.CASES,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import taichi as ti
@@ -41,9 +43,12 @@ def returned(F, before, exponent, dt, real: type = np.float64, eta=ETA, hardenin
 def overstress(excess: float, exponent: float, dt: float) -> float:
     """[Pa] what is borne above the yield stress after a step of dt [s], by bisection."""
     stiff = 3.0 * MU + HARDENING
-    return brentq(
-        lambda s: s + stiff * dt * (s / ETA) ** (1.0 / exponent) - excess, 0.0, excess, rtol=1e-14
-    )
+
+    def left(s: float) -> float:
+        return s + stiff * dt * (s / ETA) ** (1.0 / exponent) - excess
+
+    found: Any = brentq(left, 0.0, excess, rtol=np.float64(1e-14))
+    return found
 
 
 @pytest.mark.parametrize(("real", "rounding"), [(np.float64, 2e-16), (np.float32, 1e-7)])
