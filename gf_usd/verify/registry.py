@@ -43,11 +43,12 @@ from gf_usd.verify.cases.plastic import (
     uniaxial,
 )
 from gf_usd.verify.cases.plastic.flowing import (
+    both,
     column,
     dam,
     hydrostatic,
     incline,
-    solvers,
+    puddle,
 )
 
 CASES: tuple[Case, ...] = (
@@ -78,7 +79,8 @@ CASES: tuple[Case, ...] = (
     *column.CASES,
     *hydrostatic.CASES,
     *dam.CASES,
-    *solvers.CASES,
+    *puddle.CASES,
+    *both.CASES,
     *membrane.CASES,
     *taylor.CASES,
     *rim.CASES,

@@ -88,9 +88,9 @@ def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
 
 CASES = (
     Case(
-        name="solvers",
+        name="drop-of-both",
         what="A ball of rubber falls by three radii and bounces, by the Updated and by the Total"
-        " Lagrangian solver: how far apart its lowest place, when it is there, and its rebound are.",
+        " Lagrangian solver: how far apart its lowest place, its time, and its rebound are.",
         source="the Total Lagrangian solver, with APIC in every substep",
         quick=agree((1000,)),
         full=agree((500, 1000, 2000)),
