@@ -35,14 +35,20 @@ from gf_usd.verify.cases.elastic import (
 )
 from gf_usd.verify.cases.flesh import driven, rigid
 from gf_usd.verify.cases.plastic import (
-    column,
     expansion,
-    incline,
     membrane,
     rim,
     slump,
     taylor,
     uniaxial,
+)
+from gf_usd.verify.cases.plastic.flowing import (
+    both,
+    column,
+    dam,
+    hydrostatic,
+    incline,
+    puddle,
 )
 
 CASES: tuple[Case, ...] = (
@@ -71,6 +77,10 @@ CASES: tuple[Case, ...] = (
     *slump.CASES,
     *incline.CASES,
     *column.CASES,
+    *hydrostatic.CASES,
+    *dam.CASES,
+    *puddle.CASES,
+    *both.CASES,
     *membrane.CASES,
     *taylor.CASES,
     *rim.CASES,

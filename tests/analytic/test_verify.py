@@ -16,6 +16,7 @@ LONG = {  # more than half of the time of all
     "goals", "law-corotated", "rim", "membrane", "uniaxial", "tumble", "column",
     "taylor", "arms", "law-paste", "manufactured-finite", "driven", "hollow",
     "incline", "burst", "law-fluid", "manufactured", "limbs", "bar",
+    "hydrostatic", "dam", "puddle", "drop-of-both",
 }  # fmt: skip
 
 

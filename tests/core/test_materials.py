@@ -154,6 +154,8 @@ def test_the_document_of_materials_has_every_preset_that_flows(name: str) -> Non
     keys = ("yield_stress", "hardening", "flow_viscosity")
     if made.law == "druckerPrager":
         keys = ("internal_friction", "cohesion")
+    if made.law == "paste":
+        keys = ("yield_stress", "flow_viscosity", "flow_exponent")
     if made.law == "snow":
         keys = ("critical_compression", "critical_stretch", "hardening_coefficient")
     if made.law == "fluid":

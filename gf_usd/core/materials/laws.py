@@ -65,6 +65,16 @@ HARDENING = Parameter(
     " materials, with the logarithm of the volume that they have lost for good.",
     label="Hardening",
 )  # fmt: skip
+FLOW_VISCOSITY = Parameter(
+    name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
+    meaning="Stress above the yield stress at a plastic strain rate of 1/s; 0: flow at once.",
+    label="Viscosity of flow",
+)  # fmt: skip
+PLASTIC_STRAIN = Internal(
+    name="plastic_strain", rest=0.0, attribute="plasticStrain",
+    meaning="Equivalent plastic strain of each particle, summed over its past.",
+    label="Plastic Strain",
+)  # fmt: skip
 
 # Of every law that flows, besides its own: what the solvers work out of F_e.
 ELASTIC_STRAIN = Internal(
@@ -81,14 +91,13 @@ LOOSENING = Internal(
 )  # fmt: skip
 
 
-def _von_mises(token: str, code: str, over: str = "", *, unbounded: bool = False) -> LawSpec:
+def _von_mises(token: str, code: str, over: str = "") -> LawSpec:
     """Von Mises plasticity over the elastic energy of a module."""
     return LawSpec(
         token=token,
         code=code,
         source="Simo and Hughes 1998, boxes 3.1 and 9.1; Voce 1955; Perzyna 1966",
         over=over,
-        unbounded=unbounded,
         parameters=(
             YIELD_STRESS,
             HARDENING,
@@ -103,22 +112,11 @@ def _von_mises(token: str, code: str, over: str = "", *, unbounded: bool = False
                 " times per unit.",
                 label="Saturation rate",
             ),
-            Parameter(
-                name="flow_viscosity", unit="Pa s", attribute="flowViscosity", default=0.0,
-                meaning="Stress above the yield stress per rate of plastic strain; 0: flow at"
-                " once.",
-                label="Viscosity of flow",
-            ),
+            FLOW_VISCOSITY,
         ),
         flows=True,
         isochoric=True,
-        internal=(
-            Internal(
-                name="plastic_strain", rest=0.0, attribute="plasticStrain",
-                meaning="Equivalent plastic strain of each particle, summed over its past.",
-                label="Plastic Strain",
-            ),
-        ),
+        internal=(PLASTIC_STRAIN,),
     )  # fmt: skip
 
 
@@ -232,7 +230,26 @@ LAWS: dict[str, LawSpec] = {
             unbounded=True,
             internal=(LOOSENING,),
         ),
-        _von_mises("paste", ".von_mises", unbounded=True),
+        LawSpec(
+            token="paste",
+            code=".flowing.paste",
+            source="Herschel and Bulkley 1926; Perzyna 1966; Simo and Hughes 1998, box 9.1",
+            parameters=(
+                YIELD_STRESS,
+                HARDENING,
+                FLOW_VISCOSITY,
+                Parameter(
+                    name="flow_exponent", unit="", attribute="flowExponent", default=1.0,
+                    meaning="Exponent of the plastic strain rate in the stress above the yield"
+                    " stress: 1 for a Bingham fluid, less where flow thins by shear.",
+                    label="Exponent of flow", low=0.1, high=1.0,
+                ),
+            ),
+            flows=True,
+            isochoric=True,
+            unbounded=True,
+            internal=(PLASTIC_STRAIN,),
+        ),
         _von_mises("vonMisesNeoHookean", ".von_mises_neo_hookean", over="neoHookean"),
         _von_mises("vonMisesCorotated", ".von_mises_corotated", over="corotated"),
     )

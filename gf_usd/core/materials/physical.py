@@ -42,12 +42,17 @@ class Physical:
 ASHBY = "Ashby, Materials Selection in Mechanical Design, appendix A: geometric mean of the range"
 
 
-def _bingham(name: str, density: float, E: float, Y: float, eta: float, source: str) -> Physical:
-    """A paste or thick liquid; Y [Pa] and eta [Pa s] of tension."""
+def _paste(
+    name: str, *, density: float, E: float, tau: float, k: float, n: float = 1.0, source: str
+) -> Physical:
+    """What bears tau + k D^n [Pa] sheared at a rate D [1/s]: Herschel and Bulkley 1926."""
     return Physical(
         name=name, density=density, youngs_modulus=E, poissons_ratio=0.45, friction=0.9,
         restitution=0.0, damping_time=0.0, law="paste", source=source,
-        parameters={"yield_stress": Y, "flow_viscosity": eta},
+        parameters={
+            "yield_stress": 3.0**0.5 * tau, "flow_viscosity": 3.0 ** (0.5 * (1.0 + n)) * k,
+            "flow_exponent": n,
+        },
     )  # fmt: skip
 
 
@@ -180,21 +185,25 @@ PHYSICAL: dict[str, Physical] = {
             },
             source="the reference values of Stomakhin et al. 2013: snow that packs into balls",
         ),
-        _bingham(
-            "toothpaste", 1300.0, 3e5, 350.0, 90.0,
-            "200 Pa of shear and 30 Pa s, to an order of magnitude (Ahuja and Potanin 2018)",
+        _paste(
+            "toothpaste", density=1300.0, E=3e5, tau=200.0, k=60.0, n=0.5,
+            source="200 Pa and 60 Pa s^0.5 of shear, to an order of magnitude (Ahuja and Potanin"
+            " 2018)",
         ),
-        _bingham(
-            "mud", 1500.0, 2e5, 90.0, 15.0,
-            "a slurry of clay: 50 Pa of shear and 5 Pa s, to an order of magnitude (Coussot 1997)",
+        _paste(
+            "mud", density=1500.0, E=2e5, tau=50.0, k=20.0, n=1.0 / 3.0,
+            source="a slurry of clay: the exponent 1/3 of Coussot 1997; 50 Pa and 20 Pa s^(1/3) of"
+            " shear, to an order of magnitude",
         ),
-        _bingham(
-            "cream", 450.0, 5e4, 70.0, 15.0,
-            "whipped: 40 Pa of shear, 5 Pa s, to an order of magnitude (Jakubczyk et al. 2006)",
+        _paste(
+            "cream", density=450.0, E=5e4, tau=40.0, k=15.0, n=0.5,
+            source="whipped: 40 Pa and 15 Pa s^0.5 of shear, to an order of magnitude (Jakubczyk"
+            " and Niranjan 2006)",
         ),
-        _bingham(
-            "honey", 1420.0, 2e5, 0.1, 30.0,
-            "at 20 C: 10 Pa s of shear (Yanniotis et al. 2006); it yields so that a heap can rest",
+        _paste(
+            "honey", density=1420.0, E=2e5, tau=0.06, k=10.0,
+            source="at 20 C: 10 Pa s of shear (Yanniotis et al. 2006); it yields so that a heap"
+            " can rest",
         ),
         Physical(
             name="wax", density=900.0, youngs_modulus=2.0e8, poissons_ratio=0.4,

@@ -47,13 +47,25 @@ INSTANT = 1e-30  # [s] a step this short lets nothing flow that is viscous
 @ti.func
 def flow(F, q, a, dt, converged):
     """See the module."""
+    return radial_return(F, q, a, dt, converged, bearable, growth)
+
+
+@ti.func
+def radial_return(
+    F, q, a, dt, converged, bears: ti.template(), grows: ti.template()
+):  # fmt: skip
+    """F, plastic strain and work after the radial return.
+
+    bears : of q and the plastic strain, the stress [Pa] at which it begins to flow; grows : as
+    `growth`.
+    """
     D, C = gram(F)
     Z = cayley(D, C)
     E = F
     g = a[0] * 0.0
     borne = g
     if near(Z, converged):
-        Y = bearable(q, a[0])
+        Y = bears(q, a[0])
         # |dev E| <= |E| <= |Z| (1 + |Z|^2): below that, no series is asked for.
         if (ti.sqrt(6.0) * q[0] * ti.sqrt(size_squared(Z)) * MARGIN - Y).max() > 0.0:
             X = deviator_of_series(Z)
@@ -61,17 +73,17 @@ def flow(F, q, a, dt, converged):
             y = ti.sqrt(6.0) * q[0] * size - Y
             y = ti.select(determinant(F, cofactor(F)) > LEAST_J, y, 0.0)
             if y.max() > 0.0:
-                g = growth(q, a[0], size, y, dt)
+                g = grows(q, a[0], size, y, dt)
                 borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
                 assign(X, scaled(0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30), X))
                 choose(E, y, product(F, exponential(X)))
     else:
         d, _, V, least = strains(F)
         size = ti.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        y = ti.sqrt(6.0) * q[0] * size - bearable(q, a[0])
+        y = ti.sqrt(6.0) * q[0] * size - bears(q, a[0])
         y = ti.select(least > J_EXTENSION, y, 0.0)
         if y.max() > 0.0:
-            g = growth(q, a[0], size, y, dt)
+            g = grows(q, a[0], size, y, dt)
             borne = ti.sqrt(6.0) * q[0] * size - 3.0 * q[0] * g
             k = 0.0 - ti.sqrt(1.5) * g / ti.max(size, 1e-30)
             choose(E, y, product(F, spectral([exp(k * d[0]), exp(k * d[1]), exp(k * d[2])], V)))

@@ -27,13 +27,15 @@ from gf_usd.physics.updated_lagrangian.particle_kernels import (
     sample_force,
 )
 from gf_usd.physics.updated_lagrangian.sort_kernels import (
-    clear_box,
-    close_box,
+    CELLS,
+    CLEARED,
+    MISSING,
+    NODES,
+    begin_substep,
     count_particle,
-    number_cells,
+    number_particles,
     place_particle,
     sort_cell,
-    widen_box,
 )
 from gf_usd.physics.updated_lagrangian.transfer_kernels import (
     admissible,
@@ -45,6 +47,7 @@ from gf_usd.physics.updated_lagrangian.transfer_kernels import (
     scatter_cell,
     trial,
 )
+from gf_usd.physics.updated_lagrangian.wall_kernels import add_given, move_walled_node
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: act on every 32nd
 
@@ -53,9 +56,11 @@ REALS = (
     *("push", "block", "node_v", "support_weight", "support_arm"),
     *("sample_constants", "sample_spring"),
     *("sample_force", "sample_depth"),
+    *("node_given", "wall_impulse"),
 )
 WHOLE = (
-    *("box", "key", "rank", "order", "slot", "cell_key", "cell_start", "clamped", "stress_capped"),
+    *("grid", "key", "rank", "order", "clamped", "stress_capped"),
+    *("node_of", "node_at", "node_cells", "cell_at", "cell_nodes", "cell_count", "cell_start"),
     *(
         "support_particle",
         "particle_support_start",
@@ -75,19 +80,22 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> SimpleNamespace:
-    """The kernels for a set of laws, with or without viscosity, clamp and stress cap.
+def build(
+    laws, damped: bool, clamp: bool, capped: bool, walled: bool, real, epoch: int
+) -> SimpleNamespace:
+    """The kernels for a set of laws, with or without viscosity, clamp, stress cap and walls.
 
     laws : `registry.LawSet`; real : f32 or f64.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
+    ivec = ti.types.vector(3, ti.i32)
 
     @ti.kernel
     def serial(
         body: Body, n: ti.i32, active: ti.i32, node_capacity: ti.i32, cell_capacity: ti.i32,
         substeps: ti.i32, g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
-        cap: real, low: real, high: real, converged: real,
+        cap: real, low: real, high: real, converged: real, first: ivec, last: ivec, stuck: ivec,
     ):  # fmt: skip
         """All substeps of a frame in one launch on one thread: small bodies are all launch cost."""
         ti.loop_config(serialize=True)
@@ -98,15 +106,14 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
             drift = dt
             if s == substeps - 1:
                 drift = 0.5 * dt
-            clear_box(body)
+            begin_substep(body, node_capacity)
+            for place in range(body.grid[CLEARED]):
+                body.node_of[place] = -1
+            for cell in range(body.grid[CELLS]):
+                body.cell_count[cell] = 0
             for p in range(n):
-                widen_box(body, p, ih, phase)
-            close_box(body, node_capacity)
-            for node in range(body.box[6]):
-                body.slot[node] = 0
-            for p in range(n):
-                count_particle(body, p, ih, phase)
-            number_cells(body, cell_capacity)
+                count_particle(body, p, ih, phase, node_capacity, cell_capacity, True)
+            number_particles(body)
             for p in range(n):
                 place_particle(body, p)
             for k in range(active):
@@ -114,13 +121,20 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
-            for cell in range(body.box[7]):
+            for cell in range(body.grid[CELLS]):
                 scatter_cell(
                     body, cell, laws, damped, capped, cap, active, dt, ih, phase, converged
                 )
-            for node in range(body.box[6]):
-                move_node(body, node, g, dt, keep)
-            for cell in range(body.box[7]):
+            for node in range(body.grid[NODES]):
+                if ti.static(walled):
+                    move_walled_node(
+                        body, node, g, dt, keep, first, last, stuck, 2 * node_capacity - 1
+                    )
+                else:
+                    move_node(body, node, g, dt, keep)
+            if ti.static(walled):
+                add_given(body)
+            for cell in range(body.grid[CELLS]):
                 gather_cell(body, cell, laws, drift, ih, phase)
             if ti.static(clamp):
                 for p in range(n):
@@ -130,40 +144,49 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
     def parallel(
         body: Body, n: ti.i32, active: ti.i32, node_capacity: ti.i32, cell_capacity: ti.i32,
         g: vec, up: vec, phase: vec, lift: real, dt: real, keep: real, ih: real,
-        cap: real, low: real, high: real, converged: real, drift: real,
+        cap: real, low: real, high: real, converged: real, first: ivec, last: ivec, stuck: ivec,
+        drift: real,
     ):  # fmt: skip
         """One substep over all threads."""
         ti.loop_config(serialize=True)
         for _ in range(1):
-            clear_box(body)
+            begin_substep(body, node_capacity)
+        for place in range(body.grid[CLEARED]):
+            body.node_of[place] = -1
+        for cell in range(body.grid[CELLS]):
+            body.cell_count[cell] = 0
         for p in range(n):
-            widen_box(body, p, ih, phase)
+            count_particle(body, p, ih, phase, node_capacity, cell_capacity, False)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            close_box(body, node_capacity)
-        for node in range(body.box[6]):
-            body.slot[node] = 0
-        for p in range(n):
-            count_particle(body, p, ih, phase)
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            number_cells(body, cell_capacity)
+            if body.grid[MISSING] > 0:
+                for p in range(n):
+                    if body.key[p] < 0:
+                        count_particle(body, p, ih, phase, node_capacity, cell_capacity, True)
+            number_particles(body)
         for p in range(n):
             place_particle(body, p)
-        for cell in range(body.box[7]):
+        for cell in range(body.grid[CELLS]):
             sort_cell(body, cell)
         for k in range(active):
             sample_force(body, body.sample_active[k], up, lift, dt)
         for p in range(n * ti.min(active, 1)):
             push_particle(body, p)
-        for z in range(body.box[7] * STRIDE):
+        for z in range(body.grid[CELLS] * STRIDE):
             if z % STRIDE == 0:
                 scatter_cell(
                     body, z // STRIDE, laws, damped, capped, cap, active, dt, ih, phase, converged
                 )
-        for node in range(body.box[6]):
-            move_node(body, node, g, dt, keep)
-        for z in range(body.box[7] * STRIDE):
+        for node in range(body.grid[NODES]):
+            if ti.static(walled):
+                move_walled_node(body, node, g, dt, keep, first, last, stuck, 2 * node_capacity - 1)
+            else:
+                move_node(body, node, g, dt, keep)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            if ti.static(walled):
+                add_given(body)
+        for z in range(body.grid[CELLS] * STRIDE):
             if z % STRIDE == 0:
                 gather_cell(body, z // STRIDE, laws, drift, ih, phase)
         for p in range(n):

@@ -121,23 +121,23 @@ def push_particle(body: ti.template(), p):
 
 
 @ti.func
+def node_sum(body: ti.template(), n, zero):
+    """Mass and momentum of node n, summed over the cells' blocks in a fixed order."""
+    m = zero[0]
+    p = zero
+    for s in range(27):
+        cell = body.node_cells[27 * n + s]
+        if cell >= 0 and body.cell_count[ti.max(cell, 0)] > 0:
+            o = cell * 108 + 4 * s
+            m += body.block[o]
+            p += vector(body.block, o + 1)
+    return m, p
+
+
+@ti.func
 def move_node(body: ti.template(), n, g, dt, keep):
-    """v_i = (p_i / m_i + dt g) keep, summed over the cells' blocks in a fixed order."""
-    ny = body.box[4] - body.box[1] + 3
-    nz = body.box[5] - body.box[2] + 3
-    i = n // (ny * nz)
-    j = n // nz % ny
-    k = n % nz
-    m = g[0] * 0.0
-    p = g * 0.0
-    for a in range(ti.min(i + 1, 3)):
-        for b in range(ti.min(j + 1, 3)):
-            for c in range(ti.min(k + 1, 3)):
-                cell = body.slot[n - (a * ny + b) * nz - c]
-                if cell >= 0:
-                    o = cell * 108 + (9 * a + 3 * b + c) * 4
-                    m += body.block[o]
-                    p += vector(body.block, o + 1)
+    """v_i = (p_i / m_i + dt g) keep."""
+    m, p = node_sum(body, n, g * 0.0)
     v = p * 0.0
     if m > 0.0:
         v = (p / m + dt * g) * keep

@@ -30,6 +30,7 @@ from gf_usd.physics.updated_lagrangian.embedded_points import (
     attach,
     embed,
 )
+from gf_usd.physics.updated_lagrangian.walls import Planes, Wall, planes
 
 if TYPE_CHECKING:
     from types import SimpleNamespace
@@ -53,6 +54,7 @@ class Body:
     embedding: EmbeddedPoints | None  # of the contact samples
     step: StableStep
     law: ParticleLaws
+    walls: Planes | None
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -70,6 +72,7 @@ def build_body(
     samples: SurfaceSamples | None,
     embedded: Mapping[str, Floats] | None,
     velocity: Any,
+    walls: Sequence[Wall],
     h: float | None,
     real: type,
 ) -> Body:
@@ -91,6 +94,7 @@ def build_body(
     damped = bool((per["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
     kind = ti.f64 if real is np.float64 else ti.f32
+    lift = np.asarray(settings.lift, float)
     return Body(
         particles=particles,
         settings=settings,
@@ -106,7 +110,8 @@ def build_body(
         embedding=embedding,
         step=largest_step(particles, h, contact, settings, per),
         law=law,
-        kernels=build(law.set, damped, clamp, cap, kind, epoch()),
+        walls=planes(walls, particles.X + lift, at_rest.origin + lift, h) if walls else None,
+        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch()),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -186,7 +191,8 @@ def arrays(body: Body) -> dict[str, Floats]:
         "history": body.law.history.ravel() if body.law.set.flows else np.zeros(1),
         "viscosity": viscosities(per, body.h).ravel(),
         "push": np.zeros(12 * n),
-        "box": np.zeros(9, int),
+        "wall_impulse": np.zeros(3),
+        "grid": np.zeros(6, int),  # see `sort_kernels`
         **whole,
         **_contact_arrays(body.contact, body.embedding, n),
     }
@@ -223,12 +229,17 @@ def _contact_arrays(
     }
 
 
-def grid_arrays(nodes: int, cells: int) -> dict[str, Floats]:
-    """Arrays for a box of so many nodes, of whose cells so many hold particles."""
+def grid_arrays(nodes: int, cells: int, walled: bool) -> dict[str, Floats]:
+    """Arrays for so many nodes, a power of 2, and cells that hold particles."""
     return {
-        "slot": np.zeros(nodes, int),
+        "node_of": np.zeros(2 * nodes, int),
+        "node_at": np.zeros(3 * nodes, int),
+        "node_cells": np.zeros(27 * nodes, int),
         "node_v": np.zeros(3 * nodes),
+        "node_given": np.zeros(3 * nodes if walled else 1),
         "block": np.zeros(108 * cells),
-        "cell_key": np.zeros(cells, int),
+        "cell_at": np.zeros(3 * cells, int),
+        "cell_nodes": np.zeros(27 * cells, int),
+        "cell_count": np.zeros(cells, int),
         "cell_start": np.zeros(cells + 1, int),
     }

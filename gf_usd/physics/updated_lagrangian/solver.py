@@ -29,12 +29,13 @@ from gf_usd.physics.time_step import per_cell, strained_step
 from gf_usd.physics.updated_lagrangian.energies import measure, strained_speed, world_stiffness
 from gf_usd.physics.updated_lagrangian.setup import build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
+from gf_usd.physics.updated_lagrangian.walls import Wall
 
 SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
 
 
 class UpdatedLagrangian(Solver):
-    """One asset in motion; parameters as for `TotalLagrangian`.
+    """One asset in motion; parameters as for `TotalLagrangian`, and walls.
 
     Raises UsageError for what only the other solver can do: pins, WLS and the shape correction.
     """
@@ -51,6 +52,7 @@ class UpdatedLagrangian(Solver):
         embedded: Mapping[str, Floats] | None = None,
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
+        walls: Sequence[Wall] = (),
         h: float | None = None,
         real: type = np.float32,
     ) -> None:
@@ -61,10 +63,12 @@ class UpdatedLagrangian(Solver):
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
-            h=h, real=real,
+            walls=walls, h=h, real=real,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
-        extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
+        # What flows without end may go as far as it likes.
+        flows = bool(body.law.unbounded.all())
+        extent = np.inf if flows else float(np.linalg.norm(np.ptp(particles.X, axis=0)))
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
         self.state = State(body)
 
@@ -81,6 +85,7 @@ class UpdatedLagrangian(Solver):
             state.load(before)
             active = self._launch(substeps)
         state.move_springs(0.5 * self.frame_time / substeps)
+        state.take_wall_impulse()
         state.done += substeps
         state.time += substeps * (self.frame_time / substeps)
         state.recenter()
@@ -103,17 +108,19 @@ class UpdatedLagrangian(Solver):
 
         body, state, s, n = self.body, self.state, self.settings, len(self.particles)
         dt = self.frame_time / substeps
-        state.clear("box", "clamped", "stress_capped")
+        state.clear("grid", "clamped", "stress_capped", "wall_impulse")
         lift = float(state.offset @ s.normal) - (s.floor or 0.0)
         active = state.watch_floor(lift)
         state.move_springs(-0.5 * dt)
         low, high = s.clamp or (0.0, 0.0)
         capacities = (state.node_capacity, state.cell_capacity)
+        planes, whole = state.planes, ti.types.vector(3, ti.i32)
         vector = ti.types.vector(3, ti.f64 if body.real is np.float64 else ti.f32)
         tail = (
             *(vector(list(a)) for a in (s.gravity, s.normal, body.phase)),
             lift, dt, float(np.exp(-s.drag * dt)), 1.0 / body.h,
             s.stress_cap or 0.0, low, high, body.converged,
+            *(whole(a.tolist()) for a in (planes.first, planes.last, planes.stuck)),
         )  # fmt: skip
         if n < SERIAL_BELOW:
             body.kernels.serial(state.pack, n, active, *capacities, substeps, *tail)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from gf_usd.core.arrays import Floats
@@ -11,11 +14,14 @@ from gf_usd.physics.frame_loop import first_bad
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
+from gf_usd.physics.updated_lagrangian.walls import NOWHERE, Planes
 
-LARGEST_BOX = 1 << 23  # nodes, or eight times the box at rest where that is more
+LARGEST_GRID = 1 << 25  # nodes: 5 GB
 PARTICLES = ("x", "v", "C", "F", "L")
-FAULT = 8  # of `box`: see `sort_kernels`
+FAULT = 4  # of `grid`: see `sort_kernels`
 OVERFLOW = 2
+FEW = 64  # empty cells that are kept beside half as many as are not
+SPARE = 1.75  # times the cells and nodes there are that arrays have room for
 
 
 class State(DeviceState):
@@ -29,25 +35,36 @@ class State(DeviceState):
         saved = (*saved, "history") if body.law.set.flows else saved
         super().__init__(arrays(body), body.real, saved, lift + body.center)
         self._body = body
-        self._most_nodes = max(LARGEST_BOX, 8 * self._box_nodes())
+        self._start = self.offset.copy()
+        self.wall_impulse = np.zeros(3)  # [N s] that walls gave to particles, so far
         self.node_capacity = self.cell_capacity = 0
+        self._most_nodes = max(LARGEST_GRID, 64 * self._occupied()[1])
         self.make_room()
         # a number of each particle, that kernels write
         self.value = ti.ndarray(ti.f64 if body.real is np.float64 else ti.f32, len(body.m))
 
-    def _box_nodes(self) -> float:
-        """Nodes of the box around the particles now, at twice its cells."""
-        cells = self.rows("x") / self._body.h
-        return float(np.prod(np.ptp(cells, axis=0) + 4.0))
+    def _occupied(self) -> tuple[int, int]:
+        """Cells that hold particles now, and their nodes."""
+        base = np.floor(self.rows("x") / self._body.h - self._body.phase - 0.5).astype(np.int64)
+        key = np.array([1 << 42, 1 << 21, 1])  # indices are below 2^20
+        nodes = cells = np.unique(base @ key)
+        for step in key:
+            nodes = np.unique(np.concatenate([nodes, nodes + step, nodes + 2 * step]))
+        return len(cells), len(nodes)
 
     def make_room(self) -> bool:
-        """Arrays for twice the box that the body fills now; False where that is too large."""
-        nodes = self._box_nodes()
-        if not nodes <= self._most_nodes:
+        """Arrays for more cells than the body fills now; False where these are too many."""
+        cells, nodes = (int(SPARE * n) for n in self._occupied())
+        nodes = 1 << (nodes + 27 * 2 * FEW).bit_length()
+        cells += 2 * FEW
+        if nodes <= self.node_capacity and cells <= self.cell_capacity:
+            nodes, cells = 2 * self.node_capacity, 2 * self.cell_capacity
+        if nodes > self._most_nodes:
             return False
-        self.node_capacity = max(2 * int(nodes), 2 * self.node_capacity)
-        self.cell_capacity = min(len(self._body.particles), self.node_capacity)
-        grid = grid_arrays(self.node_capacity, self.cell_capacity)
+        self.node_capacity = max(nodes, self.node_capacity)
+        self.cell_capacity = max(cells, self.cell_capacity)
+        walled = self._body.walls is not None
+        grid = grid_arrays(self.node_capacity, self.cell_capacity, walled)
         self.arrays |= taichi_arrays.to_device(grid, self.real)
         self.pack = self._body.pack_type(**self.arrays)
         return True
@@ -55,7 +72,7 @@ class State(DeviceState):
     @property
     def lacks_room(self) -> bool:
         """Whether the last launch ended because the grid was too small."""
-        return self.get("box")[FAULT] == OVERFLOW
+        return self.get("grid")[FAULT] == OVERFLOW
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
@@ -64,14 +81,37 @@ class State(DeviceState):
             if bad >= 0:
                 X = self._body.particles.X[bad].round(4).tolist()
                 return bad, f"{name} of particle {bad} at rest position {X} m is no longer finite"
-        if not self.get("box")[FAULT]:
+        if not self.get("grid")[FAULT]:
             return -1, ""
         x = self.rows("x")
         far = np.linalg.norm(x - np.median(x, axis=0), axis=1)
         return int(far.argmax()), (
-            f"the body no longer fits a grid of {self._most_nodes:.3g} nodes: a particle is"
-            f" {far.max():.4g} m from the others"
+            f"the particles are spread over more than {self._most_nodes:.3g} nodes of the grid, or"
+            f" further than a million cells: one is {far.max():.4g} m from the others"
         )
+
+    @property
+    def planes(self) -> Planes:
+        """The walls as the moving frame has them."""
+        if self._body.walls is None:
+            nowhere = np.full(3, NOWHERE)
+            return Planes(first=-nowhere, last=nowhere, stuck=0 * nowhere)
+        cells = np.round((self.offset - self._start) / self._body.h).astype(np.int64)
+        return self._body.walls.moved(cells)
+
+    def take_wall_impulse(self) -> None:
+        """Add what walls gave in a frame."""
+        if self._body.walls is not None:
+            self.wall_impulse = self.wall_impulse + self.get("wall_impulse").astype(float)
+
+    def save(self) -> dict[str, Any]:
+        """See `DeviceState`."""
+        return {**super().save(), "wall_impulse_sum": self.wall_impulse.copy()}
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `DeviceState`."""
+        super().load(saved)
+        self.wall_impulse = np.asarray(saved["wall_impulse_sum"], float).copy()
 
     def recenter(self) -> None:
         """Move whole cells of the mean position from x to the offset."""

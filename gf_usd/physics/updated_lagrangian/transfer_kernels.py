@@ -32,6 +32,7 @@ from gf_usd.physics.laws import stress
 from gf_usd.physics.laws.registry import GRADIENT
 from gf_usd.physics.laws.simd3x3 import LANES, double_dot, product
 from gf_usd.physics.total_lagrangian.kernels.simd import lane_sum
+from gf_usd.physics.updated_lagrangian.particle_kernels import vector
 
 
 @ti.func
@@ -130,7 +131,7 @@ def scatter_cell(
     cap, contact, dt, ih, phase, converged,
 ):  # fmt: skip
     """Mass and momentum of one cell's particles into the cell's block."""
-    corner, _key = cell_corner(body, cell)
+    corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
         i0, i1, i2, i3, i4, i5, i6, i7 = members(body, cell, b)
         ids = [i0, i1, i2, i3, i4, i5, i6, i7]
@@ -188,9 +189,7 @@ def deposit(body: ti.template(), o, x, batch):
 @ti.func
 def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase):
     """Motion of the nodes back to one cell's particles, which move by `drift` seconds."""
-    corner, key = cell_corner(body, cell)
-    ny = body.box[4] - body.box[1] + 3
-    nz = body.box[5] - body.box[2] + 3
+    corner = cell_corner(body, cell)
     for b in range(batches(body, cell)):
         i0, i1, i2, i3, i4, i5, i6, i7 = members(body, cell, b)
         ids = [i0, i1, i2, i3, i4, i5, i6, i7]
@@ -215,10 +214,10 @@ def gather_cell(body: ti.template(), cell, laws: ti.template(), drift, ih, phase
                 tz2 = zero
                 td2 = zero
                 for j in ti.static(range(3)):
-                    o = (key + (i * ny + j) * nz) * 3 + d
-                    q0 = body.node_v[o]
-                    q1 = body.node_v[o + 3]
-                    q2 = body.node_v[o + 6]
+                    o = 27 * cell + 9 * i + 3 * j
+                    q0 = body.node_v[3 * body.cell_nodes[o] + d]
+                    q1 = body.node_v[3 * body.cell_nodes[o + 1] + d]
+                    q2 = body.node_v[3 * body.cell_nodes[o + 2] + d]
                     s = w2[0] * q0 + w2[1] * q1 + w2[2] * q2
                     t += w1[j] * s
                     tz1 += z1[j] * s
@@ -330,17 +329,14 @@ def matrix(A: ti.template(), ids: ti.template()):
 
 @ti.func
 def cell_corner(body: ti.template(), cell):
-    """The cell's first node, counted from the corner of the box: (3,) and its number."""
-    ny = body.box[4] - body.box[1] + 3
-    nz = body.box[5] - body.box[2] + 3
-    key = body.cell_key[cell]
-    return ti.Vector([key // (ny * nz), key // nz % ny, key % nz]), key
+    """Indices (3,) of the cell's first node."""
+    return vector(body.cell_at, 3 * cell)
 
 
 @ti.func
 def stencil(body: ti.template(), ids: ti.template(), d: ti.template(), corner, ih, phase):
     """Along one axis w, w times the distance to the node and dw, of three nodes, in cells."""
-    f = pick(body.x, ids, 3, d) * ih - (phase[d] + (corner[d] + body.box[d]))
+    f = pick(body.x, ids, 3, d) * ih - (phase[d] + corner[d])
     a = 1.5 - f
     b = f - 1.0
     c = f - 0.5

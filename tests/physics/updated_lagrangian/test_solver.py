@@ -15,6 +15,7 @@ from gf_usd.physics.frame_loop import Solver
 from gf_usd.physics.updated_lagrangian import solver as module
 from gf_usd.physics.updated_lagrangian import state as state_module
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+from gf_usd.verify.bodies import elastic
 
 
 def dropped(frames: int = 8, threads: int | None = None, real: type = np.float32, **changes):
@@ -175,17 +176,60 @@ def test_stress_is_read_where_asked_for():
 
 
 @pytest.mark.slow
-def test_a_body_that_flies_apart_ends_in_words(monkeypatch):
-    monkeypatch.setattr(state_module, "LARGEST_BOX", 1)  # eight boxes of the body at rest
-    body, _ = ball(300)
+def test_a_body_that_flies_apart_ends_in_words():
+    body, _ = ball(1500)
     s = settings(frames=3, substeps=4)
     solver = UpdatedLagrangian(
-        body, [look("jelly", body)], s, velocity=lambda X: 1e3 * np.sign(X) * [1.0, 1.0, 0.0]
+        body, [look("jelly", body)], s, velocity=lambda X: 1e3 * np.sin(1e9 * X)
     )
-    with pytest.raises(SolverError, match="no longer fits a grid") as caught:
+    solver.state._most_nodes = 2 * solver.state.node_capacity
+    with pytest.raises(SolverError, match="are spread over more than") as caught:
         list(solver.frames())
     assert caught.value.frame == 1
     assert 0 <= caught.value.particle < len(body)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("serial_below", [10**9, 0], ids=["serial", "parallel"])
+def test_what_flies_apart_has_a_grid_wherever_it_goes(monkeypatch, serial_below):
+    """Over a box of 10^13 cells: each particle for itself moves on a line, to rounding."""
+    monkeypatch.setattr(module, "SERIAL_BELOW", serial_below)
+    body, _ = ball(300)
+    s = settings(frames=3, substeps=50, fps=1.0)
+    made = elastic(E=1e-6, nu=0.3, density=1.0, law="fluid", parameters={"viscosity": 0.0})
+    solver = UpdatedLagrangian(body, [made], s, velocity=lambda X: 1e3 * X)
+    first, *_, last = solver.frames()
+    sides = np.ptp(last.particles.x, axis=0) / solver.body.h
+    assert np.prod(sides) > 1e10
+    nodes, cells = solver.state.get("grid")[:2]
+    assert cells <= 2 * len(body) + 64
+    assert nodes <= 27 * cells
+    x = body.X + 2.0 * first.particles.v
+    np.testing.assert_allclose(last.particles.x, x, rtol=1e-4, atol=1e-4 * np.abs(x).max())
+
+
+@pytest.mark.slow
+def test_it_does_not_matter_when_cells_are_numbered(monkeypatch):
+    """A body that flies through the grid, and the same with all cells made anew every time."""
+    monkeypatch.setattr(module, "SERIAL_BELOW", 0)
+    body, _ = ball(300)
+    s = settings(frames=3, substeps=40, gravity=(0.0, -9.81, 0.0))
+    seen, most = [], []
+    for anew in (False, True):
+        solver = UpdatedLagrangian(body, [look("jelly", body)], s, velocity=(5.0, -20.0, 3.0))
+        counts = []
+
+        def launched(solver=solver, counts=counts, anew=anew) -> None:
+            counts.append(solver.state.get("grid")[1])
+            if anew:
+                solver.state.clear("grid")
+
+        solver.on_launch = launched
+        list(solver.frames())
+        seen.append(state(solver))
+        most.append(max(counts))
+    assert np.array_equal(*seen)
+    assert most[1] < most[0] <= 1.5 * most[1] + 2 * 64
 
 
 @pytest.mark.slow

@@ -1,0 +1,1 @@
+"""What flows without end: sand, fluids, pastes, by the Updated Lagrangian solver."""

@@ -1,0 +1,98 @@
+"""The same elastic drop by both solvers: what flows and what does not meet in the same physics.
+
+A ball of rubber falls on the floor and bounces.  Both solvers have the same particles, contact
+samples and law, and APIC in every substep; their grids differ, one fixed in the world and the
+other in the body at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+from gf_usd.verify.bodies import ball, look, settings
+from gf_usd.verify.case import ABSOLUTE, Case, Curve, Measure
+
+FPS, FRAMES = 60.0, 100
+DROP = 3.0  # [radii]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounced:
+    """What a drop is known by."""
+
+    lowest: float  # [r] least height of the middle
+    when: float  # [T] at which that is
+    rebound: float  # [r] largest height of the middle after it
+
+
+def bounce(kind: Any, particles: int, device: str) -> Bounced:
+    """A ball of 1 m by one of the solvers."""
+    body, samples = ball(particles)
+    s = settings(
+        device, frames=FRAMES, fps=FPS, gravity=(0.0, -G0, 0.0), floor=0.0, filter_rate=np.inf,
+        lift=(0.0, 1.0 + DROP, 0.0),
+    )  # fmt: skip
+    solver = kind(body, [look("rubber", body)], s, samples=samples)
+    y = np.array([frame.health.center[1] for frame in solver.frames()])
+    k = int(np.argmin(y))
+    a, b, c = np.polyfit(np.arange(-1, 2), y[k - 1 : k + 2], 2)
+    unit = float(np.sqrt(1.0 / G0))
+    return Bounced(
+        lowest=float(c - b * b / (4.0 * a)), when=(k - b / (2.0 * a)) / FPS / unit,
+        rebound=float(y[k:].max()),
+    )  # fmt: skip
+
+
+def agree(counts: Sequence[int]) -> Callable[[str], Iterator[Measure]]:
+    """Both solvers at several particle counts."""
+
+    def run(device: str) -> Iterator[Measure]:
+        seen = [
+            [bounce(kind, n, device) for kind in (UpdatedLagrangian, TotalLagrangian)]
+            for n in counts
+        ]
+        why = {
+            "lowest": (
+                0.01, "r",
+                "half a cell of the grid is .14 r; the stretched cells of a squashed ball are"
+                " counted otherwise by a grid fixed in the world",
+            ),
+            "when": (0.005, "T", "a free fall is exact in both, and the bounce lasts half a T"),
+            "rebound": (
+                0.6, "r",
+                "not the same physics: APIC takes what vibrates within a cell, and of that the grid"
+                " of the world, which the ball moves through, has more. It is .57, .45 with 500 and"
+                " 1,000 particles and goes to 0 with the cells",
+            ),
+        }  # fmt: skip
+        for name, (bound, unit, reason) in why.items():
+            apart = [abs(getattr(ul, name) - getattr(tl, name)) for ul, tl in seen]
+            yield Measure(
+                name=name, value=float(apart[-1]), target=0.0, bound=bound, kind=ABSOLUTE,
+                unit=unit, why=reason,
+                curve=Curve(
+                    title=f"{name} of both solvers", x_label="particles", y_label="difference",
+                    x=tuple(map(float, counts)), y=tuple(map(float, apart)),
+                ) if len(seen) > 1 else None,
+            )  # fmt: skip
+
+    return run
+
+
+CASES = (
+    Case(
+        name="drop-of-both",
+        what="A ball of rubber falls by three radii and bounces, by the Updated and by the Total"
+        " Lagrangian solver: how far apart its lowest place, its time, and its rebound are.",
+        source="the Total Lagrangian solver, with APIC in every substep",
+        quick=agree((1000,)),
+        full=agree((500, 1000, 2000)),
+    ),
+)
