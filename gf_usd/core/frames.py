@@ -131,6 +131,7 @@ class Field:
 
 
 CONSISTENT, LUMPED = "consistent", "lumped"
+MIXED = "mixed"  # solver of a bake with solid and flowing bodies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +163,7 @@ class Settings:
     stress: bool = False  # write the von Mises stress of every particle
     internal: bool = False  # write the internal variables of laws, such as the plastic strain
     skin: str = "embed"  # embed | idw | paper: how meshes follow the body
-    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM
+    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM | MIXED: both
     floor_normal: tuple[float, float, float] | None = None  # unit; None: up
     wls: bool = False  # tl: recompute F once a frame from the positions (GaussianFlesh 3.2)
     procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames import MIXED, Settings
 from gf_usd.physics.frame_loop import Solver
 
 
@@ -22,10 +22,17 @@ def _updated_lagrangian() -> type[Solver]:
     return UpdatedLagrangian
 
 
+def _coupled() -> type[Solver]:
+    from gf_usd.physics.coupled.solver import Coupled
+
+    return Coupled
+
+
 # One row makes a solver; its file is imported when it is asked for.
 SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
     "ul": _updated_lagrangian,
+    MIXED: _coupled,
 }
 
 

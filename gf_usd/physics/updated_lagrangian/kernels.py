@@ -52,7 +52,7 @@ REALS = (
     *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
     *("push", "block", "node_v", "support_weight", "support_arm"),
     *("sample_constants", "sample_spring"),
-    *("sample_force", "sample_depth"),
+    *("sample_force", "sample_depth", "plane"),
 )
 WHOLE = (
     *("box", "key", "rank", "order", "slot", "cell_key", "cell_start", "clamped", "stress_capped"),
@@ -62,6 +62,7 @@ WHOLE = (
         "particle_support",
         "sample_active",
         "sample_capped",
+        "sample_plane",
     ),
 )
 
@@ -75,10 +76,12 @@ def pack_type(real, epoch: int):
 
 
 @cache
-def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> SimpleNamespace:
+def build(
+    laws, damped: bool, clamp: bool, capped: bool, real, epoch: int, meets: bool = False
+) -> SimpleNamespace:
     """The kernels for a set of laws, with or without viscosity, clamp and stress cap.
 
-    laws : `registry.LawSet`; real : f32 or f64.
+    laws : `registry.LawSet`; real : f32 or f64; meets : samples may face planes.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
@@ -110,7 +113,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
             for p in range(n):
                 place_particle(body, p)
             for k in range(active):
-                sample_force(body, body.sample_active[k], up, lift, dt)
+                sample_force(body, body.sample_active[k], up, lift, dt, meets)
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
@@ -153,7 +156,7 @@ def build(laws, damped: bool, clamp: bool, capped: bool, real, epoch: int) -> Si
         for cell in range(body.box[7]):
             sort_cell(body, cell)
         for k in range(active):
-            sample_force(body, body.sample_active[k], up, lift, dt)
+            sample_force(body, body.sample_active[k], up, lift, dt, meets)
         for p in range(n * ti.min(active, 1)):
             push_particle(body, p)
         for z in range(body.box[7] * STRIDE):
