@@ -347,16 +347,21 @@ class Choices:
     until_rest: bool = False  # the last frame is the first at rest
     open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
+    flowing: tuple[str, ...] = ()  # meshes that flow beside others: particles stand for them
 
     @property
     def mesh(self) -> bool:
         """Whether the meshes move."""
         return "mesh" in self.shapes
 
+    def drawn(self, path: str) -> bool:
+        """Whether the mesh at a prim path moves."""
+        return self.mesh and path not in self.flowing
+
     @property
     def particles(self) -> bool:
         """Whether any form of the particles is written, or tetrahedra, which stand with them."""
-        return "gaussians" in self.shapes or "points" in self.shapes or self.tets
+        return bool({"gaussians", "points"} & set(self.shapes)) or self.tets or bool(self.flowing)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -82,7 +82,7 @@ class SolidBodies:
                     point=seen.point,
                     carriers=carriers,
                     weights=weights,
-                )  # fmt: skip
+                )
             )
         return out
 

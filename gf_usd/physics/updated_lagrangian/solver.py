@@ -73,7 +73,9 @@ class UpdatedLagrangian(Solver):
         self.state = State(body)
         self.planes: FlowPlanes | None = None
         if contact_setup is not None and contact_setup.colliders and body.meets:
-            self.face(contact_setup)
+            passing = {c for _, c in contact_setup.through_colliders}
+            count = len(body.contact.mass) if body.contact else 0
+            self.face(contact_setup, through={c: np.full(count, True) for c in passing})
 
     def face(
         self,
