@@ -89,6 +89,11 @@ class ParticleTrack:
                 cache, home.scope.AppendChild(FLOW), some(particles, self._grains), self._unit,
                 velocities=choices.velocities,
             )  # fmt: skip
+            inside = home.scope.GetPrefixes()[0]
+            paths = [p for p in map(Sdf.Path, choices.flowing) if p.HasPrefix(inside)]
+            self._flow.prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(
+                paths
+            )
         prims = [track.prim for track in (self._splats, self._twin) if track]
         materials = write_materials(
             cache,

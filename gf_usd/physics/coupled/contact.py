@@ -131,7 +131,7 @@ class Exchange:
         rows = planes.rows[at]
         share = np.abs(planes.weights[rows])
         x = self._flow.state.sample_motion()[0] + self._flow.state.offset
-        stiffer = planes.stiffer(x)
+        stiffer = planes.locate(x)
         ratio = 0.0
         for own, values in (
             (contact.stiffness, planes.values[at, 0] * stiffer),
@@ -158,8 +158,7 @@ class Exchange:
         if len(at):
             many = int(np.clip(self._span / dt * (1.0 + 1e-9), 1, substeps))
         span = many * dt
-        parts = flow.substeps_of(span, self._dt)
-        given = flow.march(parts, span / parts)
+        given = flow.march(span, self._dt)
         self.full = flow.state.lacks_room
         self._half = None
         if given is not None and len(at) and not self.full:

@@ -113,6 +113,7 @@ class FlowPlanes:
         self.gap = np.full(n, -np.inf)  # [m] at the last detection
         self.spring = np.zeros((n, 3))  # [m] xi of friction
         self.rows = np.zeros(0, np.int64)  # samples that face something
+        self._seen = (np.zeros((0, 3)),) * 3  # points, velocities and turns of their planes
         self.values = np.zeros((0, 3))  # k [N/m], c [N s/m] and mu of these
         self._number_cache: Ints | None = None
         self.begin()
@@ -258,18 +259,20 @@ class FlowPlanes:
         stored = 0.5 * depth**2 + 0.25 * self.hardening * deeper**4 + 0.5 * (xi * xi).sum(1)
         return float(self.values[:, 0] @ stored)
 
-    def stiffer(self, x: Floats) -> float:
-        """How many times as stiff as at first the springs are that are deepest in, now."""
+    def locate(self, x: Floats) -> float:
+        """Look where the planes are, with samples at x (n, 3) [m]; how many times as stiff as at
+        first the springs are that are deepest in."""
         if not len(self.rows):
             return 1.0
-        q = self._moving(x)[0]
-        depth = ((q - x[self.rows]) * self.normal[self.rows]).sum(1).max()
-        return 1.0 + 3.0 * self.hardening * max(0.0, float(depth) - self._contact.linear) ** 2
+        self._seen = q, _, _ = self._moving(x)
+        depth = float(((q - x[self.rows]) * self.normal[self.rows]).sum(1).max())
+        return 1.0 + 3.0 * self.hardening * max(0.0, depth - self._contact.linear) ** 2
 
-    def numbers(self, x: Floats, offset: Floats, dt: float) -> Floats:
-        """(k, ROW) of `rows` for substeps of dt [s]; offset : (3,) [m] that places leave out."""
+    def numbers(self, offset: Floats, dt: float) -> Floats:
+        """(k, ROW) of `rows` where `locate` saw them, for substeps of dt [s]; offset : (3,) [m]
+        that places leave out."""
         rows = self.rows
-        q, vq, self._turn = self._moving(x)
+        q, vq, _ = self._seen
         out = np.zeros((len(rows), ROW))
         out[:, :LINEAR] = self.values
         out[:, LINEAR], out[:, HARDENING] = self._contact.linear, self.hardening
@@ -290,7 +293,7 @@ class FlowPlanes:
         self.work += float(numbers[free, WORK].sum())
         self.point[rows[free]] += span * self.velocity[rows[free]]
         if len(at := self.of_solids):
-            turn = span * self._turn[at]
+            turn = span * self._seen[2][at]
             mine = rows[at]
             turned = self.normal[mine] + cross(turn, self.normal[mine])
             self.normal[mine] = turned / np.linalg.norm(turned, axis=1, keepdims=True)

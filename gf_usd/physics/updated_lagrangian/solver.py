@@ -25,6 +25,7 @@ from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
+from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step
 from gf_usd.physics.total_lagrangian.setup import floor_height
 from gf_usd.physics.updated_lagrangian.energies import measure, strained_speed, world_stiffness
@@ -72,6 +73,10 @@ class UpdatedLagrangian(Solver):
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
         self.state = State(body)
         self.planes: FlowPlanes | None = None
+        self._softer = 1.0  # springs of planes over those of the floor, at most
+        if (contact := body.contact) is not None:
+            self._softer = float((contact.pair_stiffness / contact.stiffness).max(initial=1.0))
+        self._launcher: tuple[Any, Launcher] | None = None  # of the arrays that there are now
         if contact_setup is not None and contact_setup.colliders and body.meets:
             passing = {c for _, c in contact_setup.through_colliders}
             count = len(body.contact.mass) if body.contact else 0
@@ -108,15 +113,14 @@ class UpdatedLagrangian(Solver):
         dt, planes = self.frame_time / substeps, self.planes
         self.begin()
         if planes is None:
-            self.march(substeps, dt)
+            self.march(self.frame_time, dt)
             return not self.state.lacks_room
         done = 0
         while done < substeps and not self.state.lacks_room:
             span = (substeps - done) * dt
             hold = self.detect(index - 1 + done / substeps, span)
             chunk = int(np.clip(hold / dt, 1, substeps - done))
-            parts = self.substeps_of(chunk * dt, dt)
-            self.march(parts, chunk * dt / parts)
+            self.march(chunk * dt, dt)
             done += chunk
         return not self.state.lacks_room
 
@@ -141,31 +145,29 @@ class UpdatedLagrangian(Solver):
         self._watched = self._watched or self._active > 0
         return hold
 
-    def substeps_of(self, span: float, dt: float) -> int:
-        """Substeps of a span [s], of dt [s] at most, and short enough for the planes' springs."""
-        if self.planes and len(self.planes.rows) and not self.settings.substeps:
-            contact = self.body.contact
-            assert contact is not None
-            x = self.state.sample_motion()[0] + self.state.offset
-            softer = (contact.pair_stiffness / contact.stiffness).max()
-            by = 1.0 + float(softer) * self.planes.stiffer(x)
-            dt = min(dt, self.body.step.crowded(by).dt)
-        return max(1, int(np.ceil(span / dt * (1.0 - ROUNDING))))
+    def march(self, span: float, dt: float) -> tuple[Floats, Floats] | None:
+        """Move by a span [s], in substeps of dt [s] at most, and as short as the planes' springs ask.
 
-    def march(self, substeps: int, dt: float) -> tuple[Floats, Floats] | None:
-        """So many substeps of dt [s]; what each of `planes.rows` received: `FlowPlanes.follow`."""
+        Returns what each of `planes.rows` received, as `FlowPlanes.follow`; None: there are none.
+        """
         state, planes = self.state, self.planes
+        faces = planes is not None and len(planes.rows) > 0
+        if planes is not None and faces:
+            stiffer = planes.locate(state.sample_motion()[0] + state.offset)
+            if not self.settings.substeps:
+                dt = min(dt, self.body.step.crowded(1.0 + self._softer * stiffer).dt)
+        substeps = max(1, int(np.ceil(span / dt * (1.0 - ROUNDING))))
+        dt = span / substeps
         state.move_springs(0.5 * (self._last - dt))
         self._last = dt
-        if planes is None or not len(planes.rows):
+        if planes is None or not faces:
             self._launch(substeps, dt)
             return None
-        plane = state.arrays["plane"]
-        numbers = planes.numbers(state.sample_motion()[0] + state.offset, state.offset, dt)
+        plane, numbers = state.arrays["plane"], planes.numbers(state.offset, dt)
         taichi_arrays.put_first(plane, numbers.ravel())
         self._launch(substeps, dt)
         out = taichi_arrays.first(plane, numbers.size).astype(float).reshape(numbers.shape)
-        return planes.follow(out, state.offset, substeps * dt)
+        return planes.follow(out, state.offset, span)
 
     def finish(self, substeps: int) -> FrameStats:
         """End a frame of so many substeps."""
@@ -207,7 +209,9 @@ class UpdatedLagrangian(Solver):
             s.stress_cap or 0.0, low, high, body.converged,
         )  # fmt: skip
         if n < SERIAL_BELOW:
-            body.kernels.serial(state.pack, n, active, *capacities, substeps, *tail)
+            if self._launcher is None or self._launcher[0] is not state.pack:
+                self._launcher = state.pack, Launcher(body.kernels.serial, state.pack)
+            self._launcher[1](n, active, *capacities, substeps, *tail)
             return
         body.kernels.start(state.pack, n, 0.5 * dt)
         for k in range(substeps):
