@@ -114,8 +114,7 @@ def plane_force(body: ti.template(), s, o, x, v, dt):
             k, c = body.plane[o + planes.STIFFNESS], body.plane[o + planes.DAMPING]
             u = v - vq
             un = u.dot(n)
-            e = ti.max(0.0, d - body.plane[o + planes.LINEAR])
-            fn = ti.max(0.0, k * (d + body.plane[o + planes.HARDENING] * e * e * e) - c * un)
+            fn = ti.max(0.0, k * d * (1.0 + body.plane[o + planes.HARDENING] * d * d) - c * un)
             ut = u - un * n
             xi = row(body.plane, o + planes.SPRING) + dt * ut
             xi, ft = friction(xi - xi.dot(n) * n, ut, k, c, body.plane[o + planes.FRICTION] * fn)

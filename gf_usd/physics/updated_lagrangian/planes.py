@@ -8,9 +8,10 @@ solid bodies (`contact.carriers`):
     q = sum_k w_k x_k + o,    v_q = sum_k w_k v_k + omega x (x_s - sum_k w_k x_k)
 
 with o and the normal n turned by omega.  For a span of a few substeps a plane goes on at its
-velocity; at depth d = (q - x_s) . n > 0 it pushes by the law of the floor (`contact.floor`),
+velocity; at depth d = (q - x_s) . n > 0 it pushes by the law of contact between bodies
+(`contact.kernels`),
 
-    f_n = max(0, k (d + e^3 / a^2) - c (v_s - v_q) . n),    e = max(0, d - d0)
+    f_n = max(0, k d (1 + (d / a)^2) - c (v_s - v_q) . n)
 
 and friction sticks by a spring of the same k, up to mu f_n.  What each sample received in the span,
 its impulse J = sum dt f and the moment sum dt x_s x f, is kept: the opposite of both is what the
@@ -26,19 +27,30 @@ from typing import Any, Protocol
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.carriers import cross, spin
+from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
-from gf_usd.physics.contact.narrow_phase import FACING, TRAVEL, Obstacle, along, obstacles
+from gf_usd.physics.contact.narrow_phase import (
+    FACING,
+    TRAVEL,
+    ContactPlanes,
+    Obstacle,
+    along,
+    obstacles,
+)
 
 # Numbers of a plane in the kernels' array: of its springs; where it is; what came of it.
-STIFFNESS, DAMPING, FRICTION, LINEAR, HARDENING = range(5)
-POINT, NORMAL, VELOCITY, SPRING, IMPULSE, MOMENT, DEPTH, WORK = 5, 8, 11, 14, 17, 20, 23, 24
-ROW = 25
+STIFFNESS, DAMPING, FRICTION, HARDENING = range(4)
+POINT, NORMAL, VELOCITY, SPRING, IMPULSE, MOMENT, DEPTH, WORK = 4, 7, 10, 13, 16, 19, 22, 23
+ROW = 24
 # [spacings] that a gap may shrink between two detections, of which TRAVEL is at the speeds of the
 # first.
 CLOSER = 2.0 * TRAVEL
 NOTHING = -1
+# Of m g r in T: what planes may give so that samples come to be as deep as they truly are.
+BUDGET = 1e-4
 ARRAYS = ("face", "carriers", "weights", "normal", "point", "velocity", "gap", "spring")
 
 
@@ -82,6 +94,7 @@ class FlowPlanes:
 
     contact : its samples; setup : has the obstacles;
     solids : None: there are obstacles alone.
+    radius : [m] of a ball of the volume that flows, for how much energy is little;
     through : (n,) by the number of an obstacle, or of a body after them: samples that pass through.
     """
 
@@ -91,6 +104,7 @@ class FlowPlanes:
         spacing: float,
         setup: ContactSetup,
         gravity: Sequence[float],
+        radius: float,
         frame_time: float,
         solids: Solids | None = None,
         through: Mapping[int, Ints] | None = None,
@@ -101,6 +115,8 @@ class FlowPlanes:
         self._walls = [(c.spec.friction, c.spec.restitution) for c in setup.colliders]
         self._obstacles: tuple[Obstacle, ...] = obstacles(setup.colliders, frame_time)
         self._g = float(np.linalg.norm(gravity))
+        mass = float(contact.mass.sum())
+        self._power = BUDGET * self._g * radius * mass / time_scale(radius)  # [W]
         self._frame_time = frame_time
         self.reach = (FACING + TRAVEL) * spacing
         self.hardening = (HARD * spacing) ** -2
@@ -112,6 +128,7 @@ class FlowPlanes:
         self.velocity = np.zeros((n, 3))  # [m/s] of obstacles
         self.gap = np.full(n, -np.inf)  # [m] at the last detection
         self.spring = np.zeros((n, 3))  # [m] xi of friction
+        self.detected = 0.0  # frame of the last detection
         self.rows = np.zeros(0, np.int64)  # samples that face something
         self._seen = (np.zeros((0, 3)),) * 3  # points, velocities and turns of their planes
         self.values = np.zeros((0, 3))  # k [N/m], c [N s/m] and mu of these
@@ -126,12 +143,14 @@ class FlowPlanes:
 
     def save(self) -> dict[str, Any]:
         """See `Saved`."""
-        return {f"plane_{name}": getattr(self, name).copy() for name in ARRAYS}
+        arrays = {f"plane_{name}": getattr(self, name).copy() for name in ARRAYS}
+        return {**arrays, "plane_detected": self.detected}
 
     def load(self, saved: Mapping[str, Any]) -> None:
         """See `Saved`."""
         for name in ARRAYS:
             setattr(self, name, np.array(saved[f"plane_{name}"]))
+        self.detected = float(saved["plane_detected"])
         self._remember()
 
     @property
@@ -144,9 +163,11 @@ class FlowPlanes:
 
         x [m], v [m/s] : (n, 3) of the samples; frame : where the obstacles are.
         """
-        before = self.energy(x)
-        first = np.isinf(self.gap).all()
+        old, first = self._stored(x), np.isinf(self.gap).all()
         old_face, old_gap = self.face, self.gap
+        names = ("carriers", "weights", "normal", "point", "velocity")
+        for name in names:  # what was seen before stays with what is told of it
+            setattr(self, name, getattr(self, name).copy())
         # before the first detection a sample may be as deep as it is
         least = old_gap - CLOSER * self._spacing
         n = len(x)
@@ -184,11 +205,15 @@ class FlowPlanes:
                     velocity=np.zeros_like(carried),
                 )  # fmt: skip
         self.released = max(self.released, int((gone & (self.face == NOTHING)).sum()))
-        kept = (self.face == old_face) & (self.face != NOTHING)
-        self.spring = np.where(kept[:, None], along(self.spring, self.normal), 0.0)
         self._remember()
         if not first:
-            self.injected += self.energy(x) - before
+            time = (frame - self.detected) * self._frame_time
+            new = continued(
+                old, self._stored(x), ease=EASE * self._spacing, budget=self._power * time
+            )
+            self.point, self.spring = new.planes.point, new.planes.spring
+            self.injected += new.energy - old.energy
+        self.detected = frame
         self.deepest = max(self.deepest, -float(self.gap.min(initial=0.0)))
         return min(span, self._hold(x, v, frame, span))
 
@@ -250,14 +275,23 @@ class FlowPlanes:
 
     def energy(self, x: Floats) -> float:
         """[J] in the springs of the planes, of samples at x (n, 3) [m]."""
-        if not len(self.rows):
-            return 0.0
-        q = self._moving(x)[0]
-        depth = np.maximum(0.0, ((q - x[self.rows]) * self.normal[self.rows]).sum(1))
-        deeper = np.maximum(0.0, depth - self._contact.linear)
-        xi = self.spring[self.rows]
-        stored = 0.5 * depth**2 + 0.25 * self.hardening * deeper**4 + 0.5 * (xi * xi).sum(1)
-        return float(self.values[:, 0] @ stored)
+        return self._stored(x).energy if len(self.rows) else 0.0
+
+    def _stored(self, x: Floats) -> Stored:
+        rows, n = self.rows, len(self.face)
+        depth, stiffness = np.zeros(n), np.zeros(n)
+        if len(rows):
+            q = self._moving(x)[0]
+            depth[rows] = np.maximum(0.0, ((q - x[rows]) * self.normal[rows]).sum(1))
+            stiffness[rows] = self.values[:, 0]
+        planes = ContactPlanes(
+            partner=self.face, carriers=self.carriers, weights=self.weights, obstacle=self.face,
+            normal=self.normal, point=self.point, velocity=self.velocity, spring=self.spring,
+        )  # fmt: skip
+        return Stored(
+            planes=planes, depth=depth, stiffness=stiffness, hardening=self.hardening,
+            pair=self.face,
+        )  # fmt: skip
 
     def locate(self, x: Floats) -> float:
         """Look where the planes are, with samples at x (n, 3) [m]; how many times as stiff as at
@@ -266,7 +300,11 @@ class FlowPlanes:
             return 1.0
         self._seen = q, _, _ = self._moving(x)
         depth = float(((q - x[self.rows]) * self.normal[self.rows]).sum(1).max())
-        return 1.0 + 3.0 * self.hardening * max(0.0, depth - self._contact.linear) ** 2
+        return 1.0 + 3.0 * self.hardening * max(0.0, depth) ** 2
+
+    def places(self) -> tuple[Floats, Floats]:
+        """Points [m] and normals of the planes of `rows` where `locate` saw them, (k, 3)."""
+        return self._seen[0], self.normal[self.rows]
 
     def numbers(self, offset: Floats, dt: float) -> Floats:
         """(k, ROW) of `rows` where `locate` saw them, for substeps of dt [s]; offset : (3,) [m]
@@ -274,8 +312,8 @@ class FlowPlanes:
         rows = self.rows
         q, vq, _ = self._seen
         out = np.zeros((len(rows), ROW))
-        out[:, :LINEAR] = self.values
-        out[:, LINEAR], out[:, HARDENING] = self._contact.linear, self.hardening
+        out[:, :HARDENING] = self.values
+        out[:, HARDENING] = self.hardening
         # a substep moves the plane on before it takes its force, half a step after the start
         out[:, POINT:NORMAL] = q - 0.5 * dt * vq - offset
         out[:, NORMAL:VELOCITY] = self.normal[rows]

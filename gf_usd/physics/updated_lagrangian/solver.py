@@ -92,7 +92,7 @@ class UpdatedLagrangian(Solver):
         assert self.body.contact is not None
         self.planes = FlowPlanes(
             self.body.contact, self.particles.spacing, setup, self.settings.gravity,
-            self.frame_time, solids, through,
+            self.particles.radius, self.frame_time, solids, through,
         )  # fmt: skip
         self.state.parts.append(self.planes)
 
@@ -146,7 +146,7 @@ class UpdatedLagrangian(Solver):
         return hold
 
     def march(self, span: float, dt: float) -> tuple[Floats, Floats] | None:
-        """Move by a span [s], in substeps of dt [s] at most, and as short as the planes' springs ask.
+        """Move by a span [s], in substeps of dt [s] at most, short enough for the planes' springs.
 
         Returns what each of `planes.rows` received, as `FlowPlanes.follow`; None: there are none.
         """
