@@ -32,15 +32,19 @@ def _coupled() -> type[Solver]:
 SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
     "ul": _updated_lagrangian,
-    MIXED: _coupled,
 }
 
 
 def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Solver:
     """The solver that `settings.solver` names; `more` as for `TotalLagrangian`.
 
+    MIXED is no name that is asked for: it follows from the materials.
+
     Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.
     """
+    if settings.solver == MIXED:
+        both: Any = _coupled()
+        return both(particles, materials, settings, **more)
     if settings.solver not in SOLVERS:
         raise UsageError(
             f"there is no solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}"

@@ -21,10 +21,10 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.bodies import fastest
 from gf_usd.physics.contact.carriers import FLAT, cross
 from gf_usd.physics.contact.continuity import EASE
 from gf_usd.physics.contact.narrow_phase import TRAVEL
+from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.planes import Faced
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian

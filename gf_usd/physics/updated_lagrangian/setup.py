@@ -13,8 +13,8 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Pin
-from gf_usd.physics.bodies import fastest
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
+from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep

@@ -142,7 +142,7 @@ def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequen
 
     body = np.zeros(len(particles), int) if particles.body is None else particles.body
     X = np.asarray(particles.X)[flows[body]]
-    for k in np.flatnonzero(~flows):
+    for k in map(int, np.flatnonzero(~flows)):
         points, triangles = skins[k].points, skins[k].triangles
         near = ((points.min(0) <= X) & (points.max(0) >= X)).all(1)
         inside = int(winding_inside(points, triangles, X[near]).sum()) if near.any() else 0
