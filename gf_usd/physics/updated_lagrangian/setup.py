@@ -91,6 +91,9 @@ def build_body(
     law = particle_laws(materials, particles.material, per)
     ride = attach if law.unbounded.any() else embed
     start = start_motion(velocity, rows, at_rest, particles.body)
+    # all that flows is one body, whatever it started as
+    particles = replace(particles, body=None)
+    samples = None if samples is None else replace(samples, body=None)
     setup = contact_setup
     contact, embedding = floor_contact(
         samples, particles, at_rest, rows, settings, per, ride,
