@@ -1,4 +1,4 @@
-"""Write the samples: a duck, its capture, two spheres, a rigged creature, and two shots.
+"""Write the samples: a duck, its capture, two spheres, a rigged creature, and four shots.
 
     python tools/make_samples.py [--out FOLDER]
 
@@ -16,6 +16,7 @@ import numpy as np
 from tools.samples.capture import write_capture
 from tools.samples.creature_usd import write_creature
 from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
+from tools.samples.flowing import write_sandcastle, write_snowball
 from tools.samples.implicit import unit_normals
 from tools.samples.quads import Quads
 from tools.samples.shot import write_shot
@@ -94,6 +95,12 @@ def main() -> None:
     print(path)
     path = folder / "ten_ducks.usda"
     write_ten_ducks(path, "./duck.usda")
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "sandcastle.usda"
+    write_sandcastle(path, "./duck.usda")
+    print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+    path = folder / "snowball.usda"
+    write_snowball(path)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
