@@ -43,9 +43,9 @@ def test_momentum_and_angular_momentum_are_kept(flowing: str, real: type) -> Non
     assert np.abs(p - p[0]).max() < 0.5 * steps * eps * start
     # its arms are as long as the scene, .4 m
     assert np.abs(L - L[0]).max() < 0.5 * steps * eps * start * 0.4
-    # it is a crash: the ball gave the block half of its momentum and more
+    # it is a crash: the ball gave the block a sixth of its momentum and more (snow is light)
     ball = run.solid.state.view().momentum.sum(0)
-    assert ball[0] < 0.5 * start
+    assert ball[0] < start * 5.0 / 6.0
     assert sum(h.rollbacks for h in seen) == 0
     assert max(h.overlap for h in seen) < 0.5 * run.particles.spacing
     # nothing is gained: what new planes give is told, and little
