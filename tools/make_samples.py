@@ -16,7 +16,7 @@ import numpy as np
 from tools.samples.capture import write_capture
 from tools.samples.creature_usd import write_creature
 from tools.samples.duck import MATERIAL_OF, duck, duck_atlas, duck_quads
-from tools.samples.flowing import write_sand_castle, write_snowball, write_toothpaste
+from tools.samples.flowing import write_sandcastle, write_snowball, write_toothpaste
 from tools.samples.implicit import unit_normals
 from tools.samples.quads import Quads
 from tools.samples.shot import write_shot
@@ -96,10 +96,10 @@ def main() -> None:
     path = folder / "ten_ducks.usda"
     write_ten_ducks(path, "./duck.usda")
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
-    write_sand_castle(folder / "sand_castle.usda", "./duck.usda")
+    write_sandcastle(folder / "sandcastle.usda", "./duck.usda")
     write_snowball(folder / "snowball.usda")
     write_toothpaste(folder / "toothpaste.usda")
-    for name in ("sand_castle", "snowball", "toothpaste"):
+    for name in ("sandcastle", "snowball", "toothpaste"):
         path = folder / f"{name}.usda"
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 

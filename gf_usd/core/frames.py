@@ -131,6 +131,7 @@ class Field:
 
 
 CONSISTENT, LUMPED = "consistent", "lumped"
+MIXED = "mixed"  # solver of a bake with solid and flowing bodies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +163,7 @@ class Settings:
     stress: bool = False  # write the von Mises stress of every particle
     internal: bool = False  # write the internal variables of laws, such as the plastic strain
     skin: str = "embed"  # embed | idw | paper: how meshes follow the body
-    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM
+    solver: str = "tl"  # tl: Total Lagrangian | ul: Updated Lagrangian MLS-MPM | MIXED: both
     floor_normal: tuple[float, float, float] | None = None  # unit; None: up
     wls: bool = False  # tl: recompute F once a frame from the positions (GaussianFlesh 3.2)
     procrustes: float = 0.0  # tl: strength of the shape correction a frame (GaussianFlesh 4.3)
@@ -346,16 +347,21 @@ class Choices:
     until_rest: bool = False  # the last frame is the first at rest
     open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
+    flowing: tuple[str, ...] = ()  # meshes that flow beside others: particles stand for them
 
     @property
     def mesh(self) -> bool:
         """Whether the meshes move."""
         return "mesh" in self.shapes
 
+    def drawn(self, path: str) -> bool:
+        """Whether the mesh at a prim path moves."""
+        return self.mesh and path not in self.flowing
+
     @property
     def particles(self) -> bool:
         """Whether any form of the particles is written, or tetrahedra, which stand with them."""
-        return "gaussians" in self.shapes or "points" in self.shapes or self.tets
+        return bool({"gaussians", "points"} & set(self.shapes)) or self.tets or bool(self.flowing)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

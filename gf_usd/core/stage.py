@@ -296,6 +296,7 @@ class ContactSetup:
     through: frozenset[tuple[int, int]] = frozenset()  # (body, body) that pass through each other
     through_colliders: frozenset[tuple[int, int]] = frozenset()  # (body, collider)
     self_contact: frozenset[int] = frozenset()  # bodies that meet themselves
+    flows: bool = False  # bodies meet what flows
 
     def lowest(self, normal: Floats) -> float:
         """[m] of the lowest obstacle with an end along a normal (3,); inf where there is none."""
@@ -305,7 +306,8 @@ class ContactSetup:
     @property
     def any(self) -> bool:
         """Whether there is anything to meet."""
-        return len(self.skins) > 1 or bool(self.colliders) or bool(self.self_contact)
+        several = len(self.skins) > 1
+        return several or bool(self.colliders) or bool(self.self_contact) or self.flows
 
 
 @dataclass(frozen=True, kw_only=True)

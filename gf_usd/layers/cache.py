@@ -109,7 +109,6 @@ class CacheWriter:
     ) -> None:
         self.path = Path(path)
         choices = choices or Choices()
-        surfaces = asset.surfaces if choices.mesh else ()
         self._every = save_every or _samples_in(SAVE, asset, particles)
         self._frames = 0  # written, each sample one
         self._per_frame = info.settings.samples_per_frame
@@ -148,13 +147,13 @@ class CacheWriter:
         unit, rates = self._unit, choices.velocities
         self._meshes = {
             surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
-            for surface, prim in zip(surfaces, prims)
-            if surface.splats is None
+            for surface, prim in zip(asset.surfaces, prims)
+            if choices.drawn(surface.path) and surface.splats is None
         }
         self._splats = {
             surface.path: SplatTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(surfaces, prims)
-            if surface.splats is not None
+            for surface, prim in zip(asset.surfaces, prims)
+            if choices.drawn(surface.path) and surface.splats is not None
         }
         # every root prim that a display hides something of has its payload
         self._roots = roots_of(asset, home)

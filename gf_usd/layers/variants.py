@@ -21,6 +21,7 @@ from gf_usd.core.frames import SOURCE_VARIANT as NONE
 from gf_usd.core.frames import BakeInfo, Choices
 from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
 from gf_usd.layers.tracks.health import author_certificate, author_totals, bake_root
+from gf_usd.layers.tracks.particles import FLOW
 from gf_usd.system.atomic_files import asset_path
 
 DISPLAY_SET = "display"
@@ -119,9 +120,20 @@ def add_variants(
 
 def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices) -> list[Sdf.Path]:
     """Prims under a root prim that a display mode hides; meshes also where they do not move."""
-    paths = [] if mode == "mesh" else [Sdf.Path(surface.path) for surface in asset.surfaces]
-    if mode == "mesh" and choices.particles:
+    drawn = mode == "mesh"
+    paths = [
+        Sdf.Path(one.path) for one in asset.surfaces if not drawn or one.path in choices.flowing
+    ]
+    beside = bool(choices.mesh and choices.flowing)  # particles that flow, beside meshes
+    if mode == "mesh" and beside:
+        paths += [
+            home.scope.AppendChild(name) for shape, name in PARTICLES.items()
+            if shape in choices.shapes
+        ]  # fmt: skip
+    elif mode == "mesh" and choices.particles:
         paths.append(home.scope)
+    elif beside:
+        paths.append(home.scope.AppendChild(FLOW))
     for shape, name in PARTICLES.items():
         if mode not in ("mesh", shape) and shape in choices.shapes:
             paths.append(home.scope.AppendChild(name))

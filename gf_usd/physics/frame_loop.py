@@ -24,7 +24,7 @@ from gf_usd.core.arrays import Floats, Ints, corners
 from gf_usd.core.errors import SolverError
 from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings
 from gf_usd.physics.contact.floor import FloorContact, pressed_step
-from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.taichi_arrays import Saved
 from gf_usd.physics.time_step import StableStep
 
 
@@ -78,7 +78,7 @@ class Solver(ABC):
     guard: Guard
     coarse: int
     strained: int = 1
-    state: DeviceState
+    state: Saved
     on_launch: Callable[[], None] | None = None
 
     @abstractmethod

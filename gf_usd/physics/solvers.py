@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames import MIXED, Settings
 from gf_usd.physics.frame_loop import Solver
 
 
@@ -22,6 +22,12 @@ def _updated_lagrangian() -> type[Solver]:
     return UpdatedLagrangian
 
 
+def _coupled() -> type[Solver]:
+    from gf_usd.physics.coupled.solver import Coupled
+
+    return Coupled
+
+
 # One row makes a solver; its file is imported when it is asked for.
 SOLVERS: dict[str, Callable[[], type[Solver]]] = {
     "tl": _total_lagrangian,
@@ -32,8 +38,13 @@ SOLVERS: dict[str, Callable[[], type[Solver]]] = {
 def make_solver(settings: Settings, particles: Any, materials: Any, **more: Any) -> Solver:
     """The solver that `settings.solver` names; `more` as for `TotalLagrangian`.
 
+    MIXED is no name that is asked for: it follows from the materials.
+
     Raises UsageError for a name that is not in SOLVERS, or what the solver named does not know.
     """
+    if settings.solver == MIXED:
+        both: Any = _coupled()
+        return both(particles, materials, settings, **more)
     if settings.solver not in SOLVERS:
         raise UsageError(
             f"there is no solver {settings.solver!r}", f"choose {' or '.join(SOLVERS)}"

@@ -45,6 +45,23 @@ def put(array: Any, new: Floats) -> None:
         seen[...] = new
 
 
+def put_first(array: Any, new: Floats) -> None:
+    """Fill the beginning of a flat ti.ndarray; what follows stays."""
+    seen = _memory(array)
+    if seen is None:
+        whole = array.to_numpy()
+        whole[: len(new)] = new
+        array.from_numpy(whole)
+    else:
+        seen[: len(new)] = new
+
+
+def first(array: Any, count: int) -> Floats:
+    """A copy of the first numbers of a flat ti.ndarray."""
+    seen = _memory(array)
+    return (array.to_numpy() if seen is None else seen)[:count].copy()
+
+
 def _shape(array: Any) -> tuple[int, ...]:
     return (*array.shape, *array.element_shape)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import sampled
+from gf_usd.core.frames import MIXED, sampled
 from gf_usd.core.scene import Scene
 from gf_usd.pipeline.checkpoint import Resume, find_resume, identity
 from gf_usd.pipeline.cost.budget import (
@@ -196,7 +196,9 @@ def solver_of(plan: Plan, variant: Variant) -> Solver:
     more: dict[str, Any] = {}
     if plan.velocity:
         more["velocity"] = list(plan.velocity) if plan.velocity[1:] else plan.velocity[0]
-    if plan.settings.solver == "tl" and plan.bodies is not None:
+    if plan.settings.solver == "ul" and plan.contact_setup is not None:
+        more["contact_setup"] = plan.contact_setup
+    if plan.settings.solver in ("tl", MIXED) and plan.bodies is not None:
         more |= {
             "contact_setup": plan.contact_setup,
             "goals": plan.goals,

@@ -429,7 +429,7 @@ def frame_builder(
     skin = None
     if plan.points and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
-    surfaces = plan.asset.surfaces if plan.choices.mesh else ()
+    surfaces = [s for s in plan.asset.surfaces if plan.choices.drawn(s.path)]
     keys = [tets.key for tets in plan.tets]
     return FrameBuilder(
         solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer,

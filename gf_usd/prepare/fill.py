@@ -17,6 +17,7 @@ from gf_usd.core.arrays import Ints, triple
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import (
+    MIXED,
     Particles,
     Settings,
     SurfaceSamples,
@@ -29,14 +30,17 @@ from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
+    beside_grains,
     contact_setup,
     keep_limbs_apart,
     require_clear_start,
+    skins,
 )
 from gf_usd.prepare.bodies.plan import plan_bodies
 from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
+from gf_usd.prepare.materials.flowing import dispatch, require_outside, require_whole
 from gf_usd.prepare.materials.over_time import with_stiffness_keys
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
@@ -112,9 +116,11 @@ def fill(
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))
     keys = spec.physics.gravity_keys if request.gravity is None else ()
-    request, flowing = with_flow(request, presets, law)
-    request, stated = with_stage(request, spec, asset)
     unit = asset.facts.units.length
+    flow = dispatch(solid, spec, presets, law, request.regions, unit)
+    request, flowing = with_flow(request, flow)
+    request, stated = with_stage(request, spec, asset)
+    mixed = request.solver == MIXED
     paper = request.preset == "paper"
     closed = zip(solid.surfaces, solid.triangles, strict=True)
     asked = _resolution(
@@ -137,9 +143,12 @@ def fill(
     owners = {path: body.owner for path, body in spec.bodies.items()}
     spacing = asked.spacing or float(np.cbrt(solid.volume / (asked.particles or 1)))
     combine = request.combine or paper or request.flesh or request.solver == "ul"
-    bodies, particles = plan_bodies(asset, solid, spacing, sample, owners, combine=combine)
+    bodies, particles = plan_bodies(
+        asset, solid, spacing, sample, owners, combine=combine,
+        kinds=flow.flows if mixed else None,
+    )  # fmt: skip
     _require_one_body(request, bodies.count)
-    if paper or flowing:
+    if paper or (flowing and not mixed):
         # There every particle feels the floor; a mass of rho * area * spacing is its own.
         samples = SurfaceSamples(X=particles.X, area=particles.V0 / particles.spacing)
     else:
@@ -149,6 +158,8 @@ def fill(
             bodies.of_surface if bodies.count > 1 else None,
             asset.facts.up_axis,
         )
+    if mixed:
+        samples = beside_grains(samples, particles, bodies.flows(flow.flows))
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)
@@ -221,6 +232,11 @@ def fill(
             materials, changes, asset, file, spec, settings, assigned, repeats=bool(cycle)
         )
     particles, made = materials.particles, materials.main
+    if mixed:
+        require_whole(asset.facts.path, particles, materials.tables, solid)
+        require_outside(
+            asset.facts.path, particles, bodies.flows(flow.flows), skins(solid, bodies.of_surface)
+        )
     held = any(not pin.rigid for pin in pins)
     each = tuple(
         paper_options.of_material(
@@ -237,6 +253,8 @@ def fill(
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
     choices, split = chosen(request, files, settings, asset, len(particles), open_end)
+    if mixed:
+        choices = replace(choices, flowing=flow.paths)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
@@ -250,8 +268,9 @@ def fill(
             self_contact=False if paper or settings.solver == "ul" else request.self_contact,
         ),
     )  # fmt: skip
-    if not paper and request.solver != "ul":
+    if not paper:
         require_clear_start(asset.facts.path, particles, settings.lift, limbs.contact_setup, unit)
+    if not paper and request.solver != "ul":
         limbs = keep_limbs_apart(solid, bodies, limbs, embedded_points(asset))
     tets = tet_lattices(limbs.particles, limbs.samples) if request.tets else ()
     copies = {t.key: t.copy for t in tets if t.copy is not None}

@@ -111,7 +111,7 @@ class Plan:
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
-            if self.choices.mesh or (exported and s.splats is not None)
+            if self.choices.drawn(s.path) or (exported and s.splats is not None)
         } | {tets.key: tets.X for tets in self.tets}
 
     @property
@@ -206,7 +206,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
     """[bytes] on the disk of a frame with all its samples."""
     size = 0
     rates = VELOCITY_BYTES * (not choices.velocities)
-    for s in asset.surfaces if choices.mesh else ():
+    for s in [s for s in asset.surfaces if choices.drawn(s.path)]:
         if s.splats is not None:
             size += s.splats.frame_bytes
         else:
@@ -219,6 +219,8 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
         size += each * particles
     if "points" in choices.shapes:
         size += (POINT_BYTES - rates) * particles
+    if choices.mesh and choices.flowing:
+        size += (POINT_BYTES - rates) * particles  # at most: solid ones are not among them
     if choices.tets:
         size += TET_BYTES * particles
     return size * settings.samples_per_frame

@@ -18,7 +18,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, triple
 from gf_usd.core.asset import StageFacts, authored_rate, first_time_code
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import CONSISTENT, LUMPED, Field, Settings
+from gf_usd.core.frames import CONSISTENT, LUMPED, MIXED, Field, Settings
 from gf_usd.core.materials.dimensionless import FILTER_RATE, G0, SHOT_LENGTH, time_scale
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.options.fields import GravityKeys, in_meters, parse_field
@@ -273,14 +273,14 @@ def resolve(
         mass_scaling=request.mass_scaling or 1.0,
         fields=fields_of(request, facts, gravity_keys, stated_fields),
         rolling=_rolling(request, paper),
-        settling=not (paper or request.no_settling or request.solver == "ul"),
+        settling=not (paper or request.no_settling or request.solver in ("ul", MIXED)),
     )
 
 
 def _rolling(request: Request, paper: bool) -> float:
     if request.rolling_resistance is not None:
         return request.rolling_resistance
-    return 0.0 if paper or request.solver == "ul" else ROLLING_RESISTANCE
+    return 0.0 if paper or request.solver in ("ul", MIXED) else ROLLING_RESISTANCE
 
 
 def settled_frames(shot: int) -> int:

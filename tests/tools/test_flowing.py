@@ -50,19 +50,19 @@ def test_tufts_are_closed_blocks() -> None:
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", ["sand_castle", "snowball", "toothpaste"])
+@pytest.mark.parametrize("name", ["sandcastle", "snowball", "toothpaste"])
 def test_a_stage_is_sound_and_as_the_tool_writes_it(tmp_path: Path, name: str) -> None:
     kept, path = SAMPLES / f"{name}.usda", tmp_path / f"{name}.usda"
     write = getattr(flowing, f"write_{name}")
-    write(path, "./duck.usda") if name == "sand_castle" else write(path)
+    write(path, "./duck.usda") if name == "sandcastle" else write(path)
     assert path.read_bytes() == kept.read_bytes()
     stage = Usd.Stage.Open(str(kept))
     colliders = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.CollisionAPI)]
     assert any(p.IsA(UsdGeom.Plane) for p in colliders)
     said = [p.GetAttribute("gaussianFlesh:material").Get() for p in stage.Traverse()]
     assert [one for one in said if one] == {
-        "sand_castle": ["wet-sand", "rubber"],
-        "snowball": ["wet-snow"],
+        "sandcastle": ["wet-sand", "rubber"],
+        "snowball": ["powder-snow"],
         "toothpaste": ["toothpaste"],
     }[name]
     found = UsdValidation.ValidationContext(

@@ -1,7 +1,6 @@
 """What flows, meeting what does not: a sand castle, a snowball, and paste on a brush.
 
-Each stage is in centimeters, Y up, and says what its bodies are made of, so that one command bakes
-it.
+Each stage says what its bodies are made of, so that one command bakes it.
 """
 
 from __future__ import annotations
@@ -27,9 +26,8 @@ FILLET = 0.3  # [cm] radius of the corners that a bucket leaves
 WALLS, TOWERS, KEEP = 7.0, 2.4, 3.6  # [cm] half width between towers, radii
 WALL_TOP, TOWER_TOP, KEEP_TOP = 4.4, 7.0, 10.0  # [cm]
 MERLON = 1.2  # [cm] height and width of the teeth on top
-DUCK_AT, DUCK_SPEED = (0.0, 14.0, 22.0), (0.0, 0.0, -150.0)  # [cm], [cm/s]
-BALL, BALL_AT = 5.0, 24.0  # [cm] radius of the snowball, and its height above the bowl's hollow
-BOWL = 3.0  # [cm/m] size of the bowl of the ten ducks here
+DUCK_AT, DUCK_SPEED = (1.0, 4.0, 34.0), (0.0, 50.0, 650.0)  # [cm], [cm/s] in its own frame
+BALL, BALL_AT, BALL_SPEED = 1.1, (2.6, 3.8, 0.0), (0.0, -4.0, 0.0)  # [m], [m/s] of the snowball
 BRUSH, PASTE_STEP = 1.5, 0.06  # [cm] height of its bristles' tips, lattice of the paste
 TUFT, TUFTS_ACROSS, TUFTS_ALONG = 0.4, (-0.5, 0.0, 0.5), np.linspace(-1.5, 1.5, 7)  # [cm]
 SAND = Look(color=(0.62, 0.45, 0.24), roughness=0.95, clearcoat=0.0)
@@ -113,9 +111,11 @@ def tufts() -> tuple[Floats, Ints, Ints, Floats]:
     return np.concatenate(points), np.full(len(indices), 4), indices.ravel(), normals
 
 
-def write_sand_castle(path: Path, duck: str) -> None:
+def write_sandcastle(path: Path, duck: str) -> None:
     """The castle of wet sand and the rubber duck that flies into it; duck: its layer."""
-    stage = _stage(path, "SandCastle", "A rubber duck flies into a castle of wet sand.")
+    stage = _stage(
+        path, "SandCastle", "A rubber duck runs into a castle of wet sand. Centimeters, Y up.", 0.01
+    )
     _body(stage, "/SandCastle/Castle", castle_mesh(), castle, SAND, "wet-sand")
     xform = UsdGeom.Xform.Define(stage, "/SandCastle/Duck")
     prim = xform.GetPrim()
@@ -129,19 +129,18 @@ def write_sand_castle(path: Path, duck: str) -> None:
 
 
 def write_snowball(path: Path) -> None:
-    """A ball of wet snow above a bowl that stands on the ground."""
-    stage = _stage(path, "Snowball", "A ball of wet snow falls into a bowl and bursts.")
+    """A ball of powder snow above the rim of the bowl of the ten ducks, in meters."""
+    stage = _stage(path, "Snowball", "A snowball bursts on the rim of a bowl. Meters, Y up.", 1.0)
     quads = sphere_quads()
-    ball = Quads(points=BALL * quads.points, faces=quads.faces, parts=quads.parts)
-    mesh = _mesh(stage, "/Snowball/Ball", ball.points, np.full(len(ball.faces), 4),
-                 ball.faces.ravel(), quads.points, SNOW.color)  # fmt: skip
-    mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BALL_AT, 0.0))
+    mesh = _mesh(stage, "/Snowball/Ball", BALL * quads.points, np.full(len(quads.faces), 4),
+                 quads.faces.ravel(), quads.points, SNOW.color)  # fmt: skip
+    mesh.AddTranslateOp().Set(Gf.Vec3d(*BALL_AT))
     _drawn(stage, mesh, SNOW)
-    _soft(mesh.GetPrim(), "wet-snow")
+    _soft(mesh.GetPrim(), "powder-snow")
+    UsdPhysics.RigidBodyAPI.Apply(mesh.GetPrim()).CreateVelocityAttr(Gf.Vec3f(*BALL_SPEED))
     points, counts, indices, normals = bowl()
-    low = BOWL * float(points[:, 1].min())
-    dish = _mesh(stage, "/Snowball/Bowl", BOWL * points, counts, indices, normals, CLAY)
-    dish.AddTranslateOp().Set(Gf.Vec3d(0.0, round(-low, 4), 0.0))
+    dish = _mesh(stage, "/Snowball/Bowl", points, counts, indices, normals, CLAY)
+    dish.AddTranslateOp().Set(Gf.Vec3d(0.0, round(-float(points[:, 1].min()), 4), 0.0))
     _collide(dish.GetPrim())
     _ground(stage, "/Snowball")
     stage.GetRootLayer().Save()
@@ -149,7 +148,7 @@ def write_snowball(path: Path) -> None:
 
 def write_toothpaste(path: Path) -> None:
     """A ribbon of toothpaste just above a brush that lies on the ground."""
-    stage = _stage(path, "Toothpaste", "Toothpaste settles on the bristles of a brush.")
+    stage = _stage(path, "Toothpaste", "Toothpaste falls on a brush. Centimeters, Y up.", 0.01)
     mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste")
     mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 2.2, 0.0))
     bristles = _mesh(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
@@ -169,15 +168,15 @@ def write_toothpaste(path: Path) -> None:
     stage.GetRootLayer().Save()
 
 
-def _stage(path: Path, name: str, doc: str) -> Usd.Stage:
+def _stage(path: Path, name: str, doc: str, meters: float) -> Usd.Stage:
     path.unlink(missing_ok=True)
     stage = Usd.Stage.CreateNew(str(path))
     layer = stage.GetRootLayer()
-    layer.documentation = f"{doc} Centimeters, Y up."
+    layer.documentation = doc
     layer.customLayerData = {"license": "Apache-2.0", "madeBy": "gf-usd tools/make_samples.py"}
     stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, f"/{name}").GetPrim())
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageMetersPerUnit(stage, meters)
     stage.SetTimeCodesPerSecond(FPS)
     stage.SetFramesPerSecond(FPS)
     stage.SetStartTimeCode(1)

@@ -25,12 +25,14 @@ TOUCHING = 0.25  # [spacings] nearer than this, surfaces count as touching
 
 
 def find_bodies(
-    solid: Solid, spacing: float, *, owners: Sequence[str] = (), combine: bool = False
-) -> Ints:
+    solid: Solid, spacing: float, *, owners: Sequence[str] = (), combine: bool = False,
+    kinds: Ints | None = None,
+) -> Ints:  # fmt: skip
     """Body of each surface (S,), numbered from 0 in the order of the surfaces.
 
     spacing : [m] of the particles; owners : what each surface belongs to, "" for nothing: what has
-    the same owner is one body; combine : one body in all.
+    the same owner is one body; combine : one body in all; kinds : (S,) surfaces of two kinds are
+    never one body, None: all are of one.
     """
     count = len(solid.surfaces)
     if combine or count == 1:
@@ -48,10 +50,13 @@ def find_bodies(
         (a, b)
         for a in range(count)
         for b in range(a + 1, count)
-        if owners[a] == owners[b] != ""
-        or (
-            close[a, b]
-            and (_meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach))
+        if (kinds is None or kinds[a] == kinds[b])
+        and (
+            owners[a] == owners[b] != ""
+            or (
+                close[a, b]
+                and (_meets(points[a], solid, b, reach) or _meets(points[b], solid, a, reach))
+            )
         )
     ]
     one, two = np.array(joined, int).reshape(-1, 2).T

@@ -9,15 +9,16 @@ their transform, which is in double precision.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
 from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, MeshPose, Particles, TetLattice
-from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
@@ -34,6 +35,7 @@ UNIFORM = Sdf.VariabilityUniform
 # Rounding of positions, in spacings, from which on the particles have an origin of their own: far
 # below what is seen, and far above what an asset near the origin has.
 COARSE = 1e-3
+FLOW = "Flow"  # the prim of particles that flow, which is shown beside meshes
 
 
 class ParticleTrack:
@@ -81,6 +83,17 @@ class ParticleTrack:
             self._twin = PointsTrack(
                 cache, where, particles, self._unit, velocities=choices.velocities
             )
+        self._grains, self._flow = flowing(particles, info, choices), None
+        if self._grains is not None:
+            self._flow = PointsTrack(
+                cache, home.scope.AppendChild(FLOW), some(particles, self._grains), self._unit,
+                velocities=choices.velocities,
+            )  # fmt: skip
+            inside = home.scope.GetPrefixes()[0]
+            paths = [p for p in map(Sdf.Path, choices.flowing) if p.HasPrefix(inside)]
+            self._flow.prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(
+                paths
+            )
         prims = [track.prim for track in (self._splats, self._twin) if track]
         materials = write_materials(
             cache,
@@ -111,6 +124,7 @@ class ParticleTrack:
                 when = first if choices.clip_frames else None
                 bind_points(prim, materials, particles.material, when)
         self.space = Space(root, clock, self._unit) if home.inside else None
+        prims += [self._flow.prim] if self._flow else []
         prims += [track.prim for track in self._tets.values()]
         self._transforms = self._place(prims, clock.start)
 
@@ -133,9 +147,12 @@ class ParticleTrack:
             self._splats.write(pose, positions, velocities, time_code)
         if self._twin:
             self._twin.write(positions, velocities, time_code)
+        if self._flow:
+            rates = Vt.Vec3fArray.FromNumpy(np.asarray(velocities)[self._grains])
+            self._flow.write(positions[self._grains], rates, time_code)
         for key, track in self._tets.items():
             track.write((tets or {})[key], time_code)
-        every = [self._splats, self._twin, *self._tets.values()]
+        every = [self._splats, self._twin, self._flow, *self._tets.values()]
         boxes = [(track.low, track.high) for track in every if track]
         self.low = np.min([low for low, _ in boxes], axis=0)
         self.high = np.max([high for _, high in boxes], axis=0)
@@ -177,7 +194,8 @@ class ParticleTrack:
     @property
     def groups(self) -> list[tuple[list[Sdf.Path], int | None]]:
         """Prims that move as one: those of the particles, and each TetMesh with its body."""
-        ours = [track.prim.GetPath() for track in (self._splats, self._twin) if track]
+        every = (self._splats, self._twin, self._flow)
+        ours = [track.prim.GetPath() for track in every if track]
         tets = [([track.path], track.body) for track in self._tets.values()]
         return [*([(ours, None)] if ours else []), *tets]
 
@@ -205,6 +223,23 @@ class ParticleTrack:
             for op in ops:
                 op.Set(Gf.Matrix4d(matrix))
         return ops
+
+
+def flowing(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
+    """(k,) the particles that flow beside meshes of others; None: none do."""
+    if not (choices.mesh and choices.flowing):
+        return None
+    return np.flatnonzero(
+        np.array([LAWS[m.law].unbounded for m in info.materials])[np.asarray(particles.material)]
+    )
+
+
+def some(particles: Particles, rows: Ints) -> Particles:
+    """What a `PointsTrack` draws of some of the particles."""
+    return replace(
+        particles,
+        **{name: np.asarray(getattr(particles, name))[rows] for name in ("X", "V0", "color")},
+    )
 
 
 def own_origin(particles: Particles) -> Floats:

@@ -20,9 +20,13 @@ class ActiveSamples:
         self._height = np.zeros(0)  # [m] of the samples over the floor, without u and the offset
         self._drift = 0.0  # [m/s] toward the floor that pins give the fastest of them
         self._fall = 0.0  # [m/s] that none of them falls faster than
+        self.pushed = 0.0  # [m/s] that they may gain besides, of what flows against them
 
-    def near_floor(self, state: State) -> Ints:
-        """The samples within reach of the floor; clears what all of them noticed."""
+    def near_floor(self, state: State, *, everywhere: bool = False) -> Ints:
+        """The samples within reach of the floor; clears what all of them noticed.
+
+        everywhere : all, since what comes to push them within the frame is not known.
+        """
         body, contact = self._body, self._body.contact
         if contact is None:
             return np.zeros(0, np.int64)
@@ -33,6 +37,8 @@ class ActiveSamples:
             self._height += contact.constants @ ((c + 0.5 * span * rate) @ normal)
             self._drift = float(np.abs(contact.constants @ (rate @ normal)).max(initial=0.0))
         state.clear("sample_force", "sample_depth", "sample_capped")
+        if everywhere and body.settings.floor is not None:
+            return np.arange(len(self._height))
         return self._within(state, span)
 
     def nearer(self, state: State, near: Ints, span: float) -> Ints:
@@ -46,7 +52,7 @@ class ActiveSamples:
         body, contact, normal = self._body, self._body.contact, self._body.settings.normal
         assert contact is not None
         now = state.view()
-        speed = float(np.abs(now.v @ normal).max()) + self._drift
+        speed = float(np.abs(now.v @ normal).max()) + self._drift + self.pushed
         g = abs(float(np.dot(body.settings.gravity, normal))) + body.settings.pushes
         self._fall = 2.0 * (speed + g * span)
         reach = span * self._fall + body.particles.spacing

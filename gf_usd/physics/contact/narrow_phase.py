@@ -296,6 +296,11 @@ class Obstacle:
         self._low = np.min([p.min(0) for p in frames], axis=0)
         self._high = np.max([p.max(0) for p in frames], axis=0)
 
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Corners (3,) [m] of the box of all the places that it comes to."""
+        return self._low, self._high
+
     def positions(self, frame: float) -> Floats:
         """Points (V, 3) [m] at a frame, linear in between."""
         last = self.collider.frames - 1

@@ -21,7 +21,7 @@ from gf_usd.core.neighbors import kd_tree
 from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
-from gf_usd.physics.contact.distance import closest
+from gf_usd.physics.contact.distance import Closest, closest
 from gf_usd.physics.contact.floor import HARD, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
@@ -143,7 +143,7 @@ class BodyContact:
 
     def energy(self, now: StateView, time: float) -> float:
         """[J] in the springs of the planes last detected, at a time [s]."""
-        return self._stored(self._motion(now)[0], time).energy
+        return self._stored(self.motion(now)[0], time).energy
 
     def _stored(self, x: Floats, time: float) -> Stored:
         depth = self.planes.depth(x, time - self._detected)
@@ -165,7 +165,7 @@ class BodyContact:
         time : [s] of the state.
         """
         span = self._body.settings.frame_time
-        x, v = self._motion(now)
+        x, v = self.motion(now)
         near, hold = self._schedule(x, v, time / span, span, still)
         if near or hold < span:
             return True
@@ -228,7 +228,22 @@ class BodyContact:
         work = state.rows("pair", narrow_phase.ROW)[:, narrow_phase.WORK]
         return float(work.sum()), self.injected, self._note_overlap(state)
 
-    def _motion(self, now: StateView) -> tuple[Floats, Floats]:
+    @property
+    def members(self) -> list[Ints]:
+        """The contact samples of each body."""
+        return self._members
+
+    def surface(
+        self, body: int, x: Floats, known: Floats, now: StateView, reach: float
+    ) -> tuple[Closest, Ints, Floats]:
+        """The surface of a body as points x (n, 3) [m] see it within reach [m], and the contact
+        samples (k, 3) that carry the places seen, with weights (k, 3); known : see `BodySkin`."""
+        skin = self._skins[body]
+        place = self.motion(now)[0][self._members[body]]
+        seen, rest = skin.near(x, known, place, now.nodes[0], now.offset, reach)
+        return seen, *skin.carriers(rest)
+
+    def motion(self, now: StateView) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the samples, (n, 3)."""
         constants = self.contact.constants
         x, rate = placed(self.contact.rows, now.u, now.v)
@@ -238,17 +253,20 @@ class BodyContact:
             x, rate = x + constants @ c, rate + constants @ c_rate
         return x, rate
 
-    def detect(self, state: State, index: int, dt: float, done: int, left: int) -> tuple[int, int]:
+    def detect(
+        self, state: State, index: int, dt: float, done: int, left: int, *, shorter: float = 1.0
+    ) -> tuple[int, int]:
         """Set the planes for the next substeps, and say how many they hold for, at most `left`.
 
         And into how many shorter ones these are divided where something touches: the step of the
         body alone is too long for springs between samples.
         index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
+        shorter : as many as each is divided into at least.
         """
         now, elapsed = state.view(), done * dt
         frame = index - 1 + elapsed / self._body.settings.frame_time
         time = state.time + elapsed
-        x, v = self._motion(now)
+        x, v = self.motion(now)
         meet, hold = self._schedule(x, v, frame, left * dt)
         old = self._stored(x, time)
         closer = CLOSER * (self._spacing + WAIT / TRAVEL * np.maximum(self._gap, 0.0))
@@ -262,7 +280,8 @@ class BodyContact:
         hold = min(hold, self._face_themselves(search, v, left * dt))
         if not len(old.planes.active) and not len(search.planes.active):
             self._gap, self._detected, self._x = search.gap, time, x
-            return (chunk := int(np.clip(hold / dt, 1, left))), chunk
+            chunk = int(np.clip(hold / dt, 1, left))
+            return chunk, int(np.ceil(chunk * shorter))
         self._keep(search, old.depth)
         values = pair_values(
             search.planes, self.contact,
@@ -289,9 +308,10 @@ class BodyContact:
         chunk = int(np.clip(hold / dt, 1, left))
         free = self._untouched(v) / dt
         if free >= min(chunk, FEWEST):
-            chunk = parts = min(chunk, int(min(free, left)))
+            chunk = min(chunk, int(min(free, left)))
         else:
-            parts = int(np.ceil(chunk * self._shorter(float(self.planes.depth(x, 0.0).max()))))
+            shorter = max(shorter, self._shorter(float(self.planes.depth(x, 0.0).max())))
+        parts = int(np.ceil(chunk * shorter))
         dt = chunk * dt / parts
         # A substep moves the planes on before it takes its forces, those half of it later: bodies
         # are there already but at the start of a frame.
@@ -491,6 +511,6 @@ class BodyContact:
         # By what the bodies moved since their last forces.
         self.planes = moved(
             replace(f, normal=normal, point=point, spring=spring),
-            *self._motion(state.view()),
+            *self.motion(state.view()),
             0.5 * dt if closed else dt,
         )

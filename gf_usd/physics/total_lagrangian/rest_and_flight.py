@@ -28,10 +28,10 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import AT_REST
 from gf_usd.core.materials.dimensionless import G0, time_scale
-from gf_usd.physics.bodies import bodies_of
 from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats
+from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.laws.registry import ParticleLaws
 from gf_usd.physics.time_step import per_cell, stiffness, strained_step, wave_speed
 from gf_usd.physics.total_lagrangian.energies import kinetic_energies

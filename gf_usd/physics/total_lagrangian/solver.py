@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -33,6 +33,26 @@ from gf_usd.physics.total_lagrangian.settling import Settling
 from gf_usd.physics.total_lagrangian.setup import Body, build_body
 from gf_usd.physics.total_lagrangian.shape_correction import ShapeCorrection
 from gf_usd.physics.total_lagrangian.state import State
+
+
+class Partner(Protocol):
+    """What moves beside a body within its frames, and gives it impulses."""
+
+    def detect(self, index: int, dt: float, done: int, left: int) -> tuple[int, float]:
+        """How many of `left` substeps what is found near now holds for, and how many shorter ones
+        each is divided into at least.
+
+        index : the frame that is marched to; done : substeps of dt [s] since the frame before it.
+        """
+        ...
+
+    def begin(self, substeps: int, dt: float) -> int:
+        """Move beside the next of so many substeps of dt [s] of the body, and push it; how many."""
+        ...
+
+    def end(self) -> None:
+        """They are done."""
+        ...
 
 
 class TotalLagrangian(Solver):
@@ -106,6 +126,7 @@ class TotalLagrangian(Solver):
         self.launches = Launches(body, self.state)
         self.fields = Fields(settings)
         self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
+        self.partner: Partner | None = None  # what moves beside the body, and pushes it
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
@@ -113,12 +134,12 @@ class TotalLagrangian(Solver):
 
     def advance(self, index: int, substeps: int) -> FrameStats:
         """Move by a frame; `index` is the frame that this leads to."""
-        state, pairs = self.state, self.pairs
+        state, pairs, partner = self.state, self.pairs, self.partner
         state.prescribe(index)
         stiffened = self._stiffen(index)
         self._push(index)
         state.clear("touched")
-        near = self.active.near_floor(state)
+        near = self.active.near_floor(state, everywhere=partner is not None)
         state.drop_view()  # a large body's substeps need its memory
         if (stats := self.shortcuts.take(state, pairs, near, substeps)) is not None:
             return stats
@@ -129,8 +150,14 @@ class TotalLagrangian(Solver):
         last = 0.0  # [s] the substep before
         while left:
             chunk, parts, low, paired = left, left, near, near[:0]
+            shorter = 1.0
+            if partner:
+                chunk, shorter = partner.detect(index, whole, substeps - left, left)
+                parts = int(np.ceil(chunk * shorter))
             if pairs:
-                chunk, parts = pairs.detect(state, index, whole, substeps - left, left)
+                chunk, parts = pairs.detect(
+                    state, index, whole, substeps - left, chunk, shorter=shorter
+                )
                 low = self.active.nearer(state, near, chunk * whole)
                 paired = pairs.planes.active
             dt = chunk * whole / parts
@@ -138,7 +165,7 @@ class TotalLagrangian(Solver):
                 self.active.move_springs(state, 0.5 * (last - dt))
             watched = self.active.select(state, low, paired, dt)
             active = max(active, watched)
-            self.launches.run(state, parts, dt, watched, self.on_launch)
+            self._run(parts, dt, watched)
             left, taken, last = left - chunk, taken + parts, dt
             if pairs:
                 pairs.follow(state, dt, closed=left == 0)
@@ -152,6 +179,26 @@ class TotalLagrangian(Solver):
         )
         self.shortcuts.note(state, stats)
         return stats
+
+    def _run(self, substeps: int, dt: float, active: int) -> None:
+        """So many substeps of dt [s] with `active` contact samples, and what a partner does."""
+        if self.partner is None:
+            self.launches.run(self.state, substeps, dt, active, self.on_launch)
+            return
+        while substeps:
+            many = self.partner.begin(substeps, dt)
+            self.launches.run(self.state, many, dt, active, self.on_launch)
+            self.partner.end()
+            substeps -= many
+
+    def kick(self, samples: Floats) -> None:
+        """Give the contact samples impulses (n, 3) [N s]: v += M~^-1 W^T of them."""
+        contact, state = self.body.contact, self.state
+        assert contact is not None
+        v = state.rows("v")
+        change = self.body.mass.acceleration(contact.rows.W.T @ samples)
+        v[: len(change)] += change
+        state.put("v", v)
 
     def _stats(self, index: int, active: int) -> FrameStats:
         """What was noticed in a frame with `active` contact samples, after the shape correction."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Pose
-from gf_usd.physics.bodies import node_sums
 from gf_usd.physics.contact.floor import GIVEN_ROW, WORK, spring_energy
+from gf_usd.physics.grid.bodies import node_sums
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion

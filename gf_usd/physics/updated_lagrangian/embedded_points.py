@@ -44,6 +44,11 @@ class EmbeddedPoints:
             F=np.einsum("nk,nkab->nab", w, F[p]),
         )
 
+    @property
+    def single(self) -> bool:
+        """Whether each point is at its first particle: see `attach`."""
+        return bool((self.weight[:, 0] == 1.0).all() and not self.arm[:, 0].any())
+
     def rows(self, particles: Rows) -> sparse.csr_matrix:
         """B (n, M): velocity of the points by that of the nodes, at rest.
 

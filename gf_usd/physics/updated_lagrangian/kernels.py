@@ -55,7 +55,7 @@ REALS = (
     *("x", "v", "C", "L", "F", "m", "V0", "constants", "history", "viscosity"),
     *("push", "block", "node_v", "support_weight", "support_arm"),
     *("sample_constants", "sample_spring"),
-    *("sample_force", "sample_depth"),
+    *("sample_force", "sample_depth", "plane"),
     *("node_given", "wall_impulse"),
 )
 WHOLE = (
@@ -67,6 +67,7 @@ WHOLE = (
         "particle_support",
         "sample_active",
         "sample_capped",
+        "sample_plane",
     ),
 )
 
@@ -81,11 +82,12 @@ def pack_type(real, epoch: int):
 
 @cache
 def build(
-    laws, damped: bool, clamp: bool, capped: bool, walled: bool, real, epoch: int
-) -> SimpleNamespace:
+    laws, damped: bool, clamp: bool, capped: bool, walled: bool, real, epoch: int,
+    meets: bool = False,
+) -> SimpleNamespace:  # fmt: skip
     """The kernels for a set of laws, with or without viscosity, clamp, stress cap and walls.
 
-    laws : `registry.LawSet`; real : f32 or f64.
+    laws : `registry.LawSet`; real : f32 or f64; meets : samples may face planes.
     """
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
@@ -117,7 +119,7 @@ def build(
             for p in range(n):
                 place_particle(body, p)
             for k in range(active):
-                sample_force(body, body.sample_active[k], up, lift, dt)
+                sample_force(body, body.sample_active[k], up, lift, dt, meets)
             if active > 0:
                 for p in range(n):
                     push_particle(body, p)
@@ -169,7 +171,7 @@ def build(
         for cell in range(body.grid[CELLS]):
             sort_cell(body, cell)
         for k in range(active):
-            sample_force(body, body.sample_active[k], up, lift, dt)
+            sample_force(body, body.sample_active[k], up, lift, dt, meets)
         for p in range(n * ti.min(active, 1)):
             push_particle(body, p)
         for z in range(body.grid[CELLS] * STRIDE):

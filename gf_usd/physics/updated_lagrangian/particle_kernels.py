@@ -2,7 +2,8 @@
 
 import taichi as ti
 
-from gf_usd.physics.contact.kernels import floor_force
+from gf_usd.physics.contact.kernels import floor_force, friction, keep, row
+from gf_usd.physics.updated_lagrangian import planes
 from gf_usd.physics.updated_lagrangian.embedded_points import SUPPORT
 
 
@@ -78,10 +79,10 @@ def clamp_gradient(body: ti.template(), p, gradients: ti.template(), o, low, hig
 
 
 @ti.func
-def sample_force(body: ti.template(), s, up, lift, dt):
-    """Force of the floor on sample s, by the formulas of `contact_kernel`.
+def sample_force(body: ti.template(), s, up, lift, dt, meets: ti.template()):
+    """Force of the floor on sample s, by the formulas of `contact_kernel`, and of its plane.
 
-    lift : [m] what the moving frame's origin lies above the floor.
+    lift : [m] what the moving frame's origin lies above the floor; meets : there are planes.
     """
     x = up * 0.0
     v = up * 0.0
@@ -92,6 +93,40 @@ def sample_force(body: ti.template(), s, up, lift, dt):
         x += w * (vector(body.x, 3 * p) + d)
         v += w * (vector(body.v, 3 * p) + turned(body.L, p, d))
     floor_force(body, s, 0.0 - (lift + x.dot(up)), v, up, dt)
+    if ti.static(meets):
+        plane_force(body, s, planes.ROW * body.sample_plane[s], x, v, dt)
+
+
+@ti.func
+def plane_force(body: ti.template(), s, o, x, v, dt):
+    """Add the force of the plane whose numbers begin at o on sample s at x, moving with v.
+
+    o : below 0 where it faces none.
+    """
+    if o >= 0:
+        n = row(body.plane, o + planes.NORMAL)
+        vq = row(body.plane, o + planes.VELOCITY)
+        q = row(body.plane, o + planes.POINT) + dt * vq
+        keep(body.plane, o + planes.POINT, q)
+        d = (q - x).dot(n)
+        slid = 0.0 * x
+        if d > 0.0:
+            k, c = body.plane[o + planes.STIFFNESS], body.plane[o + planes.DAMPING]
+            u = v - vq
+            un = u.dot(n)
+            fn = ti.max(0.0, k * d * (1.0 + body.plane[o + planes.HARDENING] * d * d) - c * un)
+            ut = u - un * n
+            xi = row(body.plane, o + planes.SPRING) + dt * ut
+            xi, ft = friction(xi - xi.dot(n) * n, ut, k, c, body.plane[o + planes.FRICTION] * fn)
+            slid = xi
+            f = fn * n + ft
+            keep(body.sample_force, 3 * s, row(body.sample_force, 3 * s) + f)
+            keep(body.plane, o + planes.IMPULSE, row(body.plane, o + planes.IMPULSE) + dt * f)
+            moment = row(body.plane, o + planes.MOMENT) + dt * x.cross(f)
+            keep(body.plane, o + planes.MOMENT, moment)
+            body.plane[o + planes.DEPTH] = ti.max(body.plane[o + planes.DEPTH], d)
+            body.plane[o + planes.WORK] = body.plane[o + planes.WORK] + dt * f.dot(vq)
+        keep(body.plane, o + planes.SPRING, slid)
 
 
 @ti.func

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.material import Material
-from gf_usd.core.stage import Pin
+from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics.contact.floor import FLOOR_ROW, FloorContact, largest_eigenvalue
+from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.grid.reference import Rows, Stencil, build_stencil
 from gf_usd.physics.laws.registry import ParticleLaws, convergence, particle_laws
 from gf_usd.physics.time_step import StableStep
@@ -30,6 +31,7 @@ from gf_usd.physics.updated_lagrangian.embedded_points import (
     attach,
     embed,
 )
+from gf_usd.physics.updated_lagrangian.planes import ROW
 from gf_usd.physics.updated_lagrangian.walls import Planes, Wall, planes
 
 if TYPE_CHECKING:
@@ -55,6 +57,7 @@ class Body:
     step: StableStep
     law: ParticleLaws
     walls: Planes | None
+    meets: bool  # samples may face planes of obstacles and of solid bodies
     kernels: SimpleNamespace
     pack_type: Any  # of the kernels' arguments
 
@@ -75,6 +78,7 @@ def build_body(
     walls: Sequence[Wall],
     h: float | None,
     real: type,
+    contact_setup: ContactSetup | None = None,
 ) -> Body:
     """The body of these; parameters as of `UpdatedLagrangian`.  Taichi must run."""
     import taichi as ti
@@ -89,7 +93,18 @@ def build_body(
     rows = at_rest.rows(particles.X)
     law = particle_laws(materials, particles.material, per)
     ride = attach if law.unbounded.any() else embed
-    contact, embedding = floor_contact(samples, particles, at_rest, rows, settings, per, ride)
+    start = start_motion(velocity, rows, at_rest, particles.body)
+    # all that flows is one body, whatever it started as
+    particles = replace(particles, body=None)
+    samples = None if samples is None else replace(samples, body=None)
+    setup = contact_setup
+    contact, embedding = floor_contact(
+        samples, particles, at_rest, rows, settings, per, ride,
+        meets=setup is not None and (setup.flows or bool(setup.colliders)),
+        datum=setup.lowest(settings.normal) if setup is not None else np.inf,
+        speed=fastest(start["v"]),
+    )  # fmt: skip
+    meets = contact is not None and setup is not None and (setup.flows or bool(setup.colliders))
     center = m @ particles.X / m.sum()
     damped = bool((per["damping_time"] > 0).any())
     clamp, cap = settings.clamp is not None, settings.stress_cap is not None
@@ -104,14 +119,15 @@ def build_body(
         h=h,
         center=center,
         phase=(at_rest.origin - center) / h,
-        start=start_motion(velocity, rows, at_rest),
+        start=start,
         embedded={name: embed(X, particles.X) for name, X in (embedded or {}).items()},
         contact=contact,
         embedding=embedding,
         step=largest_step(particles, h, contact, settings, per),
         law=law,
         walls=planes(walls, particles.X + lift, at_rest.origin + lift, h) if walls else None,
-        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch()),
+        meets=meets,
+        kernels=build(law.set, damped, clamp, cap, bool(walls), kind, epoch(), meets),
         pack_type=pack_type(kind, epoch()),
     )
 
@@ -131,11 +147,19 @@ def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
             )
 
 
-def start_motion(velocity: Any, rows: Rows, stencil: Stencil) -> dict[str, Floats]:
+def start_motion(
+    velocity: Any, rows: Rows, stencil: Stencil, body: Ints | None = None
+) -> dict[str, Floats]:
     """v (N, 3), C and L (N, 3, 3) of the particles: what the nodes of the grid at rest hand back.
 
-    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3).
+    velocity : (3,) [m/s] or a callable X (n, 3) -> (n, 3), or a list of these, one for each body;
+    body : (N,) of the particles.
     """
+    if isinstance(velocity, list):
+        each = [start_motion(one, rows, stencil) for one in velocity]
+        mine = np.zeros(len(rows.X), np.int64) if body is None else np.asarray(body)
+        at = np.arange(len(mine))
+        return {name: np.stack([one[name] for one in each])[mine, at] for name in each[0]}
     X = stencil.node_X
     nodes = velocity(X) if callable(velocity) else velocity
     nodes = np.broadcast_to(np.asarray(nodes, float), X.shape)
@@ -157,12 +181,20 @@ def floor_contact(
     settings: Settings,
     per: dict[str, Floats],
     ride: Callable[[Floats, Floats], EmbeddedPoints] = embed,
+    *,
+    meets: bool = False,
+    datum: float = np.inf,
+    speed: float = 0.0,
 ) -> tuple[FloorContact | None, EmbeddedPoints | None]:
     """Stiffness and damping as for the Total Lagrangian solver, on embedded samples.
 
     ride : how the samples are embedded in the particles at rest, `embed` or `attach`.
+    meets, datum, speed : as of `surface_contact`; without anything to meet a fall counts alone.
     """
-    contact = surface_contact(samples, particles, stencil, settings, per)
+    contact = surface_contact(
+        samples, particles, stencil, settings, per,
+        meets=meets, datum=datum, speed=speed if meets else 0.0,
+    )  # fmt: skip
     if contact is None or samples is None:
         return None, None
     embedding = ride(samples.X, particles.X)
@@ -194,12 +226,12 @@ def arrays(body: Body) -> dict[str, Floats]:
         "wall_impulse": np.zeros(3),
         "grid": np.zeros(6, int),  # see `sort_kernels`
         **whole,
-        **_contact_arrays(body.contact, body.embedding, n),
+        **_contact_arrays(body.contact, body.embedding, n, body.meets),
     }
 
 
 def _contact_arrays(
-    contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int
+    contact: FloorContact | None, embedding: EmbeddedPoints | None, n: int, meets: bool
 ) -> dict[str, Floats]:
     """The contact part; without a floor, one sample that is never active."""
     if contact is None or embedding is None:
@@ -221,6 +253,8 @@ def _contact_arrays(
         "sample_depth": np.zeros(count),
         "sample_active": np.zeros(count, int),
         "sample_capped": np.zeros(count, int),
+        "sample_plane": np.full(count, -1),
+        "plane": np.zeros(ROW * (count if meets else 1)),
         "support_particle": support.ravel(),
         "support_weight": weight.ravel(),
         "support_arm": arm.ravel(),

@@ -17,21 +17,25 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Pose, Settings, SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
 from gf_usd.core.materials.material import Material
-from gf_usd.core.stage import Pin
+from gf_usd.core.stage import ContactSetup, Pin
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import pressed_step
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
+from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step
+from gf_usd.physics.total_lagrangian.setup import floor_height
 from gf_usd.physics.updated_lagrangian.energies import measure, strained_speed, world_stiffness
+from gf_usd.physics.updated_lagrangian.planes import FlowPlanes, Solids
 from gf_usd.physics.updated_lagrangian.setup import build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
 from gf_usd.physics.updated_lagrangian.walls import Wall
 
 SERIAL_BELOW = 12_000  # particles; smaller bodies run all substeps in one launch
+ROUNDING = 1e-9  # of a substep: as much longer it may be
 
 
 class UpdatedLagrangian(Solver):
@@ -53,6 +57,7 @@ class UpdatedLagrangian(Solver):
         velocity: Any = (0.0, 0.0, 0.0),
         pins: Sequence[Pin] = (),
         walls: Sequence[Wall] = (),
+        contact_setup: ContactSetup | None = None,
         h: float | None = None,
         real: type = np.float32,
     ) -> None:
@@ -63,7 +68,7 @@ class UpdatedLagrangian(Solver):
         self.particles, self.settings = particles, settings
         self.body = body = build_body(
             particles, materials, settings, samples=samples, embedded=embedded, velocity=velocity,
-            walls=walls, h=h, real=real,
+            walls=walls, h=h, real=real, contact_setup=contact_setup,
         )  # fmt: skip
         self.coarse = settings.substeps or max(1, int(np.ceil(self.frame_time / body.step.dt)))
         # What flows without end may go as far as it likes.
@@ -71,6 +76,29 @@ class UpdatedLagrangian(Solver):
         extent = np.inf if flows else float(np.linalg.norm(np.ptp(particles.X, axis=0)))
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
         self.state = State(body)
+        self.planes: FlowPlanes | None = None
+        self._softer = 1.0  # springs of planes over those of the floor, at most
+        if (contact := body.contact) is not None:
+            self._softer = float((contact.pair_stiffness / contact.stiffness).max(initial=1.0))
+        self._launcher: tuple[Any, Launcher] | None = None  # of the arrays that there are now
+        if contact_setup is not None and contact_setup.colliders and body.meets:
+            passing = {c for _, c in contact_setup.through_colliders}
+            count = len(body.contact.mass) if body.contact else 0
+            self.face(contact_setup, through={c: np.full(count, True) for c in passing})
+
+    def face(
+        self,
+        setup: ContactSetup,
+        solids: Solids | None = None,
+        through: Mapping[int, Ints] | None = None,
+    ) -> None:
+        """Let the contact samples face obstacles and solid bodies: see `FlowPlanes`."""
+        assert self.body.contact is not None
+        self.planes = FlowPlanes(
+            self.body.contact, self.particles.spacing, setup, self.settings.gravity,
+            self.particles.radius, self.frame_time, solids, through,
+        )  # fmt: skip
+        self.state.parts.append(self.planes)
 
     def not_finite(self) -> tuple[int, str]:
         """See `Solver`."""
@@ -80,11 +108,75 @@ class UpdatedLagrangian(Solver):
         """Move by a frame; `index` is the frame that this leads to."""
         state = self.state
         before = state.save()
-        active = self._launch(substeps)
-        while state.lacks_room and state.make_room():
+        while not self._frame(index, substeps) and state.make_room():
             state.load(before)
-            active = self._launch(substeps)
-        state.move_springs(0.5 * self.frame_time / substeps)
+        return self.finish(substeps)
+
+    def _frame(self, index: int, substeps: int) -> bool:
+        """Move by a frame; False where the grid was too small."""
+        dt, planes = self.frame_time / substeps, self.planes
+        self.begin()
+        if planes is None:
+            self.march(self.frame_time, dt)
+            return not self.state.lacks_room
+        done = 0
+        while done < substeps and not self.state.lacks_room:
+            span = (substeps - done) * dt
+            hold = self.detect(index - 1 + done / substeps, span)
+            chunk = int(np.clip(hold / dt, 1, substeps - done))
+            self.march(chunk * dt, dt)
+            done += chunk
+        return not self.state.lacks_room
+
+    def begin(self) -> None:
+        """Begin a frame."""
+        state, s = self.state, self.settings
+        state.clear("grid", "clamped", "stress_capped", "wall_impulse")
+        self._lift = float(state.offset @ s.normal) - floor_height(s)
+        self._near = state.near_floor(self._lift)
+        self._active = state.watch(self._near, self._near[:0])
+        self._watched = self._active > 0
+        self._last = 0.0  # [s] the substep before
+        if self.planes:
+            self.planes.begin()
+
+    def detect(self, frame: float, span: float) -> float:
+        """Choose the planes anew at a frame; for how long [s] they hold, a span [s] at most."""
+        assert self.planes is not None
+        x, v = self.state.sample_motion()
+        hold = self.planes.detect(x + self.state.offset, v, frame, span)
+        self._active = self.state.watch(self._near, self.planes.rows)
+        self._watched = self._watched or self._active > 0
+        return hold
+
+    def march(self, span: float, dt: float) -> tuple[Floats, Floats] | None:
+        """Move by a span [s], in substeps of dt [s] at most, short enough for the planes' springs.
+
+        Returns what each of `planes.rows` received, as `FlowPlanes.follow`; None: there are none.
+        """
+        state, planes = self.state, self.planes
+        faces = planes is not None and len(planes.rows) > 0
+        if planes is not None and faces:
+            stiffer = planes.locate(state.sample_motion()[0] + state.offset)
+            if not self.settings.substeps:
+                dt = min(dt, self.body.step.crowded(1.0 + self._softer * stiffer).dt)
+        substeps = max(1, int(np.ceil(span / dt * (1.0 - ROUNDING))))
+        dt = span / substeps
+        state.move_springs(0.5 * (self._last - dt))
+        self._last = dt
+        if planes is None or not faces:
+            self._launch(substeps, dt)
+            return None
+        plane, numbers = state.arrays["plane"], planes.numbers(state.offset, dt)
+        taichi_arrays.put_first(plane, numbers.ravel())
+        self._launch(substeps, dt)
+        out = taichi_arrays.first(plane, numbers.size).astype(float).reshape(numbers.shape)
+        return planes.follow(out, state.offset, span)
+
+    def finish(self, substeps: int) -> FrameStats:
+        """End a frame of so many substeps."""
+        state, planes = self.state, self.planes
+        state.move_springs(0.5 * self._last)
         state.take_wall_impulse()
         state.done += substeps
         state.time += substeps * (self.frame_time / substeps)
@@ -93,8 +185,13 @@ class UpdatedLagrangian(Solver):
             clamped=int(state.get("clamped").sum()),
             stress_capped=int(state.get("stress_capped").sum()),
             plastic_dissipation=state.take_dissipated(),
+            work=planes.work if planes else 0.0,
+            injected=planes.injected if planes else 0.0,
+            planes=planes.injected if planes else 0.0,
+            overlap=planes.deepest if planes else 0.0,
+            let_go=planes.released if planes else 0,
         )
-        if not active:
+        if not self._watched:
             return stats
         return replace(
             stats,
@@ -102,36 +199,33 @@ class UpdatedLagrangian(Solver):
             penetration=float(state.get("sample_depth").max()),
         )
 
-    def _launch(self, substeps: int) -> int:
-        """Run the kernels for a frame; how many samples were watched for contact."""
+    def _launch(self, substeps: int, dt: float) -> None:
+        """Run the kernels for so many substeps of dt [s]."""
         import taichi as ti
 
         body, state, s, n = self.body, self.state, self.settings, len(self.particles)
-        dt = self.frame_time / substeps
-        state.clear("grid", "clamped", "stress_capped", "wall_impulse")
-        lift = float(state.offset @ s.normal) - (s.floor or 0.0)
-        active = state.watch_floor(lift)
-        state.move_springs(-0.5 * dt)
+        active = self._active
         low, high = s.clamp or (0.0, 0.0)
         capacities = (state.node_capacity, state.cell_capacity)
         planes, whole = state.planes, ti.types.vector(3, ti.i32)
         vector = ti.types.vector(3, ti.f64 if body.real is np.float64 else ti.f32)
         tail = (
             *(vector(list(a)) for a in (s.gravity, s.normal, body.phase)),
-            lift, dt, float(np.exp(-s.drag * dt)), 1.0 / body.h,
+            self._lift, dt, float(np.exp(-s.drag * dt)), 1.0 / body.h,
             s.stress_cap or 0.0, low, high, body.converged,
             *(whole(a.tolist()) for a in (planes.first, planes.last, planes.stuck)),
         )  # fmt: skip
         if n < SERIAL_BELOW:
-            body.kernels.serial(state.pack, n, active, *capacities, substeps, *tail)
-        else:
-            body.kernels.start(state.pack, n, 0.5 * dt)
-            for k in range(substeps):
-                drift = dt if k < substeps - 1 else 0.5 * dt
-                body.kernels.parallel(state.pack, n, active, *capacities, *tail, drift)
-                if self.on_launch:
-                    self.on_launch()
-        return active
+            if self._launcher is None or self._launcher[0] is not state.pack:
+                self._launcher = state.pack, Launcher(body.kernels.serial, state.pack)
+            self._launcher[1](n, active, *capacities, substeps, *tail)
+            return
+        body.kernels.start(state.pack, n, 0.5 * dt)
+        for k in range(substeps):
+            drift = dt if k < substeps - 1 else 0.5 * dt
+            body.kernels.parallel(state.pack, n, active, *capacities, *tail, drift)
+            if self.on_launch:
+                self.on_launch()
 
     def read(self, index: int) -> Frame:
         """See `Solver`."""
@@ -165,9 +259,15 @@ class UpdatedLagrangian(Solver):
             else {},
             health=measure(
                 pose, (stretch, J), C, body.m, body.h, s,
-                elastic=elastic, contact=state.contact_energy(), flows=flows,
+                elastic=elastic, contact=state.contact_energy() + self._plane_energy(), flows=flows,
             ),
         )  # fmt: skip
+
+    def _plane_energy(self) -> float:
+        """[J] in the springs of the planes last detected."""
+        if self.planes is None:
+            return 0.0
+        return self.planes.energy(self.state.sample_motion()[0] + self.state.offset)
 
     def _strained(self, stretch: Floats, J: Floats, cells: Floats) -> int:
         """Substeps a frame that the body as strained now asks for; none where they are given."""

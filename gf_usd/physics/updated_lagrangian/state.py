@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.physics import taichi_arrays
 from gf_usd.physics.contact.floor import move_springs, spring_energy
 from gf_usd.physics.frame_loop import first_bad
 from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
+from gf_usd.physics.total_lagrangian.setup import floor_height
 from gf_usd.physics.updated_lagrangian.setup import Body, arrays, grid_arrays
 from gf_usd.physics.updated_lagrangian.walls import NOWHERE, Planes
 
@@ -37,6 +38,7 @@ class State(DeviceState):
         self._body = body
         self._start = self.offset.copy()
         self.wall_impulse = np.zeros(3)  # [N s] that walls gave to particles, so far
+        self._single = body.embedding is not None and body.embedding.single
         self.node_capacity = self.cell_capacity = 0
         self._most_nodes = max(LARGEST_GRID, 64 * self._occupied()[1])
         self.make_room()
@@ -141,33 +143,54 @@ class State(DeviceState):
         laws = self._body.law.set
         return take_dissipated(laws, self.arrays["history"]) if laws.flows else None
 
-    def watch_floor(self, lift: float) -> int:
-        """List the samples that may meet the floor in a frame, clear what they noticed; how many.
+    def near_floor(self, lift: float) -> Ints:
+        """The samples that may meet the floor in a frame; clears what samples noticed.
 
         lift : [m] of the moving frame of x above the floor.
         """
-        s, embedding = self._body.settings, self._body.embedding
-        if embedding is None:
-            return 0
-        pose = embedding.pose(*self.motion())
+        s = self._body.settings
+        if self._body.embedding is None:
+            return np.zeros(0, np.int64)
+        x, v = self.sample_motion()
         span = s.frame_time
-        speed = float(np.abs(pose.v @ s.normal).max())
+        speed = float(np.abs(v @ s.normal).max())
         g = abs(float(np.dot(s.gravity, s.normal)))
         reach = 2.0 * span * (speed + g * span) + self._body.particles.spacing
-        near = np.flatnonzero(lift + pose.x @ s.normal < reach)
-        self.put_first("sample_active", near)
+        near = np.flatnonzero(lift + x @ s.normal < reach)
         self.clear("sample_force", "sample_depth", "sample_capped")
-        return len(near)
+        return near
+
+    def watch(self, near: Ints, planes: Ints) -> int:
+        """List the samples that kernels ask: near the floor, and (k,) of planes; how many.
+
+        Both ascending; plane k is that of the k-th of `planes`.
+        """
+        active = near
+        if self._body.meets:
+            active = np.union1d(near, planes)
+            self.clear("sample_force")
+            of = np.full(len(self._body.contact.mass) if self._body.contact else 1, -1)
+            of[planes] = np.arange(len(planes))
+            self.put("sample_plane", of)
+        if self._body.embedding is not None:
+            self.put_first("sample_active", active)
+        return len(active)
+
+    def sample_motion(self) -> tuple[Floats, Floats]:
+        """x without the offset [m] and v [m/s] of the contact samples, (n, 3)."""
+        embedding = self._body.embedding
+        assert embedding is not None
+        if self._single:
+            at = embedding.particle[:, 0]
+            return self.rows("x")[at], self.rows("v")[at]
+        pose = embedding.pose(*self.motion())
+        return pose.x, pose.v
 
     def move_springs(self, time: float) -> None:
         """See `floor.move_springs`."""
-        embedding = self._body.embedding
-        if embedding is not None:
+        if self._body.embedding is not None and time:
             move_springs(
-                self,
-                lambda held: embedding.pose(*self.motion()).v[held],
-                self._body.settings.normal,
-                time,
+                self, lambda held: self.sample_motion()[1][held], self._body.settings.normal, time
             )
 
     def contact_energy(self) -> float:
@@ -175,7 +198,7 @@ class State(DeviceState):
         s, embedding, contact = self._body.settings, self._body.embedding, self._body.contact
         if embedding is None or contact is None:
             return 0.0
-        x = embedding.pose(*self.motion()).x + self.offset
-        height = x @ s.normal - (s.floor or 0.0)
+        x = self.sample_motion()[0] + self.offset
+        height = x @ s.normal - floor_height(s)
         held = spring_energy(contact.tangential, self.rows("sample_spring"))
         return held + contact.normal_energy(np.maximum(0.0, -height))

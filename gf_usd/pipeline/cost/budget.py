@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gf_usd.core.errors import InputError, OutOfResources
-from gf_usd.core.frames import Settings, written
+from gf_usd.core.frames import MIXED, Settings, written
 from gf_usd.core.materials.dimensionless import time_scale
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
@@ -76,7 +76,7 @@ class Solvers:
 
 
 # [s] of a substep, and of each particle in it, by solver, on one thread; measured
-SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7)}
+SUBSTEP_SECONDS = {"tl": (1.0e-5, 6.6e-8), "ul": (2e-6, 1.5e-7), MIXED: (3e-4, 1.8e-7)}
 CONTACT = 1.4  # longer with the contact of a shot, in the mean
 FLOW = 1.3  # longer where the law flows
 ALONE = 1500  # particles for each thread: fewer threads share a substep of fewer particles

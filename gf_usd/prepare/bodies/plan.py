@@ -34,6 +34,10 @@ class BodyPlan:
     def count(self) -> int:
         return len(self.radius)
 
+    def flows(self, surfaces: Ints) -> Ints:
+        """(B,) which bodies flow; surfaces : (S,) which filled surfaces do."""
+        return np.bincount(self.of_surface, surfaces, minlength=self.count) > 0.0
+
 
 def plan_bodies(
     asset: Asset,
@@ -43,18 +47,20 @@ def plan_bodies(
     owners: dict[str, str],
     *,
     combine: bool,
+    kinds: Ints | None = None,
 ) -> tuple[BodyPlan, Particles]:
     """The bodies of a solid, and the particles that fill them.
 
     spacing : [m] about that of the particles; sample : particles for the body (S,) of each surface;
-    owners : the physics body prim that a surface belongs to, by path; combine : one body in all.
+    owners : the physics body prim that a surface belongs to, by path; combine : one body in all;
+    kinds : (S,) surfaces of two kinds are never one body; None: all are of one.
     """
     from gf_usd.geometry.connected.bodies import find_bodies
 
     owned = [owners.get(s.path, "") for s in solid.surfaces]
-    of = find_bodies(solid, spacing, owners=owned, combine=combine)
+    of = find_bodies(solid, spacing, owners=owned, combine=combine, kinds=kinds)
     particles = sample(of)
-    of, fused = _fuse_small(of, solid, particles)
+    of, fused = _fuse_small(of, solid, particles, kinds)
     if fused:
         particles = sample(of)
     body = of[particles.surface]
@@ -87,7 +93,9 @@ def _listed(names: Sequence[Sequence[str]]) -> str:
     return first + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
-def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, list[Any]]:
+def _fuse_small(
+    of: Ints, solid: Solid, particles: Particles, kinds: Ints | None = None
+) -> tuple[Ints, list[Any]]:
     """Bodies of too few particles become one with the nearest; (surface, particles, host) of each.
 
     A surface without any particle is a shell about nothing: it can only be embedded.
@@ -99,6 +107,10 @@ def _fuse_small(of: Ints, solid: Solid, particles: Particles) -> tuple[Ints, lis
         if mine.sum() >= LEAST or len(members) == len(of):
             continue
         rest = np.flatnonzero(~mine)
+        if kinds is not None:
+            rest = rest[kinds[particles.surface[rest]] == kinds[members[0]]]
+        if not len(rest):
+            continue
         points = np.concatenate([solid.surfaces[s].points for s in members])
         gap, at = kd_tree(particles.X[rest]).query(points)
         host = int(particles.surface[rest[at[np.argmin(gap)]]])

@@ -11,7 +11,7 @@ import numpy as np
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
-from gf_usd.core.frames import Settings
+from gf_usd.core.frames import MIXED, Settings
 from gf_usd.core.materials.keys import StiffnessKeys
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.stage import StageSpec
@@ -59,9 +59,10 @@ def with_stiffness_keys(
     factors, of = np.unique(np.stack(young) / rest, axis=1, return_inverse=True)
     if np.allclose(factors, 1.0, rtol=SAME, atol=0.0):
         return replace(assigned, notes=(*assigned.notes, *notes))
-    if settings.solver == "ul":
+    if settings.solver in ("ul", MIXED):
         raise UsageError(
-            f"{asset.facts.path}: {keys.by[0]} has time samples, which --solver ul does not know",
+            f"{asset.facts.path}: {keys.by[0]} has time samples, which --solver ul and bakes with"
+            " bodies that flow without end do not know",
             "use --solver tl, or author one value",
         )
     low, high = float(np.min(young)), float(np.max(young))

@@ -83,7 +83,7 @@ def table(
         if part.region is not None:
             made.append(finish(find_preset(part.region.material), radius))
         elif isinstance(look, Authored):
-            made.append(_authored(surface.path, part, radius, spec, finish))
+            made.append(authored(surface.path, part, radius, spec, finish))
         else:
             made.append(finish(look, radius))
     if isinstance(look, Authored):
@@ -101,13 +101,14 @@ def table(
     return tuple(kept), index[slot]
 
 
-def _authored(
+def authored(
     path: str,
     part: MaterialPart,
     radius: float,
     spec: StageSpec,
     finish: Callable[[Any, float], Material],
 ) -> Material:
+    """The material that the stage gives a part of a surface, on a body of radius [m]."""
     bake, body = spec.bakes.get(path), spec.bodies.get(path)
     if part.subset is None and bake is not None and bake.material:
         return finish(find_preset(bake.material), radius)

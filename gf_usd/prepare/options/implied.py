@@ -9,9 +9,9 @@ from typing import Any
 
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import InputError, UsageError
-from gf_usd.core.materials.laws import LAWS
-from gf_usd.core.materials.presets import Preset
+from gf_usd.core.frames import MIXED
 from gf_usd.core.stage import StageSpec
+from gf_usd.prepare.materials.flowing import Dispatch
 from gf_usd.prepare.materials.regions import shown
 from gf_usd.prepare.options.request import Request
 
@@ -27,17 +27,18 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
             f"gravity is that of <{physics.scene}>: {shown(physics.gravity)} m/s^2"
             + (f", and {len(physics.gravity_keys)} time samples" if physics.gravity_keys else "")
         )
-        if physics.gravity_keys and (request.rigid or request.solver == "ul"):
+        if physics.gravity_keys and (request.rigid or request.solver in ("ul", MIXED)):
             raise UsageError(
-                f"{path}: gravity of <{physics.scene}> changes, which --rigid and --solver ul do"
-                " not know",
+                f"{path}: gravity of <{physics.scene}> changes, which --rigid, --solver ul and"
+                " what flows without end do not know",
                 "give one with --gravity",
             )
     if physics.fields and not request.fields:
-        if request.rigid or request.solver == "ul":
+        if request.rigid or request.solver in ("ul", MIXED):
             raise UsageError(
-                f"{path}: <{physics.scene}> has fields, which --rigid and --solver ul do not know",
-                "leave --rigid or --solver ul out",
+                f"{path}: <{physics.scene}> has fields, which --rigid, --solver ul and what flows"
+                " without end do not know",
+                "leave --rigid or --solver ul out, or remove the fields",
             )
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
@@ -49,13 +50,6 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         if request.floor is None and not request.flesh:
             more["floor"] = "none"
             notes.append(f"{counted}, so there is no floor; --floor 0 adds one")
-        if request.solver == "ul":
-            raise UsageError(
-                f"{path}: --solver ul, which sand, pastes and liquids need, does not know"
-                f" obstacles, and {counted}: <{obstacles[0].path}>",
-                "use --solver tl with a material that does not flow without end, or remove the"
-                " obstacles from a copy of the stage",
-            )
     for name in ("seed", "solver"):
         if getattr(request, name) is None:
             said = one_said(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
@@ -65,34 +59,59 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
     return replace(request, **more), tuple(notes)
 
 
-def with_flow(
-    request: Request, presets: Sequence[Any], law: str | None
-) -> tuple[Request, tuple[str, ...]]:
+def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...]]:
     """The request for what flows without end, with a note; as it is where nothing does.
 
-    Raises UsageError where only some of the variants do, or where the solver does not let them.
+    Raises UsageError where the options do not let it flow.
     """
-    laws = [law or (p.law if isinstance(p, Preset) else "") for p in presets]
-    flows = [one in LAWS and LAWS[one].unbounded for one in laws]
-    if not any(flows):
+    if not flow.paths:
         return request, ()
-    names = ", ".join(preset.name for preset in presets)
-    if not all(flows):
-        raise UsageError(
-            f"{names}: some of these flow without end, and are simulated by another solver",
-            "bake them one by one",
-        )
+    names, paths = ", ".join(flow.names), listed(flow.paths)
     if request.solver == "tl":
         raise UsageError(
             f"--solver tl does not go with {names}, which flows without end",
             "leave it out, or use --solver ul",
         )
+    if flow.some and request.solver is None:
+        for option, given in (
+            ("--combine", request.combine),
+            ("--flesh", request.flesh),
+            ("--rigid", request.rigid),
+            ("--preset paper", request.preset),
+            ("--field", request.fields),
+            ("--settle-only", request.settle_only),
+            ("--frames rest", request.until_rest),
+            ("--certify", request.certify),
+            ("--tets", request.tets),
+            ("--rolling-resistance", request.rolling_resistance),
+            (f"--skin {request.skin}", request.skin not in (None, "embed")),
+        ):
+            if given:
+                raise UsageError(
+                    f"{option} does not go with bodies that flow without end beside others: {paths}"
+                    f" ({names})",
+                    f"leave {option} out, or bake the bodies apart with --prim",
+                )
+        note = (
+            f"{paths}: flows without end ({names}; Updated Lagrangian solver, and every particle"
+            " feels contact); the other bodies are solid (Total Lagrangian solver); its meshes are"
+            " hidden, and its particles are shown beside the other meshes"
+        )
+        return replace(request, solver=MIXED), (note,)
+    if flow.some:
+        return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
     if request.only is None:
         request = replace(request, only="gaussians,points")
     note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
     if "mesh" not in (request.parsed["only"] or ()):
         note += "; the mesh is hidden"
     return replace(request, solver="ul"), (note,)
+
+
+def listed(paths: Sequence[str]) -> str:
+    """Prim paths in words."""
+    shown = ", ".join(f"<{path}>" for path in paths[:4])
+    return shown + (f" and {len(paths) - 4} more" if len(paths) > 4 else "")
 
 
 def stated_values(request: Request) -> dict[str, float]:

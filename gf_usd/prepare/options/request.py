@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import MIXED
 from gf_usd.prepare.materials.regions import Region, parse_regions
 from gf_usd.prepare.options.fields import GravityKeys, parse_field
 from gf_usd.prepare.options.table import PLANNED, RequestOptions
@@ -47,7 +48,7 @@ class Request(RequestOptions):
     def length_is_open(self) -> bool:
         """Whether no option says how long is simulated, nor that it may not end at rest."""
         said = (self.frames, self.range, self.handles, self.flesh, self.preset, self.settle_only)
-        acts = self.solver != "ul" and not (self.wls or self.procrustes or self.rigid)
+        acts = self.solver not in ("ul", MIXED) and not (self.wls or self.procrustes or self.rigid)
         return acts and not any(said) and not self.no_settling
 
     @property

@@ -29,6 +29,12 @@ def is_ours(prim: Usd.Prim) -> bool:
     return bool(prim.HasAttribute("gaussianFlesh:restPositions"))
 
 
+def stands_for_meshes(prim: Usd.Prim) -> bool:
+    """True for points that a bake shows beside meshes, of bodies that flow."""
+    named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
+    return prim.IsA(UsdGeom.Points) and named and not is_ours(prim)
+
+
 def read_splats(
     prim: Usd.Prim,
     time: Usd.TimeCode,

@@ -31,6 +31,7 @@ from gf_usd.readers.pictures.prims import (
     is_ours,
     read_points,
     read_splats,
+    stands_for_meshes,
     to_render_mesh,
 )
 from gf_usd.readers.pictures.recording import VARIANTS, displays_in
@@ -49,12 +50,12 @@ from gf_usd.readers.usd.stage import (
 
 # what can be shown: kinds of prim, and the display variant of a bake that holds them
 SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
-    "mesh": (("mesh", "splats"), "mesh"),
+    "mesh": (("mesh", "splats", "grains"), "mesh"),
     "splats": (("splats", "mesh"), "mesh"),  # captured Gaussians, which are an asset's own look
     "gaussians": (("gaussians", "splats"), "gaussians"),
     "ellipsoids": (("gaussians", "splats"), "gaussians"),
     "points": (("points",), "points"),
-    "both": (("mesh", "splats", "gaussians"), "mesh"),
+    "both": (("mesh", "splats", "gaussians", "grains"), "mesh"),
 }
 
 KINDS = ("mesh", "splats", "gaussians", "points")
@@ -234,7 +235,7 @@ class PictureStage:
                 return replace(mesh, values=self._mesh_values(prim, context.time))
             place = Placement.of(context.xforms.GetLocalToWorldTransform(prim))
             values = self.values.of_particles(prim, context.time) if self.values else None
-            read = read_points if kind == "points" else read_splats
+            read = read_points if kind in ("points", "grains") else read_splats
             unit = context.meters_per_unit
             return read(prim, context.time, place, unit, context.notes, values)
         except LeftAlone as reason:
@@ -275,6 +276,8 @@ class PictureStage:
                 found.append(("mesh", prim))
             elif name == SPLAT_TYPE:
                 found.append(("gaussians" if is_ours(prim) else "splats", prim))
+            elif stands_for_meshes(prim):
+                found.append(("grains", prim))
             elif prim.IsA(UsdGeom.Points):
                 found.append(("points", prim))
         return found

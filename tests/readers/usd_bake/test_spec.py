@@ -7,7 +7,7 @@ import pytest
 from physics_stages import SLIDE, mesh, prim
 from planned import at, cubes, noted, plan_fixture  # noqa: F401
 
-from gf_usd.core.errors import InputError, UsageError
+from gf_usd.core.errors import InputError
 
 COLLISION, RIGID = "PhysicsCollisionAPI", "PhysicsRigidBodyAPI"
 OFF = "bool gaussianFlesh:enabled = false"
@@ -112,8 +112,7 @@ def test_prims_that_disagree_are_refused_in_words(plan, name, one, two, words) -
     assert soft(plan(both, **{name: {"seed": 3, "solver": "tl"}[name]})) == ["/One", "/Two"]
 
 
-def test_updated_lagrangian_and_obstacles_do_not_go_together(plan) -> None:
-    with pytest.raises(
-        UsageError, match="liquids need, does not know obstacles, and there is 1 obstacle: </"
-    ):
-        plan(cubes(), TABLE, solver="ul")
+def test_updated_lagrangian_knows_obstacles(plan) -> None:
+    made = plan(cubes(), TABLE, solver="ul")
+    assert made.settings.solver == "ul"
+    assert len(made.contact_setup.colliders) == 1

@@ -1,0 +1,212 @@
+"""Contact of what flows with solid bodies: planes of their surfaces, and what comes back.
+
+In a span of a few substeps the flow moves against planes that go on at their velocity, and each of
+its samples receives an impulse J with the moment L about the origin (`FlowPlanes`).  The body that
+carries the plane gets half of -J before its own substeps of that span and half after them, which
+makes the pair of solvers position Verlet: for a spring between them of frequency w and a span T it
+is stable up to w T = 2 and keeps the energy, where one kick before the substeps damps and one
+after them feeds.
+
+The kick goes to the three samples k that carry the plane, with weights w_k,
+
+    p_k = -w_k J / 2 + alpha x r_k,    J_3 alpha = -L / 2 + (sum_k w_k x_k) x J / 2
+
+with r_k from their centroid, J_3 their moment of inertia with unit masses, and from there to the
+nodes by W^T and M~^-1: sum_k p_k = -J / 2 and sum_k x_k x p_k = -L / 2, so that both momenta are
+kept to rounding.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.physics.contact.carriers import FLAT, cross
+from gf_usd.physics.contact.continuity import EASE
+from gf_usd.physics.contact.narrow_phase import TRAVEL
+from gf_usd.physics.grid.bodies import fastest
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.physics.updated_lagrangian.planes import Faced
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+
+STEP = 1.0  # w T of a span at most: a quarter of what is stable, squared
+COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
+
+
+class SolidBodies:
+    """The solid bodies, as what flows meets them: `planes.Solids`."""
+
+    def __init__(self, solver: TotalLagrangian) -> None:
+        assert solver.pairs is not None
+        assert solver.body.contact is not None
+        contact = solver.body.contact
+        self._solver, self._pairs = solver, solver.pairs
+        self._spacing = solver.particles.spacing
+        self.stiffness, self.mass = contact.pair_stiffness, contact.mass
+        self.friction, self.restitution = contact.friction, contact.restitution
+
+    def motion(self) -> tuple[Floats, Floats]:
+        """x [m] and v [m/s] of the contact samples now, (m, 3)."""
+        return self._pairs.motion(self._solver.state.view())
+
+    def boxes(self) -> list[tuple[Floats, Floats, float]]:
+        """Of each body the corners (3,) [m] of its box, and [m/s] of its fastest sample."""
+        x, v = self.motion()
+        members = [m for m in self._pairs.members if len(m)]
+        return [(x[m].min(0), x[m].max(0), fastest(v[m])) for m in members]
+
+    def faces(self, x: Floats, face: Ints, gap: Floats, reach: float) -> list[Faced]:
+        """See `planes.Solids`."""
+        now = self._solver.state.view()
+        place = self._pairs.motion(now)[0]
+        out = []
+        for k, members in enumerate(self._pairs.members):
+            if not len(members):
+                continue
+            low = place[members].min(0) - reach - COVER * self._spacing
+            high = place[members].max(0) + reach + COVER * self._spacing
+            rows = np.flatnonzero(((x >= low) & (x <= high)).all(1))
+            if not len(rows):
+                continue
+            # what was inside at the last detection is there still; what begins to be may be at a
+            # fold of the surface
+            was = (gap[rows] < 0.0) & (face[rows] == k)
+            known = np.where(was, gap[rows] - EASE * self._spacing, 0.0)
+            seen, carriers, weights = self._pairs.surface(k, x[rows], known, now, reach)
+            out.append(
+                Faced(
+                    body=k,
+                    rows=rows[seen.rows],
+                    gap=seen.gap,
+                    normal=seen.normal,
+                    point=seen.point,
+                    carriers=carriers,
+                    weights=weights,
+                )
+            )
+        return out
+
+
+class Exchange:
+    """What moves a flow beside solid bodies: `Partner` of their solver."""
+
+    def __init__(self, solid: TotalLagrangian, flow: UpdatedLagrangian) -> None:
+        assert solid.body.contact is not None
+        self._solid, self._flow = solid, flow
+        self._contact = solid.body.contact
+        self._span = np.inf  # [s] of a span at most
+        self._dt = 0.0  # [s] of the flow's substeps at most
+        self._half: tuple[Floats, Floats, Ints, Floats] | None = None
+        self.full = False  # whether the grid of the flow was too small
+
+    def begin_frame(self, dt: float) -> None:
+        """Begin a frame of substeps of dt [s]."""
+        self._dt, self.full = dt, False
+        self._flow.begin()
+
+    def detect(self, index: int, dt: float, done: int, left: int) -> tuple[int, float]:
+        """See `Partner`."""
+        if self.full:
+            return left, 1.0
+        frame = index - 1 + done * dt / self._flow.frame_time
+        hold = self._flow.detect(frame, left * dt)
+        self._span = self._stable()
+        flow = self._flow.state.rows("v")
+        self._solid.active.pushed = fastest(flow)
+        chunk = int(np.clip(hold / dt, 1, left))
+        return chunk, max(1.0, dt / self._span)
+
+    def _stable(self) -> float:
+        """[s] of a span that springs between the bodies allow.
+
+        Those of planes whose samples may touch, on the samples that carry them, are at most so
+        many times as strong as the floor's, whose frequency on the grid is known.
+        """
+        planes, contact = self._flow.planes, self._contact
+        assert planes is not None
+        at = planes.of_solids
+        at = at[planes.gap[planes.rows[at]] < TRAVEL * self._flow.particles.spacing]
+        if not len(at) or self._flow.settings.substeps:
+            return np.inf
+        rows = planes.rows[at]
+        share = np.abs(planes.weights[rows])
+        x = self._flow.state.sample_motion()[0] + self._flow.state.offset
+        stiffer = planes.locate(x)
+        ratio = 0.0
+        for own, values in (
+            (contact.stiffness, planes.values[at, 0] * stiffer),
+            (contact.damping, planes.values[at, 1]),
+        ):
+            on = np.zeros(len(own))
+            np.add.at(on, planes.carriers[rows], share * values[:, None])
+            most = float((on / np.maximum(own, 1e-300)).max()) if own.any() else 0.0
+            ratio = max(ratio, most)
+        w = np.sqrt(ratio * contact.omega2)
+        rate = ratio * contact.damping_rate
+        # a damper of rate c / m over a span: c T / m of what it takes, at most a quarter
+        return float(min(STEP / max(w, 1e-300), 0.5 / max(rate, 1e-300)))
+
+    def begin(self, substeps: int, dt: float) -> int:
+        """See `Partner`."""
+        flow = self._flow
+        planes = flow.planes
+        assert planes is not None
+        if self.full:
+            return substeps
+        at = planes.of_solids
+        many = substeps
+        if len(at):
+            many = int(np.clip(self._span / dt * (1.0 + 1e-9), 1, substeps))
+        span = many * dt
+        given = flow.march(span, self._dt)
+        self.full = flow.state.lacks_room
+        self._half = None
+        if given is not None and len(at) and not self.full:
+            J, L = given
+            rows = planes.rows[at]
+            self._half = -0.5 * J[at], -0.5 * L[at], planes.carriers[rows], planes.weights[rows]
+            self._kick()
+        return many
+
+    def end(self) -> None:
+        """See `Partner`."""
+        if self._half is not None:
+            self._kick()
+
+    def _kick(self) -> None:
+        """Give the solid bodies their half."""
+        assert self._half is not None
+        impulse, moment, carriers, weights = self._half
+        hit = np.flatnonzero(impulse.any(1))
+        if not len(hit):
+            return
+        solid = self._solid
+        assert solid.pairs is not None
+        x = solid.pairs.motion(solid.state.view())[0]
+        out = np.zeros_like(x)
+        np.add.at(
+            out, carriers[hit],
+            shared(impulse[hit], moment[hit], x[carriers[hit]], weights[hit]),
+        )  # fmt: skip
+        solid.kick(out)
+
+
+def shared(J: Floats, L: Floats, x: Floats, weights: Floats) -> Floats:
+    """Impulses (k, 3, 3) [N s] on triples of points at x (k, 3, 3) [m], with weights (k, 3).
+
+    Each triple's sum is J (k, 3) [N s], and its moment about the origin L (k, 3) [N m s] unless the
+    three are in line; then it is that of the weights.
+    """
+    out = weights[:, :, None] * J[:, None]
+    left = L - cross(np.einsum("nk,nka->na", weights, x), J)
+    r = x - x.mean(1, keepdims=True)
+    products = r.swapaxes(1, 2) @ r
+    size = 2.0 * np.trace(products, axis1=1, axis2=2)
+    scale = np.where(size > 0.0, size, 1.0)
+    inertia = (0.5 * size)[:, None, None] * np.eye(3) - products
+    inertia /= scale[:, None, None]
+    fit = np.linalg.det(inertia) > FLAT
+    inertia[~fit] = np.eye(3)
+    turn = np.linalg.solve(inertia, (left / scale[:, None])[..., None])[..., 0]
+    turn = np.where(fit[:, None], turn, 0.0)
+    return out + np.cross(turn[:, None], r)

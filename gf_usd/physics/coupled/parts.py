@@ -1,0 +1,174 @@
+"""The particles, samples and points of a bake, divided among its solid and its flowing bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
+from gf_usd.core.materials.laws import LAWS
+from gf_usd.core.materials.material import Material
+from gf_usd.core.stage import ContactSetup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Some of the bodies, with all that is theirs."""
+
+    bodies: Ints  # (b,) their numbers among all, ascending
+    at: Ints  # (n,) their particles among all
+    particles: Particles  # bodies are numbered anew, from 0
+    samples: SurfaceSamples | None
+    embedded: Mapping[str, Floats]
+    embedded_body: Mapping[str, int]
+    embedded_copy: Mapping[str, Ints]
+    copies: Ints | None  # (K,) new numbers of the copies of cells; -1: of others
+
+    def velocity(self, velocity: Any) -> Any:
+        """Of all bodies, as a solver takes it, what is theirs."""
+        if not isinstance(velocity, list):
+            return velocity
+        mine = [velocity[k] for k in self.bodies]
+        return mine if len(mine) > 1 else mine[0]
+
+
+def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
+    """(B,) which bodies flow without end, by the laws of their particles.
+
+    Raises InputError for a body of which only a part does.
+    """
+    flows = np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
+    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    share = np.bincount(body, flows) / np.maximum(np.bincount(body), 1)
+    if (halves := np.flatnonzero((share > 0.0) & (share < 1.0))).size:
+        k = int(halves[0])
+        raise InputError(
+            f"{int(flows[body == k].sum())} of the {int((body == k).sum())} particles of body {k}"
+            " flow without end and the others do not: a body does one or the other",
+            "make two meshes of it, one for each material",
+        )
+    return share > 0.0
+
+
+def part_of(
+    which: Ints,
+    particles: Particles,
+    samples: SurfaceSamples | None,
+    embedded: Mapping[str, Floats],
+    embedded_body: Mapping[str, int],
+    embedded_copy: Mapping[str, Ints],
+    *,
+    copied: bool,
+) -> Part:
+    """The part of the bodies (B,) `which`; copied : cells that limbs share stay copied."""
+    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    at = np.flatnonzero(which[body])
+    number = np.cumsum(which) - 1
+    several = int(which.sum()) > 1
+    copies, new = _copies(particles.copies, which, number, at) if copied else (None, None)
+    names = [name for name in embedded if which[embedded_body.get(name, 0)]]
+
+    def rows(values: Any) -> Any:
+        return None if values is None else np.asarray(values)[at]
+
+    def copy_of(values: Ints | None) -> Ints | None:
+        return None if values is None or new is None else new[values]
+
+    mine = None
+    if samples is not None:
+        of = np.zeros(len(samples.X), int) if samples.body is None else samples.body
+        take = np.flatnonzero(which[of])
+        mine = SurfaceSamples(
+            X=samples.X[take],
+            area=samples.area[take],
+            normal=None if samples.normal is None else samples.normal[take],
+            body=number[of[take]] if several else None,
+            cell_copy=copy_of(None if samples.cell_copy is None else samples.cell_copy[take]),
+        )
+    V0 = rows(particles.V0)
+    taken = replace(
+        particles,
+        **{name: rows(getattr(particles, name)) for name in PER_PARTICLE},
+        volume=float(V0.sum()),
+        corners=None if particles.corners is None else particles.corners[which],
+        body=number[body[at]] if several else None,
+        own=None if particles.own is None else {k: rows(v) for k, v in particles.own.items()},
+        copies=copies,
+    )
+    if particles.corners is not None and not several:
+        taken = replace(taken, corner=particles.corners[which][0], corners=None)
+    return Part(
+        bodies=np.flatnonzero(which),
+        at=at,
+        particles=taken,
+        samples=mine,
+        embedded={name: embedded[name] for name in names},
+        embedded_body={name: int(number[embedded_body.get(name, 0)]) for name in names},
+        embedded_copy={
+            name: new[embedded_copy[name]] for name in names if new is not None
+            and name in embedded_copy
+        },
+        copies=new,
+    )  # fmt: skip
+
+
+PER_PARTICLE = ("X", "V0", "material", "orientation", "scale", "color", "opacity", "surface")
+
+
+def _copies(
+    copies: CellCopies | None, which: Ints, number: Ints, at: Ints
+) -> tuple[CellCopies | None, Ints | None]:
+    """The copies of cells of some bodies, and the new number of each; -1 for those of others."""
+    if copies is None:
+        return None, None
+    mine = which[copies.body]
+    new = np.where(mine, np.cumsum(mine) - 1, -1)
+    links = new[copies.links]
+    return CellCopies(
+        h=copies.h,
+        cell=copies.cell[mine],
+        body=number[copies.body[mine]],
+        links=links[(links >= 0).all(1)],
+        of=new[copies.of[at]],
+    ), new
+
+
+def solid_setup(setup: ContactSetup, solid: Part, copied: Ints | None = None) -> ContactSetup:
+    """What the solid bodies meet; `copied` (K,) new numbers of the copies of cells."""
+    number = {int(k): i for i, k in enumerate(solid.bodies)}
+    skins = tuple(setup.skins[k] for k in solid.bodies)
+    if copied is not None:
+        skins = tuple(
+            s if s.cell_copy is None else replace(s, cell_copy=copied[s.cell_copy]) for s in skins
+        )
+    return ContactSetup(
+        skins=skins,
+        colliders=setup.colliders,
+        through=frozenset(
+            (number[a], number[b]) for a, b in setup.through if a in number and b in number
+        ),
+        through_colliders=frozenset(
+            (number[a], c) for a, c in setup.through_colliders if a in number
+        ),
+        self_contact=frozenset(number[k] for k in setup.self_contact if k in number),
+        flows=True,
+    )
+
+
+def passes(setup: ContactSetup, solid: Part, flow: Part) -> dict[int, Ints]:
+    """(n,) samples of the flow that pass through an obstacle, or a solid body after these, by its
+    number: what the stage lets pass."""
+    assert flow.samples is not None
+    of = np.zeros(len(flow.samples.X), int) if flow.samples.body is None else flow.samples.body
+    body, count = flow.bodies[of], len(setup.colliders)
+    out = {c: np.isin(body, [a for a, b in setup.through_colliders if b == c]) for c in
+           range(count)}  # fmt: skip
+    for i, k in enumerate(solid.bodies):
+        others = [a for a, b in setup.through if b == k] + [b for a, b in setup.through if a == k]
+        out[count + i] = np.isin(body, others)
+    return {number: rows for number, rows in out.items() if rows.any()}

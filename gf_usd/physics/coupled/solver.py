@@ -1,0 +1,239 @@
+"""Solid bodies by the Total Lagrangian solver and flowing ones by the Updated Lagrangian, at once.
+
+Which is which follows from the laws of their particles.  Both have the same substeps a frame; what
+they do to each other is in `contact`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from gf_usd.core.arrays import Floats, Ints
+from gf_usd.core.errors import UsageError
+from gf_usd.core.frames import Frame, Health, Particles, Pose, Settings, SurfaceSamples
+from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.material import Material
+from gf_usd.core.stage import ContactSetup, Goals, Pin
+from gf_usd.physics.coupled.contact import Exchange, SolidBodies
+from gf_usd.physics.coupled.parts import Part, flowing_bodies, part_of, passes, solid_setup
+from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
+from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
+from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
+
+
+class Coupled(Solver):
+    """Some bodies that hold together and some that flow; parameters as for `TotalLagrangian`.
+
+    Raises UsageError for what only one of the two can do, and InputError for a body of which only a
+    part flows.
+    """
+
+    def __init__(
+        self,
+        particles: Particles,
+        materials: Sequence[Material],
+        settings: Settings,
+        *,
+        samples: SurfaceSamples | None = None,
+        embedded: Mapping[str, Floats] | None = None,
+        velocity: Any = (0.0, 0.0, 0.0),
+        pins: Sequence[Pin] = (),
+        contact_setup: ContactSetup | None = None,
+        goals: Goals | None = None,
+        embedded_body: Mapping[str, int] | None = None,
+        embedded_copy: Mapping[str, Ints] | None = None,
+        h: float | None = None,
+        real: type = np.float32,
+    ) -> None:
+        refuse(settings, pins, goals)
+        if samples is None or contact_setup is None:
+            raise ValueError("bodies that meet need contact samples and a contact setup")
+        self.particles, self.settings = particles, settings
+        flows = flowing_bodies(particles, materials)
+        if flows.all() or not flows.any():
+            raise UsageError(
+                "all bodies flow, or none does: there is nothing to divide", "use --solver tl or ul"
+            )
+
+        def part(which: Ints, *, copied: bool) -> Part:
+            return part_of(
+                which, particles, samples, embedded or {}, embedded_body or {},
+                embedded_copy or {}, copied=copied,
+            )  # fmt: skip
+
+        self._solid, self._flow = part(~flows, copied=True), part(flows, copied=False)
+        own = replace(settings, shortcuts=False, settling=False, rolling=0.0)
+        self.solid = TotalLagrangian(
+            self._solid.particles, materials, own, samples=self._solid.samples,
+            embedded=self._solid.embedded, velocity=self._solid.velocity(velocity), pins=pins,
+            contact_setup=solid_setup(contact_setup, self._solid, self._solid.copies),
+            embedded_body=self._solid.embedded_body, embedded_copy=self._solid.embedded_copy,
+            h=h, real=real,
+        )  # fmt: skip
+        walls = ContactSetup(skins=(), colliders=contact_setup.colliders, flows=True)
+        self.flow = UpdatedLagrangian(
+            self._flow.particles, materials, own, samples=self._flow.samples,
+            embedded=self._flow.embedded, velocity=self._flow.velocity(velocity),
+            contact_setup=walls, h=h, real=real,
+        )  # fmt: skip
+        self.flow.face(
+            walls, SolidBodies(self.solid), passes(contact_setup, self._solid, self._flow)
+        )
+        self.exchange = Exchange(self.solid, self.flow)
+        self.solid.partner = self.exchange
+        self.coarse = max(self.solid.coarse, self.flow.coarse)
+        extent = float(np.linalg.norm(np.ptp(particles.X, axis=0)))
+        mass = float(self.solid.body.m.sum() + self.flow.body.m.sum())
+        self.guard = Guard(mass * G0 * particles.radius, extent, particles.body)
+        self.state = BothStates(self.solid, self.flow)
+
+    @property
+    def damping_ratio(self) -> float:
+        """See `Solver`; the larger of the two."""
+        return max(self.solid.damping_ratio, self.flow.damping_ratio)
+
+    def pressed(self, depth: float) -> int:
+        """See `Solver`."""
+        return max(self.solid.pressed(depth), self.flow.pressed(depth))
+
+    def not_finite(self) -> tuple[int, str]:
+        """See `Solver`."""
+        for one, part in ((self.solid, self._solid), (self.flow, self._flow)):
+            particle, fault = one.not_finite()
+            if fault:
+                return int(part.at[particle]), fault
+        return -1, ""
+
+    def advance(self, index: int, substeps: int) -> FrameStats:
+        """Move by a frame; `index` is the frame that this leads to."""
+        self.solid.on_launch = self.flow.on_launch = self.on_launch
+        before = self.state.save()
+        solid = self._frame(index, substeps)
+        while self.exchange.full and self.flow.state.make_room():
+            self.state.load(before)
+            solid = self._frame(index, substeps)
+        return merged_stats(solid, self.flow.finish(substeps))
+
+    def _frame(self, index: int, substeps: int) -> FrameStats:
+        self.exchange.begin_frame(self.frame_time / substeps)
+        return self.solid.advance(index, substeps)
+
+    def read(self, index: int) -> Frame:
+        """See `Solver`."""
+        solid, flow = self.solid.read(index), self.flow.read(index)
+        self.strained = max(self.solid.strained, self.flow.strained)
+        n, parts = len(self.particles), ((self._solid, solid), (self._flow, flow))
+
+        def merged(values: Sequence[Floats]) -> Floats:
+            out = np.full((n, *values[0].shape[1:]), np.nan)
+            for (part, _), own in zip(parts, values, strict=True):
+                out[part.at] = own
+            return out
+
+        nothing = [np.full(len(part.at), np.nan) for part, _ in parts]
+        names = dict.fromkeys([*solid.internal, *flow.internal])
+        stress = None
+        if solid.stress is not None and flow.stress is not None:
+            stress = merged([solid.stress, flow.stress])
+        return Frame(
+            index=index,
+            time=solid.time,
+            particles=Pose(
+                x=merged([f.particles.x for _, f in parts]),
+                v=merged([f.particles.v for _, f in parts]),
+                F=merged([f.particles.F for _, f in parts]),
+            ),
+            embedded={**solid.embedded, **flow.embedded},
+            stress=stress,
+            internal={
+                name: merged([
+                    f.internal.get(name, none) for (_, f), none in zip(parts, nothing, strict=True)
+                ])
+                for name in names
+            },
+            health=merged_health(solid.health, flow.health),
+        )  # fmt: skip
+
+
+def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None:
+    """Raise UsageError for what a bake of solid and flowing bodies does not know."""
+    asked = {
+        "--flesh and attachments that draw": goals is not None,
+        "--rigid": any(pin.rigid for pin in pins),
+        "pins that move": any(len(pin.path) > 1 for pin in pins),
+        "the WLS recomputation of F": settings.wls,
+        "the Procrustes correction": settings.procrustes > 0.0,
+        "--field and gravity that changes": bool(settings.fields),
+        "--preset paper": settings.contact_rate is not None,
+    }
+    for what, wanted in asked.items():
+        if wanted:
+            raise UsageError(
+                f"a bake with bodies that flow without end beside others does not know {what}",
+                "leave it out, or bake the bodies apart with --prim",
+            )
+
+
+class BothStates:
+    """The states of the two solvers as one: `Saved`."""
+
+    def __init__(self, solid: TotalLagrangian, flow: UpdatedLagrangian) -> None:
+        self._parts = {"solid": solid, "flow": flow}
+
+    def save(self) -> dict[str, Any]:
+        """See `Saved`."""
+        return {
+            f"{name}_{key}": value
+            for name, one in self._parts.items()
+            for key, value in one.state.save().items()
+        }
+
+    def load(self, saved: Mapping[str, Any]) -> None:
+        """See `Saved`."""
+        for name, one in self._parts.items():
+            start = f"{name}_"
+            one.state.load(
+                {k.removeprefix(start): v for k, v in saved.items() if k.startswith(start)}
+            )
+
+
+def merged_stats(solid: FrameStats, flow: FrameStats) -> FrameStats:
+    """What both noticed."""
+    sums = ("let_go", "friction_capped", "work", "injected", "planes", "clamped", "stress_capped")
+    return replace(
+        solid,
+        **{name: getattr(solid, name) + getattr(flow, name) for name in sums},
+        penetration=max(solid.penetration, flow.penetration),
+        overlap=max(solid.overlap, flow.overlap),
+        plastic_dissipation=_sum(solid.plastic_dissipation, flow.plastic_dissipation),
+    )
+
+
+def merged_health(solid: Health, flow: Health) -> Health:
+    """Sums of what adds up, extremes of what does not."""
+    out: dict[str, Any] = {}
+    for field in fields(Health):
+        a, b = getattr(solid, field.name), getattr(flow, field.name)
+        if field.name.startswith("min_"):
+            out[field.name] = min(a, b)
+        elif field.name.startswith("max_") or field.name in ("penetration", "overlap"):
+            out[field.name] = max(a, b)
+        elif field.name == "center":
+            mass = solid.mass + flow.mass
+            out[field.name] = tuple(
+                (solid.mass * x + flow.mass * y) / mass for x, y in zip(a, b, strict=True)
+            )
+        elif isinstance(a, tuple):
+            out[field.name] = tuple(x + y for x, y in zip(a, b, strict=True))
+        else:
+            out[field.name] = _sum(a, b)
+    # what fell past everything is not told of bodies that flow
+    return Health(**{**out, "fallen": None, "fallen_kinetic": None})
+
+
+def _sum(a: float | None, b: float | None) -> float | None:
+    return None if a is None and b is None else (a or 0) + (b or 0)

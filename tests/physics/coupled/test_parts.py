@@ -1,0 +1,93 @@
+"""The particles of a bake divided among its solid and its flowing bodies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from solids import cube, solid
+
+from gf_usd.core.errors import InputError
+from gf_usd.core.frames import CellCopies, SurfaceSamples
+from gf_usd.core.materials.presets import find_preset
+from gf_usd.core.stage import ContactSetup
+from gf_usd.geometry.sampling.particles import sample_solid
+from gf_usd.physics.coupled.parts import flowing_bodies, part_of, passes, solid_setup
+from gf_usd.prepare.bodies.contact import skins
+
+OF = np.arange(4)
+MADE = solid(*(cube((1.5 * k, 0.0, 0.0), path=f"/Body{k}") for k in OF))
+TABLE = [find_preset(name).material(0.6, None) for name in ("rubber", "dry-sand")]
+FLOWS = np.array([True, False, True, False])
+
+
+def four():
+    """Four cubes, the first and the third of which flow."""
+    filled = sample_solid(MADE, particles=200, spacing=None, seed=0, bodies=OF)
+    body = OF[filled.surface]
+    copies = CellCopies(
+        h=1.0, cell=np.zeros((4, 3), int), body=OF, links=np.array([[0, 0], [1, 3]]), of=body
+    )
+    return replace(filled, body=body, material=FLOWS[body].astype(int), copies=copies)
+
+
+def parts():
+    particles = four()
+    samples = SurfaceSamples(X=particles.X, area=np.ones(len(particles)), body=particles.body)
+    points = {f"/Body{k}": MADE.surfaces[k].points for k in OF}
+    on = {f"/Body{k}": int(k) for k in OF}
+    return particles, [
+        part_of(which, particles, samples, points, on, {}, copied=copied)
+        for which, copied in ((~FLOWS, True), (FLOWS, False))
+    ]
+
+
+def test_every_particle_is_in_one_part_and_bodies_are_numbered_anew() -> None:
+    particles, (hold, flow) = parts()
+    assert np.array_equal(np.sort(np.concatenate([hold.at, flow.at])), np.arange(len(particles)))
+    for part, bodies in ((hold, [1, 3]), (flow, [0, 2])):
+        assert part.bodies.tolist() == bodies
+        assert np.array_equal(part.particles.X, particles.X[part.at])
+        assert set(part.particles.body.tolist()) == {0, 1}
+        assert part.particles.volume == pytest.approx(2.0)
+        assert np.array_equal(part.samples.X, part.particles.X)
+        assert list(part.embedded) == [f"/Body{k}" for k in bodies]
+        assert list(part.embedded_body.values()) == [0, 1]
+    assert hold.velocity([1, 2, 3, 4]) == [2, 4]
+    assert flow.velocity((0.0, 1.0, 0.0)) == (0.0, 1.0, 0.0)
+
+
+def test_copies_of_cells_go_with_their_bodies() -> None:
+    _, (hold, flow) = parts()
+    copies = hold.particles.copies
+    assert copies is not None
+    assert copies.body.tolist() == [0, 1]
+    assert copies.links.tolist() == [[0, 1]]
+    assert np.array_equal(copies.of, hold.particles.body)
+    assert flow.particles.copies is None
+
+
+def test_bodies_flow_by_the_law_of_all_their_particles() -> None:
+    particles = four()
+    assert np.array_equal(flowing_bodies(particles, TABLE), FLOWS)
+    mixed = np.array(particles.material)
+    mixed[0] = 1 - mixed[0]
+    with pytest.raises(InputError, match="flow without end and the others do not"):
+        flowing_bodies(replace(particles, material=mixed), TABLE)
+
+
+def test_what_passes_through_what_is_told_of_the_parts() -> None:
+    _, (hold, flow) = parts()
+    setup = ContactSetup(
+        skins=skins(MADE, OF), through=frozenset({(1, 3), (2, 3)}),
+        self_contact=frozenset({0, 1}),
+    )  # fmt: skip
+    own = solid_setup(setup, hold)
+    assert own.flows
+    assert own.any
+    assert own.through == {(0, 1)}
+    assert own.self_contact == {0}
+    through = passes(setup, hold, flow)
+    assert list(through) == [1], "the second solid body, and there is no obstacle"
+    assert np.array_equal(through[1], flow.samples.body == 1)

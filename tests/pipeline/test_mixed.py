@@ -1,0 +1,111 @@
+"""Solid and flowing bodies in one bake: what it is made of, what it promises, what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mixed_stages import TRAY, body, castle_of, scene
+from pxr import Usd, UsdGeom
+
+import gf_usd
+from gf_usd.core.errors import InputError, UsageError
+
+
+@pytest.fixture
+def castle(tmp_path: Path) -> Path:
+    return castle_of(tmp_path)
+
+
+SMALL: dict[str, Any] = {"particles": 300, "drop": 0}
+
+
+def test_the_law_of_each_body_says_how_it_is_simulated(castle: Path) -> None:
+    plan = gf_usd.inspect(castle, **SMALL).plan
+    assert plan.settings.solver == "mixed"
+    assert plan.choices.flowing == ("/World/Sand",)
+    assert plan.choices.shapes == ("mesh", "gaussians", "points")
+    assert plan.bodies.count == 2
+    grains = int((np.asarray(plan.particles.body) == 0).sum())
+    assert int((np.asarray(plan.samples.body) == 0).sum()) == grains, "every particle feels contact"
+    assert any("</World/Sand>: flows without end (dry-sand" in note for note in plan.notes)
+    assert set(plan.points) == {"/World/Block"}, "no mesh is drawn of what flows"
+    alone = gf_usd.inspect(castle, solver="ul", **SMALL).plan
+    assert alone.settings.solver == "ul"
+    assert alone.bodies.count == 1
+    boxed = gf_usd.inspect(
+        castle, material="rubber", material_boxes=["wet-sand:-1,-0.01,-1,1,0.21,1"], **SMALL
+    ).plan
+    assert boxed.settings.solver == "mixed"
+    assert boxed.choices.flowing == ("/World/Sand",)
+
+
+def test_bodies_that_touch_stay_apart_where_one_flows(tmp_path: Path) -> None:
+    sand, rubber = ("Sand", "dry-sand", "0, 0.1, 0"), ("Block", "rubber", "0, 0.3, 0")
+    plan = gf_usd.inspect(scene(tmp_path, body(*sand), body(*rubber)), **SMALL).plan
+    assert plan.bodies.count == 2
+
+
+def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
+    """It was simulated as a solid body, without a word."""
+    plan = gf_usd.inspect(scene(tmp_path, body("Sand", "dry-sand", "0, 0.1, 0")), **SMALL).plan
+    assert plan.settings.solver == "ul"
+    assert any("flows without end" in note for note in plan.notes)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"solver": "tl"}, "does not go with dry-sand"),
+        ({"combine": True}, r"combine(=True)? does not go with bodies that flow .*</World/Sand>"),
+        ({"rigid": "box:-1,0.3,-1,1,1,1"}, "rigid does not go with bodies that flow"),
+        ({"fields": ["wind:1,0,0"]}, "fields? does not go with bodies that flow"),
+        ({"settle_only": True}, "settle.only(=True)? does not go with bodies that flow"),
+        ({"frames": "rest"}, "frames .*rest.* does not go with bodies that flow"),
+        ({"certify": True}, "certify(=True)? does not go with bodies that flow"),
+        ({"tets": True}, "tets(=True)? does not go with bodies that flow"),
+        ({"skin": "idw"}, "skin.*idw.* does not go with bodies that flow"),
+        ({"rolling_resistance": 0.1}, "rolling.resistance does not go with"),
+    ],
+)
+def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
+    castle: Path, more: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        gf_usd.inspect(castle, **(SMALL | more))
+
+
+def test_a_body_of_which_a_part_flows_is_refused_by_name(castle: Path) -> None:
+    with pytest.raises(InputError, match=r"</World/Block>: .*particles are dry-sand"):
+        gf_usd.bake(castle, material_boxes=["dry-sand:-1,0.3,-1,1,1,1"], **SMALL)
+
+
+def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
+    water, ball = ("Water", "water", "0, 0.1, 0"), ("Block", "rubber", "0.1, 0.2, 0")
+    with pytest.raises(InputError, match="particles that flow start inside a solid body"):
+        gf_usd.bake(scene(tmp_path, body(*water), body(*ball)), **SMALL)
+
+
+@pytest.mark.slow
+def test_a_tray_moves_sand_and_rubber_and_the_result_is_checked(tmp_path: Path) -> None:
+    sand, rubber = ("Sand", "dry-sand", "0, 0.12, 0"), ("Block", "rubber", "0.03, 0.35, 0.02")
+    path = scene(tmp_path, TRAY, body(*sand), body(*rubber))
+    done = gf_usd.bake(path, output=tmp_path / "out.usda", frames=16, **SMALL)
+    assert not done.findings
+    stage = Usd.Stage.Open(str(done.root))
+    flow = stage.GetPrimAtPath("/World/GaussianFlesh/Flow")
+    image = UsdGeom.Imageable(flow)
+    assert image.ComputeVisibility(8.0) != "invisible", "sand is shown beside the mesh"
+    hidden = UsdGeom.Imageable(stage.GetPrimAtPath("/World/Sand"))
+    assert hidden.ComputeVisibility(8.0) == "invisible"
+    grains = np.asarray(UsdGeom.Points(flow).GetPointsAttr().Get(16.0))
+    every = np.asarray(
+        UsdGeom.Points(stage.GetPrimAtPath("/World/GaussianFlesh/Points")).GetPointsAttr().Get(16.0)
+    )
+    assert 0 < len(grains) < len(every) == done.particles
+    # the tray's top is at -.02 m and rises by .1 m / 23 a frame
+    top = -0.02 + 0.1 / 23.0 * 15.0
+    near = np.abs(grains[:, [0, 2]]).max(1) < 0.45
+    assert grains[near, 1].min() > top - 0.5 * 0.03
