@@ -7,7 +7,7 @@ What of a bake is written, and in which form: output choices as resolved.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
 if TYPE_CHECKING:
-    from gf_usd.core.asset import SplatPose
+    from gf_usd.core.asset import SplatPose, Surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,6 +284,17 @@ class MeshPose:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurfacePose:
+    """The surface of particles that flow, world; every frame has another topology."""
+
+    points: Floats  # (V, 3) [m]
+    velocities: Floats  # (V, 3) [m/s of playback]
+    normals: Floats  # (V, 3) unit, outward
+    colors: Floats  # (V, 3) linear
+    triangles: Ints  # (T, 3) counter-clockwise seen from outside
+
+
+@dataclass(frozen=True, kw_only=True)
 class GaussianPose:
     """Deformed Gaussians, world."""
 
@@ -307,6 +318,7 @@ class BakedFrame:
     health: Health
     splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
     tets: Mapping[str, MeshPose] = field(default_factory=dict)  # by TetLattice.key
+    flows: Mapping[int, SurfacePose] = field(default_factory=dict)  # by body, as in Particles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -346,6 +358,8 @@ class Choices:
     until_rest: bool = False  # the last frame is the first at rest
     open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
+    flows: tuple[int, ...] = ()  # bodies of which the surface of what flows is written
+    replaced: tuple[str, ...] = ()  # prim paths of meshes that these are shown in place of
 
     @property
     def mesh(self) -> bool:
@@ -354,8 +368,14 @@ class Choices:
 
     @property
     def particles(self) -> bool:
-        """Whether any form of the particles is written, or tetrahedra, which stand with them."""
-        return "gaussians" in self.shapes or "points" in self.shapes or self.tets
+        """Whether any form of the particles is written, or what stands with them: tetrahedra, and
+        the surfaces of what flows."""
+        both = "gaussians" in self.shapes or "points" in self.shapes
+        return both or self.tets or bool(self.flows)
+
+    def carried(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
+        """Those surfaces of an asset that move with the bodies, and are written."""
+        return tuple(s for s in surfaces if self.mesh and s.path not in self.replaced)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -109,7 +109,7 @@ class CacheWriter:
     ) -> None:
         self.path = Path(path)
         choices = choices or Choices()
-        surfaces = asset.surfaces if choices.mesh else ()
+        surfaces = choices.carried(asset.surfaces)
         self._every = save_every or _samples_in(SAVE, asset, particles)
         self._frames = 0  # written, each sample one
         self._per_frame = info.settings.samples_per_frame
@@ -122,7 +122,7 @@ class CacheWriter:
         stage = open_source(source_path)
         self._clock = time = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
-        prims = [require(stage, source_path, s.path) for s in asset.surfaces]
+        prims = {s.path: require(stage, source_path, s.path) for s in asset.surfaces}
         self._layer = new_layer(self.path, source_path)
         author_facts(self._layer, asset.facts, info.settings, stage)
         self._layer.startTimeCode = time.start
@@ -143,17 +143,19 @@ class CacheWriter:
             self._stage.SetEditTarget(self._layer)
         else:
             self._stage = Usd.Stage.Open(self._layer)
-        for prim in prims:
+        for prim in prims.values():
             free_instances(self._stage, prim)
         unit, rates = self._unit, choices.velocities
         self._meshes = {
-            surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
-            for surface, prim in zip(surfaces, prims)
+            surface.path: MeshTrack(
+                self._stage, prims[surface.path], surface, time, unit, velocities=rates
+            )
+            for surface in surfaces
             if surface.splats is None
         }
         self._splats = {
-            surface.path: SplatTrack(self._stage, prim, surface, time, unit)
-            for surface, prim in zip(surfaces, prims)
+            surface.path: SplatTrack(self._stage, prims[surface.path], surface, time, unit)
+            for surface in surfaces
             if surface.splats is not None
         }
         # every root prim that a display hides something of has its payload
@@ -282,7 +284,7 @@ class CacheWriter:
         for path, pose in frame.splats.items():
             self._splats[path].write(pose, time_code)
         if self._particles:
-            self._particles.write(frame.gaussians, time_code, frame.tets)
+            self._particles.write(frame.gaussians, time_code, frame.tets, frame.flows)
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)

@@ -20,6 +20,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import SOURCE_VARIANT as NONE
 from gf_usd.core.frames import BakeInfo, Choices
 from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
+from gf_usd.layers.tracks.flows import flow_name
 from gf_usd.layers.tracks.health import author_certificate, author_totals, bake_root
 from gf_usd.system.atomic_files import asset_path
 
@@ -119,12 +120,15 @@ def add_variants(
 
 def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices) -> list[Sdf.Path]:
     """Prims under a root prim that a display mode hides; meshes also where they do not move."""
-    paths = [] if mode == "mesh" else [Sdf.Path(surface.path) for surface in asset.surfaces]
-    if mode == "mesh" and choices.particles:
+    meshes = [s.path for s in asset.surfaces if mode != "mesh" or s.path in choices.replaced]
+    paths = [Sdf.Path(path) for path in meshes]
+    if mode == "mesh" and choices.particles and not choices.flows:
         paths.append(home.scope)
     for shape, name in PARTICLES.items():
-        if mode not in ("mesh", shape) and shape in choices.shapes:
+        if mode != shape and shape in choices.shapes and (mode != "mesh" or choices.flows):
             paths.append(home.scope.AppendChild(name))
+    if mode != "mesh":
+        paths += [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
     return [path for path in paths if path.HasPrefix(root)]
 
 

@@ -32,6 +32,7 @@ from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.frames.builder import FrameBuilder, with_held
 from gf_usd.pipeline.frames.captured import SplatDeformer
+from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import health_warnings, plan_warnings
@@ -429,9 +430,12 @@ def frame_builder(
     skin = None
     if plan.points and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
-    surfaces = plan.asset.surfaces if plan.choices.mesh else ()
+    surfaces = plan.choices.carried(plan.asset.surfaces)
     keys = [tets.key for tets in plan.tets]
+    flows = None
+    if plan.choices.flows:
+        flows = FlowSurfaces(plan.particles, variant.table, variant.settings.time_scale)
     return FrameBuilder(
-        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer,
+        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer, flows,
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip

@@ -33,6 +33,7 @@ from gf_usd.prepare.bodies.contact import (
     keep_limbs_apart,
     require_clear_start,
 )
+from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
 from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
@@ -236,7 +237,8 @@ def fill(
         max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
-    choices, split = chosen(request, files, settings, asset, len(particles), open_end)
+    flow = flow_of(solid, bodies, particles, materials.tables[0])
+    choices, split = chosen(request, files, settings, asset, len(particles), open_end, flow)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
     left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]

@@ -108,10 +108,11 @@ class Plan:
         corners of tetrahedra, by `TetLattice.key`."""
         exported = any(self.sequences)
         every = embedded_points(self.asset)
+        carried = {s.path for s in self.choices.carried(self.asset.surfaces)}
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
-            if self.choices.mesh or (exported and s.splats is not None)
+            if s.path in carried or (exported and s.splats is not None)
         } | {tets.key: tets.X for tets in self.tets}
 
     @property
@@ -198,6 +199,8 @@ SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
 TET_BYTES = 12  # of tetrahedra, for each particle: eight are in a cell, and half a corner is theirs
+FLOW_BYTES = 80  # a vertex of a surface: four vectors and two triangles
+FLOW_AREA = 60  # vertices of a surface over N^(2/3): 20 of a ball, some 6 times as many of spray
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
 INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writes more
 
@@ -206,7 +209,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
     """[bytes] on the disk of a frame with all its samples."""
     size = 0
     rates = VELOCITY_BYTES * (not choices.velocities)
-    for s in asset.surfaces if choices.mesh else ():
+    for s in choices.carried(asset.surfaces):
         if s.splats is not None:
             size += s.splats.frame_bytes
         else:
@@ -219,6 +222,8 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
         size += each * particles
     if "points" in choices.shapes:
         size += (POINT_BYTES - rates) * particles
+    if choices.flows:
+        size += int((FLOW_BYTES - 12 * (not choices.velocities)) * FLOW_AREA * particles ** (2 / 3))
     if choices.tets:
         size += TET_BYTES * particles
     return size * settings.samples_per_frame

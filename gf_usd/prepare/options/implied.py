@@ -87,11 +87,15 @@ def with_flow(
             f"--solver tl does not go with {names}, which flows without end",
             "leave it out, or use --solver ul",
         )
-    if request.only is None:
+    if request.only is None and not request.surface:
         request = replace(request, only="gaussians,points")
     note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
-    if "mesh" not in (request.parsed["only"] or ()):
-        note += "; the mesh is hidden"
+    if request.surface:
+        note += "; a surface around the particles is shown in place of the mesh"
+    elif "mesh" in (request.parsed["only"] or ()):
+        note += "; the mesh is torn where particles part: --surface draws a surface around them"
+    else:
+        note += "; the mesh is hidden, and --surface draws a surface around the particles"
     return replace(request, solver="ul"), (note,)
 
 

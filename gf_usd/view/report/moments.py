@@ -93,6 +93,7 @@ def _scene(recording: Recording, frame: MotionFrame) -> Scene:
         replace(mesh, points=points, normals=None)
         for mesh, points in zip(recording.meshes, frame.meshes)
     )
+    meshes += frame.flows
     solid: tuple[RenderEllipsoids, ...] = ()
     cloud = recording.gaussians
     if not meshes and cloud and frame.positions is not None and frame.axes is not None:
