@@ -202,10 +202,11 @@ def test_another_look_keeps_the_camera_and_the_frame(browser: Browser) -> None:
     assert not page.locator("[data-variant='0']").first.is_visible()
 
 
+@pytest.mark.slow
 def test_a_surface_whose_faces_change_plays(opened: Browser, tmp_path: Path) -> None:
     file = tmp_path / "flow.html"
     file.write_text(build_report([MeltingBox()], report_of(), "", Limits()), encoding="utf-8")
-    page = opened.page.context.new_page()
+    page = opened.page.context.browser.new_page(viewport={"width": 700, "height": 500})
     browser = Browser(page, file)
     drawn = []
     for frame, triangles in ((0, 11), (3, 12)):
