@@ -7,7 +7,7 @@ What of a bake is written, and in which form: output choices as resolved.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
 if TYPE_CHECKING:
-    from gf_usd.core.asset import SplatPose, Surface
+    from gf_usd.core.asset import SplatPose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -359,12 +359,16 @@ class Choices:
     open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
     flows: tuple[int, ...] = ()  # bodies of which the surface of what flows is written
-    replaced: tuple[str, ...] = ()  # prim paths of meshes that these are shown in place of
+    flowing: tuple[str, ...] = ()  # meshes that these surfaces are shown in place of
 
     @property
     def mesh(self) -> bool:
         """Whether the meshes move."""
         return "mesh" in self.shapes
+
+    def drawn(self, path: str) -> bool:
+        """Whether the mesh at a prim path moves."""
+        return self.mesh and path not in self.flowing
 
     @property
     def particles(self) -> bool:
@@ -372,10 +376,6 @@ class Choices:
         the surfaces of what flows."""
         both = "gaussians" in self.shapes or "points" in self.shapes
         return both or self.tets or bool(self.flows)
-
-    def carried(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
-        """Those surfaces of an asset that move with the bodies, and are written."""
-        return tuple(s for s in surfaces if self.mesh and s.path not in self.replaced)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

@@ -109,7 +109,6 @@ class CacheWriter:
     ) -> None:
         self.path = Path(path)
         choices = choices or Choices()
-        surfaces = choices.carried(asset.surfaces)
         self._every = save_every or _samples_in(SAVE, asset, particles)
         self._frames = 0  # written, each sample one
         self._per_frame = info.settings.samples_per_frame
@@ -122,7 +121,7 @@ class CacheWriter:
         stage = open_source(source_path)
         self._clock = time = clock(stage, info.settings)
         home = find_home(stage, asset, choices)
-        prims = {s.path: require(stage, source_path, s.path) for s in asset.surfaces}
+        prims = [require(stage, source_path, s.path) for s in asset.surfaces]
         self._layer = new_layer(self.path, source_path)
         author_facts(self._layer, asset.facts, info.settings, stage)
         self._layer.startTimeCode = time.start
@@ -143,20 +142,18 @@ class CacheWriter:
             self._stage.SetEditTarget(self._layer)
         else:
             self._stage = Usd.Stage.Open(self._layer)
-        for prim in prims.values():
+        for prim in prims:
             free_instances(self._stage, prim)
         unit, rates = self._unit, choices.velocities
         self._meshes = {
-            surface.path: MeshTrack(
-                self._stage, prims[surface.path], surface, time, unit, velocities=rates
-            )
-            for surface in surfaces
-            if surface.splats is None
+            surface.path: MeshTrack(self._stage, prim, surface, time, unit, velocities=rates)
+            for surface, prim in zip(asset.surfaces, prims)
+            if choices.drawn(surface.path) and surface.splats is None
         }
         self._splats = {
-            surface.path: SplatTrack(self._stage, prims[surface.path], surface, time, unit)
-            for surface in surfaces
-            if surface.splats is not None
+            surface.path: SplatTrack(self._stage, prim, surface, time, unit)
+            for surface, prim in zip(asset.surfaces, prims)
+            if choices.drawn(surface.path) and surface.splats is not None
         }
         # every root prim that a display hides something of has its payload
         self._roots = roots_of(asset, home)

@@ -118,8 +118,8 @@ def write_root(
     switches = roots_of(asset, home)
     for root in switches:
         add_variants(layer, root, asset, home, bakes, display_set, display, choices)
-    carried = choices.carried(asset.surfaces)
-    unskinned = frozenset(Sdf.Path(s.path) for s in carried if s.skinned)
+    skinned = [s.path for s in asset.surfaces if s.skinned and choices.drawn(s.path)]
+    unskinned = frozenset(map(Sdf.Path, skinned))
     retargeted = repeat_edits(stage, layer, unskinned)
     notes = _restore(stage, layer, switches)
     if display_set != DISPLAY_SET:

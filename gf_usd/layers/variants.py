@@ -120,15 +120,18 @@ def add_variants(
 
 def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices) -> list[Sdf.Path]:
     """Prims under a root prim that a display mode hides; meshes also where they do not move."""
-    meshes = [s.path for s in asset.surfaces if mode != "mesh" or s.path in choices.replaced]
-    paths = [Sdf.Path(path) for path in meshes]
-    if mode == "mesh" and choices.particles and not choices.flows:
+    drawn = mode == "mesh"
+    paths = [
+        Sdf.Path(one.path) for one in asset.surfaces if not drawn or one.path in choices.flowing
+    ]
+    beside = [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
+    if drawn and choices.particles and not beside:
         paths.append(home.scope)
     for shape, name in PARTICLES.items():
-        if mode != shape and shape in choices.shapes and (mode != "mesh" or choices.flows):
+        if mode != shape and shape in choices.shapes and (beside or not drawn):
             paths.append(home.scope.AppendChild(name))
-    if mode != "mesh":
-        paths += [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
+    if not drawn:
+        paths += beside
     return [path for path in paths if path.HasPrefix(root)]
 
 

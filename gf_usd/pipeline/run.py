@@ -430,7 +430,7 @@ def frame_builder(
     skin = None
     if plan.points and plan.settings.skin != "embed":
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
-    surfaces = plan.choices.carried(plan.asset.surfaces)
+    surfaces = [s for s in plan.asset.surfaces if plan.choices.drawn(s.path)]
     keys = [tets.key for tets in plan.tets]
     flows = None
     if plan.choices.flows:

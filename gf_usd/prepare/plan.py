@@ -108,11 +108,10 @@ class Plan:
         corners of tetrahedra, by `TetLattice.key`."""
         exported = any(self.sequences)
         every = embedded_points(self.asset)
-        carried = {s.path for s in self.choices.carried(self.asset.surfaces)}
         return {
             s.path: every[s.path]
             for s in self.asset.surfaces
-            if s.path in carried or (exported and s.splats is not None)
+            if self.choices.drawn(s.path) or (exported and s.splats is not None)
         } | {tets.key: tets.X for tets in self.tets}
 
     @property
@@ -209,7 +208,7 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
     """[bytes] on the disk of a frame with all its samples."""
     size = 0
     rates = VELOCITY_BYTES * (not choices.velocities)
-    for s in choices.carried(asset.surfaces):
+    for s in [s for s in asset.surfaces if choices.drawn(s.path)]:
         if s.splats is not None:
             size += s.splats.frame_bytes
         else:

@@ -33,12 +33,12 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
     plan = gf_usd.inspect(SPHERE, surface=True, **SAND).plan
     assert plan.choices.shapes == ("mesh", "gaussians", "points")
     assert plan.choices.flows == (0,)
-    assert plan.choices.replaced == tuple(s.path for s in plan.asset.surfaces)
-    assert plan.choices.carried(plan.asset.surfaces) == ()
+    assert plan.choices.flowing == tuple(s.path for s in plan.asset.surfaces)
+    assert not any(plan.choices.drawn(s.path) for s in plan.asset.surfaces)
     assert plan.points == {}, "no vertex is carried along"
     assert any("in place of the mesh" in note for note in plan.notes)
     without = gf_usd.inspect(SPHERE, **SAND).plan
-    assert without.choices.flows == without.choices.replaced == ()
+    assert without.choices.flows == without.choices.flowing == ()
     assert plan.frame_bytes > without.frame_bytes
 
 

@@ -94,7 +94,7 @@ class ParticleTrack:
         self._flows = {
             body: FlowTrack(
                 cache, home.scope.AppendChild(flow_name(body)), self._unit, self._origin,
-                shading=flow_shading(asset, choices.replaced, home.scope.GetPrefixes()[0]),
+                shading=flow_shading(asset, choices.flowing, home.scope.GetPrefixes()[0]),
                 velocities=choices.velocities,
             )
             for body in choices.flows

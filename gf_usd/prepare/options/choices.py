@@ -59,7 +59,7 @@ def chosen(
         open_end=open_end,
         certify=request.certify,
         flows=flow.bodies if request.surface else (),
-        replaced=flow.meshes if request.surface else (),
+        flowing=flow.meshes if request.surface else (),
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

@@ -129,7 +129,7 @@ def test_a_material_without_texture_is_bound(tmp_path: Path, stage: Usd.Stage) -
 def test_the_surface_is_shown_in_place_of_the_mesh(tmp_path: Path, clips: int) -> None:
     asset = PLAIN.asset(tmp_path)
     replaced = tuple(s.path for s in asset.surfaces)
-    choices = Choices(flows=(0,), replaced=replaced, clip_frames=clips)
+    choices = Choices(flows=(0,), flowing=replaced, clip_frames=clips)
     particles, info = particles_of(asset), info_of(asset)
     cache = tmp_path / "c.cache.usdc"
     with CacheWriter(cache, asset, particles, info, choices=choices) as writer:
