@@ -47,6 +47,8 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
     [
         ({"material": "jelly", "surface": True}, "surface=True is for what flows"),
         ({"surface": True, "only": "points"}, "which only points leaves out"),
+        ({"certify": True}, "certify=True does not go with what flows"),
+        ({"surface": True, "certify": True}, "certify=True does not go with what flows"),
         ({"solver": "tl"}, "does not go with dry-sand"),
         ({"material": ["rubber", "dry-sand"]}, "some of these flow without end"),
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not know --pin|pins"),

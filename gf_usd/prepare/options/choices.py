@@ -34,7 +34,7 @@ def chosen(
 ) -> tuple[Choices, tuple[str, ...]]:
     """The output choices, with notes on what nobody asked for.
 
-    flow : the bodies that flow; raises UsageError where --surface finds none.
+    flow : the bodies that flow.  Raises UsageError where --surface finds none, and --certify some.
     """
     if request.surface and not flow.bodies:
         raise UsageError(
@@ -45,6 +45,11 @@ def chosen(
         raise UsageError(
             f"--clip-frames {request.clip_frames} and a package were both asked for",
             "a package is one file: leave one of them out",
+        )
+    if request.certify and flow.bodies:
+        raise UsageError(
+            "--certify does not go with what flows without end: its figures are those of a mesh",
+            "leave it out",
         )
     choices = Choices(
         shapes=request.parsed["only"] or SHAPES,
