@@ -424,7 +424,7 @@ def frame_builder(
 ) -> FrameBuilder:
     """What makes samples of the frames of a variant's solver, which an observer is shown."""
     from gf_usd.geometry.skinning import MeshSkin
-    from gf_usd.physics.gaussians import GaussianTrack
+    from gf_usd.physics.output.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
     skin = None

@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from gf_usd.physics.updated_lagrangian.surface import surface
+from gf_usd.physics.output.surface import surface
 from gf_usd.system.taichi_runtime import init_taichi
 
 APART = 3.0  # spacings between the particles of spray

@@ -28,7 +28,7 @@ from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.frame_loop import Solver
-    from gf_usd.physics.gaussians import GaussianTrack
+    from gf_usd.physics.output.gaussians import GaussianTrack
     from gf_usd.pipeline.measures.observe import Observer
 
 

@@ -31,7 +31,7 @@ class FlowSurfaces:
         return {body: self._of(pose, mine) for body, mine in self._bodies.items()}
 
     def _of(self, pose: Pose, mine: np.ndarray) -> SurfacePose:
-        from gf_usd.physics.updated_lagrangian.surface import surface
+        from gf_usd.physics.output.surface import surface
 
         values = np.concatenate([pose.v[mine] * self._rate, self._colors[mine]], axis=1)
         found = surface(pose.x[mine], self._volumes[mine], values)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import BakeError
-from gf_usd.physics.updated_lagrangian.surface import DEPTH, SLOPE, ParticleSurface, reach, surface
-from gf_usd.physics.updated_lagrangian.surface_kernels import BLOCK, HIGH, LOW
+from gf_usd.physics.output.surface import DEPTH, SLOPE, ParticleSurface, reach, surface
+from gf_usd.physics.output.surface_kernels import BLOCK, HIGH, LOW
 
 S = 0.1  # [m] spacing
 RADIUS = 10.0 * S

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import BakeError
 from gf_usd.core.neighbors import components
-from gf_usd.physics.updated_lagrangian.surface_kernels import BLOCK, NODES, carried, field
+from gf_usd.physics.output.surface_kernels import BLOCK, NODES, carried, field
 from gf_usd.system.taichi_runtime import ensure_running
 
 DEPTH = 63.0 / 256.0  # Beta(2, 4) / (2 Beta(3/2, 4)), the two integrals
