@@ -285,6 +285,17 @@ class MeshPose:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurfacePose:
+    """The surface of particles that flow, world; every frame has another topology."""
+
+    points: Floats  # (V, 3) [m]
+    velocities: Floats  # (V, 3) [m/s of playback]
+    normals: Floats  # (V, 3) unit, outward
+    colors: Floats  # (V, 3) linear
+    triangles: Ints  # (T, 3) counter-clockwise seen from outside
+
+
+@dataclass(frozen=True, kw_only=True)
 class GaussianPose:
     """Deformed Gaussians, world."""
 
@@ -308,6 +319,7 @@ class BakedFrame:
     health: Health
     splats: Mapping[str, SplatPose] = field(default_factory=dict)  # by Surface.path
     tets: Mapping[str, MeshPose] = field(default_factory=dict)  # by TetLattice.key
+    flows: Mapping[int, SurfacePose] = field(default_factory=dict)  # by body, as in Particles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -347,7 +359,8 @@ class Choices:
     until_rest: bool = False  # the last frame is the first at rest
     open_end: bool = False  # because nothing said how long is simulated
     certify: bool = False  # the figures are to have intervals
-    flowing: tuple[str, ...] = ()  # meshes that flow beside others: particles stand for them
+    flows: tuple[int, ...] = ()  # bodies of which the surface of what flows is written
+    flowing: tuple[str, ...] = ()  # meshes that surfaces or particles of what flows stand for
 
     @property
     def mesh(self) -> bool:
@@ -360,8 +373,10 @@ class Choices:
 
     @property
     def particles(self) -> bool:
-        """Whether any form of the particles is written, or tetrahedra, which stand with them."""
-        return bool({"gaussians", "points"} & set(self.shapes)) or self.tets or bool(self.flowing)
+        """Whether any form of the particles is written, or what stands with them: tetrahedra, and
+        what flows beside meshes."""
+        both = bool({"gaussians", "points"} & set(self.shapes))
+        return both or self.tets or bool(self.flowing or self.flows)
 
 
 def clip_length(asked: int | None, frame_bytes: float, frames: int) -> int:

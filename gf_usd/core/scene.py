@@ -206,6 +206,7 @@ class Recording:
     time_codes_per_second: float
     meshes: tuple[RenderMesh, ...]  # as at the first frame
     baked: tuple[bool, ...]  # one a mesh: it is part of the soft body
+    flows: tuple[str, ...] = ()  # prim paths of meshes whose faces change from frame to frame
     gaussians: GaussianSet | None = None
     about: Mapping[str, Any] = field(default_factory=dict)  # what the bake left in the root layer
     notes: tuple[str, ...] = ()  # what was assumed or left out, in words
@@ -221,6 +222,8 @@ class MotionFrame:
 
     time_code: float
     meshes: tuple[Floats, ...]  # (V, 3) [m], one for each mesh of the recording
+    flows: tuple[RenderMesh, ...] = ()  # whole meshes whose faces change; those without faces are
+    # left out
     positions: Floats | None = None  # (N, 3) [m] of the Gaussians
     axes: Floats | None = None  # (N, 3, 3) [m] columns are the axes, as long as the deviations
     # (N,) what the bake wrote of them: "stress" (von Mises) [Pa], "elastic", "plastic" strain

@@ -281,7 +281,7 @@ class CacheWriter:
         for path, pose in frame.splats.items():
             self._splats[path].write(pose, time_code)
         if self._particles:
-            self._particles.write(frame.gaussians, time_code, frame.tets)
+            self._particles.write(frame.gaussians, time_code, frame.tets, frame.flows)
         for bound in self._bounds:
             bound.write(time_code)
         self._health.write(frame.health, time_code)

@@ -20,6 +20,7 @@ from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import SOURCE_VARIANT as NONE
 from gf_usd.core.frames import BakeInfo, Choices
 from gf_usd.layers.stage import VARIANT_SET, Home, roots_of
+from gf_usd.layers.tracks.flows import flow_name
 from gf_usd.layers.tracks.health import author_certificate, author_totals, bake_root
 from gf_usd.layers.tracks.particles import FLOW
 from gf_usd.system.atomic_files import asset_path
@@ -124,19 +125,16 @@ def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices
     paths = [
         Sdf.Path(one.path) for one in asset.surfaces if not drawn or one.path in choices.flowing
     ]
-    beside = bool(choices.mesh and choices.flowing)  # particles that flow, beside meshes
-    if mode == "mesh" and beside:
-        paths += [
-            home.scope.AppendChild(name) for shape, name in PARTICLES.items()
-            if shape in choices.shapes
-        ]  # fmt: skip
-    elif mode == "mesh" and choices.particles:
+    beside = [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
+    if choices.mesh and choices.flowing and not beside:
+        beside = [home.scope.AppendChild(FLOW)]
+    if drawn and choices.particles and not beside:
         paths.append(home.scope)
-    elif beside:
-        paths.append(home.scope.AppendChild(FLOW))
     for shape, name in PARTICLES.items():
-        if mode not in ("mesh", shape) and shape in choices.shapes:
+        if mode != shape and shape in choices.shapes and (beside or not drawn):
             paths.append(home.scope.AppendChild(name))
+    if not drawn:
+        paths += beside
     return [path for path in paths if path.HasPrefix(root)]
 
 

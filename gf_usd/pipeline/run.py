@@ -32,6 +32,7 @@ from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
 from gf_usd.pipeline.frames.builder import FrameBuilder, with_held
 from gf_usd.pipeline.frames.captured import SplatDeformer
+from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.health.log import HealthLog
 from gf_usd.pipeline.health.warnings import health_warnings, plan_warnings
@@ -423,7 +424,7 @@ def frame_builder(
 ) -> FrameBuilder:
     """What makes samples of the frames of a variant's solver, which an observer is shown."""
     from gf_usd.geometry.skinning import MeshSkin
-    from gf_usd.physics.gaussians import GaussianTrack
+    from gf_usd.physics.output.gaussians import GaussianTrack
 
     track = GaussianTrack(plan.particles.orientation, plan.particles.scale)
     skin = None
@@ -431,7 +432,10 @@ def frame_builder(
         skin = MeshSkin(plan.settings.skin, plan.points, plan.particles.X)
     surfaces = [s for s in plan.asset.surfaces if plan.choices.drawn(s.path)]
     keys = [tets.key for tets in plan.tets]
+    flows = None
+    if plan.choices.flows:
+        flows = FlowSurfaces(plan.particles, variant.table, variant.settings.time_scale)
     return FrameBuilder(
-        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer,
+        solver, track, skin, surfaces, sampled(variant.settings), splats, keys, observer, flows,
         open_end=plan.choices.until_rest or plan.choices.settled,
     )  # fmt: skip

@@ -36,6 +36,7 @@ from gf_usd.prepare.bodies.contact import (
     require_clear_start,
     skins,
 )
+from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
 from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
@@ -252,8 +253,9 @@ def fill(
         max(float(np.ptp(s.points @ asset.facts.up)) for s in solid.surfaces),
         abs(float(np.dot(settings.gravity, asset.facts.up))),
     )  # fmt: skip
-    choices, split = chosen(request, files, settings, asset, len(particles), open_end)
-    if mixed:
+    drawn = flow_of(solid, bodies, particles, materials.tables[0])
+    choices, split = chosen(request, files, settings, asset, len(particles), open_end, drawn)
+    if mixed and not choices.flowing:
         choices = replace(choices, flowing=flow.paths)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]

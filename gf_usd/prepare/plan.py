@@ -198,6 +198,8 @@ SPLAT_BYTES = 52  # positions, velocities, orientation, scale
 HALF_BYTES = 14  # less: orientation and scale in half precision
 POINT_BYTES = 24
 TET_BYTES = 12  # of tetrahedra, for each particle: eight are in a cell, and half a corner is theirs
+FLOW_BYTES = 80  # a vertex of a surface: four vectors and two triangles
+FLOW_AREA = 60  # vertices of a surface over N^(2/3): 20 of a ball, some 6 times as many of spray
 GRADIENT_BYTES, STRESS_BYTES = 72, 4
 INTERNAL_BYTES = 4 * len(law_internals())  # of laws of every kind: no bake writes more
 
@@ -219,7 +221,9 @@ def frame_bytes(asset: Asset, particles: int, settings: Settings, choices: Choic
         size += each * particles
     if "points" in choices.shapes:
         size += (POINT_BYTES - rates) * particles
-    if choices.mesh and choices.flowing:
+    if choices.flows:
+        size += int((FLOW_BYTES - 12 * (not choices.velocities)) * FLOW_AREA * particles ** (2 / 3))
+    if choices.mesh and choices.flowing and not choices.flows:
         size += (POINT_BYTES - rates) * particles  # at most: solid ones are not among them
     if choices.tets:
         size += TET_BYTES * particles

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from gf_usd.core.asset import ASSUMED, FILE, OPTION
 
 
@@ -17,15 +19,15 @@ class Notes:
         if where and where not in places:
             places.append(where)
 
-    def lines(self, without: str = "") -> tuple[str, ...]:
+    def lines(self, without: Collection[str] = ()) -> tuple[str, ...]:
         """One sentence a remark: ``PATH: text`` or ``PATH and 3 more: text``.
 
-        without : a text that is left out.
+        without : texts that are left out.
         """
         return tuple(
             f"{_some(places)}: {text}" if places else text
             for text, places in self._places.items()
-            if text != without
+            if text not in without
         )
 
 

@@ -197,6 +197,12 @@ def pair_meshes(a: Recording, b: Recording) -> Pairing:
         if len(found) == 1:
             pairs[alone[0]] = found[0]
             left.remove(found[0])
+    if not pairs and (a.flows or b.flows):
+        flows = f"{a.path}: <{a.flows[0]}>" if a.flows else f"{b.path}: <{b.flows[0]}>"
+        raise InputError(
+            f"{flows} has other points in every frame, which cannot be compared point by point.",
+            "compare the particles: gf_usd.read has their positions at every frame",
+        )
     if not pairs:
         raise InputError(
             f"{a.path} and {b.path} have no mesh in common: {_listed(a, mine)} in the one,"

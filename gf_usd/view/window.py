@@ -61,7 +61,7 @@ class Window:
         require_display()
         self._source, self._recording = source, source.recording()
         recording = self._recording
-        self._skin = Skin(recording.meshes) if recording.meshes else None
+        self._skin = Skin(recording.meshes) if recording.meshes or recording.flows else None
         self._balls = Balls(recording.gaussians) if recording.gaussians else None
         self._shapes: dict[str, Any] = {}
         for kind, made in (("mesh", self._skin), ("gaussians", self._balls)):
@@ -112,13 +112,17 @@ class Window:
         frame = next(iter(self._source.frames([code])))
         shape = self._shapes[self.shown]
         if self.shown == "mesh" and self._skin is not None:
-            points, normals = self._skin.pose(frame.meshes)
+            skin = skin_at(self._recording, self._skin, frame)
+            points, normals = skin.pose((*frame.meshes, *(mesh.points for mesh in frame.flows)))
+            if skin is not self._skin:
+                shape.triangles = self._ints(skin.triangles)
+                shape.vertex_colors = self._floats(skin.colors)
         elif self._balls is not None and frame.positions is not None and frame.axes is not None:
             points, normals = self._balls.pose(frame.positions, frame.axes)
         else:
             return
         shape.vertices, shape.vertex_normals = self._floats(points), self._floats(normals)
-        if not shape.has_triangle_normals():
+        if not shape.has_triangle_normals() or self._recording.flows:
             # open3d lights only meshes that have these as well, though it shades by the others
             shape.compute_triangle_normals()
 
@@ -137,7 +141,10 @@ class Window:
         boxes = []
         for frame in self._source.frames([codes[i] for i in spread(len(codes), SAMPLED_FRAMES)]):
             cloud = [] if frame.positions is None else [frame.positions]
-            points = np.concatenate([*frame.meshes, *cloud])
+            flows = [mesh.points for mesh in frame.flows]
+            points = np.concatenate([np.zeros((0, 3)), *frame.meshes, *flows, *cloud])
+            if not len(points):
+                continue
             boxes.append((points.min(axis=0), points.max(axis=0)))
         return np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
 
@@ -313,7 +320,8 @@ class Skin:
 
     def pose(self, meshes: tuple[Floats, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Vertices and unit normals (D, 3) of the meshes' points; n = sum of a x b over faces."""
-        points = np.concatenate(meshes)[self._skin.kept][self._skin.source]
+        joined = np.concatenate([np.zeros((0, 3)), *meshes])
+        points = joined[self._skin.kept][self._skin.source]
         corners = points[self.triangles]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         shade = self._skin.shade
@@ -324,6 +332,11 @@ class Skin:
         normals = total[shade]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         return points, normals / np.where(length > 0.0, length, 1.0)
+
+
+def skin_at(recording: Recording, skin: Skin, frame: MotionFrame) -> Skin:
+    """The skin of a frame: another one where meshes are there whose faces change."""
+    return Skin((*recording.meshes, *frame.flows)) if recording.flows else skin
 
 
 class Balls:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recordings import FRAMES, FallingBox, report_of
+from recordings import FRAMES, FallingBox, MeltingBox, report_of
 
 from gf_usd.view.report.report import Limits, build_report
 
@@ -200,3 +200,21 @@ def test_another_look_keeps_the_camera_and_the_frame(browser: Browser) -> None:
     assert page.evaluate("[player.viewer.orbit.azimuth, player.viewer.orbit.elevation]") == before
     assert page.locator("[data-variant='1']").first.is_visible()
     assert not page.locator("[data-variant='0']").first.is_visible()
+
+
+@pytest.mark.slow
+def test_a_surface_whose_faces_change_plays(opened: Browser, tmp_path: Path) -> None:
+    file = tmp_path / "flow.html"
+    file.write_text(build_report([MeltingBox()], report_of(), "", Limits()), encoding="utf-8")
+    page = opened.page.context.browser.new_page(viewport={"width": 700, "height": 500})
+    browser = Browser(page, file)
+    drawn = []
+    for frame, triangles in ((0, 11), (3, 12)):
+        page.evaluate(f"player.seek({frame})")
+        assert page.evaluate("player.viewer.flowCorners") == 3 * triangles
+        drawn.append(browser.picture())
+    assert drawn[0] != drawn[1]
+    page.click("[data-show=gaussians]")
+    assert browser.picture() != drawn[1]
+    assert browser.said == []
+    page.close()

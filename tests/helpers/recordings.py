@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +106,27 @@ class FallingBox:
         return {"elastic": np.full(len(rise), 0.5 * (1.0 - stretch)), "plastic": rise}
 
 
+class MeltingBox(FallingBox):
+    """The same motion as a surface whose faces change: every other frame has one of them less."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        (self._shape,) = self._recording.meshes
+        self._recording = replace(self._recording, meshes=(), baked=(), flows=("/Box/Surface",))
+
+    def frames(self, time_codes: Sequence[float]) -> Iterator[MotionFrame]:
+        for frame in super().frames(time_codes):
+            (points,) = frame.meshes
+            left = len(TRIANGLES) - int(frame.time_code) % 2
+            mesh = replace(
+                self._shape,
+                points=points,
+                triangles=TRIANGLES[:left],
+                colors=np.asarray(self._shape.colors)[:left],
+            )
+            yield replace(frame, meshes=(), flows=(mesh,))
+
+
 def health(frame: int) -> dict[str, Any]:
     """What a solver could have said of a frame of the box."""
     low, stretch = squash(frame)
@@ -134,3 +158,14 @@ def report_of(look: str = "rubber", **more: Any) -> dict[str, Any]:
         ],
         **more,
     }
+
+
+def unpack(table: dict[str, Any], blob: str, name: str) -> np.ndarray:
+    """An array of a page as data.js unpacks it: byte planes, then sums over time that wrap."""
+    entry = table[name]
+    dtype = np.dtype(entry["type"])
+    count = int(np.prod(entry["shape"]))
+    raw = zlib.decompress(base64.b64decode(blob))
+    planes = np.frombuffer(raw, np.uint8, count * dtype.itemsize, entry["offset"])
+    values = planes.reshape(dtype.itemsize, count).T.copy().view(dtype).reshape(entry["shape"])
+    return np.cumsum(values, axis=0, dtype=dtype) if entry["moving"] else values

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from resumed import require_same
 
 import gf_usd
-from gf_usd.core.errors import UsageError
+from gf_usd.core.errors import Unfinished, UsageError
 
 SPHERE = Path(__file__).parents[2] / "samples" / "sphere.usda"
 SAND: dict[str, Any] = {"material": "dry-sand", "particles": 300}
@@ -27,9 +29,26 @@ def test_granular_presets_choose_the_solver_and_what_is_written() -> None:
     assert not any("hidden" in note for note in asked.notes)
 
 
+def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
+    plan = gf_usd.inspect(SPHERE, surface=True, **SAND).plan
+    assert plan.choices.shapes == ("mesh", "gaussians", "points")
+    assert plan.choices.flows == (0,)
+    assert plan.choices.flowing == tuple(s.path for s in plan.asset.surfaces)
+    assert not any(plan.choices.drawn(s.path) for s in plan.asset.surfaces)
+    assert plan.points == {}, "no vertex is carried along"
+    assert any("in place of the mesh" in note for note in plan.notes)
+    without = gf_usd.inspect(SPHERE, **SAND).plan
+    assert without.choices.flows == without.choices.flowing == ()
+    assert plan.frame_bytes > without.frame_bytes
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
+        ({"material": "jelly", "surface": True}, "surface=True is for what flows"),
+        ({"surface": True, "only": "points"}, "which only points leaves out"),
+        ({"certify": True}, "certify=True does not go with what flows"),
+        ({"surface": True, "certify": True}, "certify=True does not go with what flows"),
         ({"solver": "tl"}, "does not go with dry-sand"),
         ({"material": ["rubber", "dry-sand"]}, "some of these flow without end"),
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not know --pin|pins"),
@@ -66,3 +85,31 @@ def test_a_ball_of_sand_becomes_a_heap_that_stands(tmp_path: Path) -> None:
         SPHERE, output=tmp_path / "t.usda", frames=60, drop=0, internal=True, **SAND
     )  # fmt: skip
     assert again.bakes[0].cache.read_bytes() == bake.cache.read_bytes()
+
+
+@pytest.mark.slow
+def test_surfaces_are_resumed_to_the_bit_and_sound(tmp_path: Path) -> None:
+    more: dict[str, Any] = {**SAND, "surface": True, "frames": 9, "drop": 0, "clip_frames": 3}
+    whole = gf_usd.bake(SPHERE, output=tmp_path / "whole" / "s.usda", **more)
+    assert not whole.findings
+    with pytest.raises(Unfinished):
+        gf_usd.bake(SPHERE, output=tmp_path / "parts" / "s.usda", slice=1, **more)
+    gf_usd.bake(SPHERE, output=tmp_path / "parts" / "s.usda", resume=True, **more)
+    require_same(tmp_path / "whole", tmp_path / "parts")
+    stage = Usd.Stage.Open(str(whole.root))
+    surface = UsdGeom.Mesh(stage.GetPrimAtPath("/Sphere/GaussianFlesh/Surface"))
+    assert UsdGeom.Imageable(surface).ComputeVisibility(3.0) != UsdGeom.Tokens.invisible
+    source = UsdGeom.Imageable(stage.GetPrimAtPath(plan_path(whole)))
+    assert source.ComputeVisibility(3.0) == UsdGeom.Tokens.invisible
+    color = np.array(surface.GetDisplayColorAttr().Get(9.0))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/Sphere/GaussianFlesh/Points"))
+    mean = np.array(points.GetDisplayColorAttr().Get()).mean(0)
+    np.testing.assert_allclose(color.mean(0), mean, atol=1e-3)  # the sphere has one color
+    # The surface falls and spreads as its particles do.
+    v = np.array(surface.GetVelocitiesAttr().Get(6.0))
+    assert np.abs(v).max() <= np.abs(np.array(points.GetVelocitiesAttr().Get(6.0))).max()
+
+
+def plan_path(done: gf_usd.BakeResult) -> str:
+    """The mesh that was baked."""
+    return json.loads(done.report.read_text())["bodies"][0]

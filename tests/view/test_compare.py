@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings import BOX, FRAMES, SIDE, FallingBox
+from recordings import BOX, FRAMES, SIDE, FallingBox, MeltingBox
 
 from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.scene import MotionFrame, Recording
@@ -189,3 +189,9 @@ def test_files_are_named_as_given() -> None:
     a = Changed(path=Path("a.usda"))
     b = Changed(path=Path("b.usda"), names=("/Box", "/More"))
     assert "not in a.usda: </More>" in compare_motions(a, b).notes
+
+
+def test_surfaces_whose_faces_change_are_refused_in_words() -> None:
+    with pytest.raises(InputError, match=r"</Box/Surface> has other points in every frame") as said:
+        compare_motions(MeltingBox(), MeltingBox())
+    assert "gf_usd.read" in said.value.hint

@@ -7,11 +7,11 @@ import importlib
 
 import numpy as np
 import pytest
-from recordings import BOX, TRIANGLES, FallingBox
+from recordings import BOX, TRIANGLES, FallingBox, MeltingBox
 
 from gf_usd.core.errors import UsageError
 from gf_usd.view import window
-from gf_usd.view.window import Balls, Clock, Skin, floor_lines, icosahedron
+from gf_usd.view.window import Balls, Clock, Skin, floor_lines, icosahedron, skin_at
 
 
 class Now:
@@ -76,6 +76,24 @@ def test_a_box_has_flat_sides():
     points, normals = skin.pose((BOX,))
     assert points[skin.triangles] == pytest.approx(BOX[TRIANGLES])
     assert np.sort(np.abs(normals), axis=1) == pytest.approx(np.tile([0, 0, 1], (24, 1)))
+
+
+def test_a_surface_whose_faces_change_has_the_faces_of_its_frame():
+    box = MeltingBox()
+    recording = box.recording()
+    whole = Skin(recording.meshes)
+    counts = []
+    for frame in box.frames(recording.time_codes):
+        skin = skin_at(recording, whole, frame)
+        points, _ = skin.pose(tuple(mesh.points for mesh in frame.flows))
+        (mesh,) = frame.flows
+        assert points[skin.triangles] == pytest.approx(mesh.points[mesh.triangles])
+        counts.append(len(skin.triangles))
+    assert counts == [11, 12, 11, 12, 11, 12, 11]
+    assert len(whole.pose(())[0]) == 0
+    solid = FallingBox().recording()
+    skin = Skin(solid.meshes)
+    assert skin_at(solid, skin, next(iter(FallingBox().frames([1.0])))) is skin
 
 
 def test_the_floor_lies_under_the_box():

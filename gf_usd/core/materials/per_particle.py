@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gf_usd.core.arrays import Floats
+from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Particles
-from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.material import Material, young_poisson
 
 if TYPE_CHECKING:
@@ -37,6 +37,13 @@ def columns(materials: Sequence[Material]) -> dict[str, Floats]:
         for one in law_parameters(m.law for m in materials)
     }
     return {name: np.array([getattr(m, name) for m in materials]) for name in FREE} | own
+
+
+def flowing(particles: Particles, materials: Sequence[Material]) -> dict[int, Ints]:
+    """Indices of the particles that flow without end, by body; bodies without any are left out."""
+    flows = np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
+    body = np.zeros(len(particles), int) if particles.body is None else np.asarray(particles.body)
+    return {int(b): np.flatnonzero(flows & (body == b)) for b in np.unique(body[flows])}
 
 
 def spread(particles: Particles, materials: Sequence[Material]) -> dict[str, Floats]:

@@ -17,12 +17,21 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.asset import Asset
-from gf_usd.core.frames import BakeInfo, Choices, GaussianPose, MeshPose, Particles, TetLattice
+from gf_usd.core.frames import (
+    BakeInfo,
+    Choices,
+    GaussianPose,
+    MeshPose,
+    Particles,
+    SurfacePose,
+    TetLattice,
+)
 from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, Home, f32, quaternions
+from gf_usd.layers.tracks.flows import FlowTrack, flow_name, flow_shading
 from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
@@ -95,6 +104,14 @@ class ParticleTrack:
                 paths
             )
         prims = [track.prim for track in (self._splats, self._twin) if track]
+        self._flows = {
+            body: FlowTrack(
+                cache, home.scope.AppendChild(flow_name(body)), self._unit, self._origin,
+                shading=flow_shading(asset, choices.flowing, home.scope.GetPrefixes()[0]),
+                velocities=choices.velocities,
+            )
+            for body in choices.flows
+        }  # fmt: skip
         materials = write_materials(
             cache,
             home.scope.AppendChild("Materials"),
@@ -125,13 +142,18 @@ class ParticleTrack:
                 bind_points(prim, materials, particles.material, when)
         self.space = Space(root, clock, self._unit) if home.inside else None
         prims += [self._flow.prim] if self._flow else []
-        prims += [track.prim for track in self._tets.values()]
+        prims += [track.prim for track in (*self._tets.values(), *self._flows.values())]
         self._transforms = self._place(prims, clock.start)
 
     def write(
-        self, pose: GaussianPose, time_code: float, tets: Mapping[str, MeshPose] | None = None
+        self,
+        pose: GaussianPose,
+        time_code: float,
+        tets: Mapping[str, MeshPose] | None = None,
+        flows: Mapping[int, SurfacePose] | None = None,
     ) -> None:
-        """Author the pose at a time code, and that of the tetrahedra by `TetLattice.key`.
+        """Author the pose at a time code, that of the tetrahedra by `TetLattice.key`, and the
+        surfaces of what flows by body.
 
         Raises BakeError where an array has another length than the particles or is not finite.
         """
@@ -152,7 +174,11 @@ class ParticleTrack:
             self._flow.write(positions[self._grains], rates, time_code)
         for key, track in self._tets.items():
             track.write((tets or {})[key], time_code)
-        every = [self._splats, self._twin, self._flow, *self._tets.values()]
+        for body, track in self._flows.items():
+            track.write((flows or {})[body], time_code)
+        every = [
+            self._splats, self._twin, self._flow, *self._tets.values(), *self._flows.values()
+        ]  # fmt: skip
         boxes = [(track.low, track.high) for track in every if track]
         self.low = np.min([low for low, _ in boxes], axis=0)
         self.high = np.max([high for _, high in boxes], axis=0)
@@ -165,7 +191,8 @@ class ParticleTrack:
         """What another track of the same bake goes on from."""
         tets = {key: vars(track.saved) for key, track in self._tets.items()}
         splats = self._splats.state() if self._splats else {}
-        return {"splats": splats, "tets": tets, "saved": vars(self._saved)}
+        flows = {str(body): track.state() for body, track in self._flows.items()}
+        return {"splats": splats, "tets": tets, "saved": vars(self._saved), "flows": flows}
 
     def go_on(self, state: Mapping[str, Any]) -> None:
         """Take over the state of the track that wrote what is there."""
@@ -174,11 +201,14 @@ class ParticleTrack:
         self._saved = Saved(**state["saved"])
         for key, saved in state["tets"].items():
             self._tets[key].saved = Saved(**saved)
+        for body, track in self._flows.items():
+            track.go_on(state["flows"][str(body)])
 
     @property
     def saved(self) -> tuple[int, int]:
         """[bytes] that half precision saves, and that no velocities do."""
-        without = self._saved.bytes + sum(track.saved.bytes for track in self._tets.values())
+        others = (*self._tets.values(), *self._flows.values())
+        without = self._saved.bytes + sum(track.saved.bytes for track in others)
         return self._splats.saved if self._splats else 0, without
 
     @property
@@ -226,8 +256,8 @@ class ParticleTrack:
 
 
 def flowing(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
-    """(k,) the particles that flow beside meshes of others; None: none do."""
-    if not (choices.mesh and choices.flowing):
+    """(k,) the particles shown beside meshes of others; None: none are, or their surface is."""
+    if choices.flows or not (choices.mesh and choices.flowing):
         return None
     return np.flatnonzero(
         np.array([LAWS[m.law].unbounded for m in info.materials])[np.asarray(particles.material)]

@@ -17,16 +17,18 @@ from gf_usd.core.frames import (
     MeshPose,
     Pose,
     Settings,
+    SurfacePose,
 )
 from gf_usd.pipeline.checkpoint import Checkpoint
 from gf_usd.pipeline.frames.captured import SplatDeformer
+from gf_usd.pipeline.frames.flows import FlowSurfaces
 from gf_usd.pipeline.frames.period import Period
 from gf_usd.pipeline.measures.inside import Inside, InsideMeasure
 
 if TYPE_CHECKING:
     from gf_usd.geometry.skinning import MeshSkin
     from gf_usd.physics.frame_loop import Solver
-    from gf_usd.physics.gaussians import GaussianTrack
+    from gf_usd.physics.output.gaussians import GaussianTrack
     from gf_usd.pipeline.measures.observe import Observer
 
 
@@ -40,6 +42,7 @@ class FrameBuilder:
     splats : the captured Gaussians.
     tets : keys of the tetrahedra among the embedded points.
     observer : is shown every frame.
+    flows : the surfaces of what flows; None: none are written.
     open_end : the motion may end before its last frame: see `at_end`.
     """
 
@@ -53,10 +56,11 @@ class FrameBuilder:
         splats: SplatDeformer,
         tets: Sequence[str] = (),
         observer: Observer | None = None,
+        flows: FlowSurfaces | None = None,
         *,
         open_end: bool = False,
     ) -> None:
-        self._tets, self._observer = tets, observer
+        self._tets, self._observer, self._flows = tets, observer, flows
         self.solver, self._track, self._skin = solver, track, skin
         self._surfaces, self._settings, self._splats = surfaces, settings, splats
         meshes = [one for one in surfaces if one.splats is None and len(one.triangles)]
@@ -138,6 +142,7 @@ class FrameBuilder:
             ),
             health=health,
             splats=splats if self._surfaces else {},
+            flows=self._flows.poses(frame.particles) if self._flows else {},
             tets={
                 key: MeshPose(points=poses[key].x, velocities=poses[key].v * s.time_scale)
                 for key in self._tets
@@ -172,7 +177,7 @@ def with_held(samples: Iterable[BakedFrame], settings: Settings) -> Iterator[Bak
 
 
 def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
-    def stop(pose: MeshPose | GaussianPose) -> MeshPose | GaussianPose:
+    def stop(pose: MeshPose | GaussianPose | SurfacePose) -> Any:
         return replace(pose, velocities=np.zeros_like(pose.velocities))
 
     nothing = (0.0, 0.0, 0.0)
@@ -182,6 +187,7 @@ def _standing(first: BakedFrame, index: int, time_code: float) -> BakedFrame:
         time_code=time_code,
         meshes={path: stop(pose) for path, pose in first.meshes.items()},
         tets={key: stop(pose) for key, pose in first.tets.items()},
+        flows={body: stop(pose) for body, pose in first.flows.items()},
         gaussians=stop(first.gaussians),
         health=replace(first.health, kinetic=0.0, momentum=nothing, angular_momentum=nothing),
     )

@@ -22,7 +22,7 @@ from gf_usd.prepare.outputs import SplatSequence
 
 if TYPE_CHECKING:
     from gf_usd.layers.space import Space
-    from gf_usd.physics.gaussians import CarriedSplats
+    from gf_usd.physics.output.gaussians import CarriedSplats
 
 
 # From the world to axes whose Y is up, for column vectors, by the world's up axis.
@@ -66,7 +66,7 @@ class SplatDeformer:
             return
         from gf_usd.layers.space import Space
         from gf_usd.layers.stage import clock, open_source
-        from gf_usd.physics.gaussians import CarriedSplats
+        from gf_usd.physics.output.gaussians import CarriedSplats
 
         self._source = open_source(source)  # the spaces read its transforms frame by frame
         time = clock(self._source, settings)
@@ -171,7 +171,7 @@ class SplatDeformer:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was clamped, in words."""
-        from gf_usd.physics.gaussians import STRETCH
+        from gf_usd.physics.output.gaussians import STRETCH
 
         return tuple(
             f"{path}: {track.clamped} times a Gaussian would have been stretched or flattened more"

@@ -17,6 +17,7 @@ from gf_usd.core.frames import (
     written,
 )
 from gf_usd.core.units import Precision
+from gf_usd.prepare.bodies.flow import Flow
 from gf_usd.prepare.options.request import Request
 from gf_usd.prepare.outputs import Outputs
 from gf_usd.prepare.plan import frame_bytes
@@ -29,12 +30,26 @@ def chosen(
     asset: Asset,
     particles: int,
     open_end: bool,
+    flow: Flow,
 ) -> tuple[Choices, tuple[str, ...]]:
-    """The output choices, with notes on what nobody asked for."""
+    """The output choices, with notes on what nobody asked for.
+
+    flow : the bodies that flow.  Raises UsageError where --surface finds none, and --certify some.
+    """
+    if request.surface and not flow.bodies:
+        raise UsageError(
+            "--surface is for what flows without end, and no material of this bake does",
+            "leave it out: the mesh moves with the body",
+        )
     if files.flat and request.clip_frames:
         raise UsageError(
             f"--clip-frames {request.clip_frames} and a package were both asked for",
             "a package is one file: leave one of them out",
+        )
+    if request.certify and flow.bodies:
+        raise UsageError(
+            "--certify does not go with what flows without end: its figures are those of a mesh",
+            "leave it out",
         )
     choices = Choices(
         shapes=request.parsed["only"] or SHAPES,
@@ -48,6 +63,8 @@ def chosen(
         until_rest=request.until_rest or open_end,
         open_end=open_end,
         certify=request.certify,
+        flows=flow.bodies if request.surface else (),
+        flowing=flow.meshes if request.surface else (),
     )
     size = frame_bytes(asset, particles, settings, choices)
     length = (

@@ -95,16 +95,22 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
         note = (
             f"{paths}: flows without end ({names}; Updated Lagrangian solver, and every particle"
             " feels contact); the other bodies are solid (Total Lagrangian solver); its meshes are"
-            " hidden, and its particles are shown beside the other meshes"
+            " hidden, and "
+            + ("a surface around its particles is" if request.surface else "its particles are")
+            + " shown beside the other meshes"
         )
         return replace(request, solver=MIXED), (note,)
     if flow.some:
         return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
-    if request.only is None:
+    if request.only is None and not request.surface:
         request = replace(request, only="gaussians,points")
     note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
-    if "mesh" not in (request.parsed["only"] or ()):
-        note += "; the mesh is hidden"
+    if request.surface:
+        note += "; a surface around the particles is shown in place of the mesh"
+    elif "mesh" in (request.parsed["only"] or ()):
+        note += "; the mesh is torn where particles part: --surface draws a surface around them"
+    else:
+        note += "; the mesh is hidden, and --surface draws a surface around the particles"
     return replace(request, solver="ul"), (note,)
 
 

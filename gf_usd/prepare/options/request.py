@@ -114,6 +114,11 @@ class Request(RequestOptions):
                 " --wls or --procrustes",
                 "leave them out: what they do once a frame would be done at every sample",
             )
+        if self.surface and "mesh" not in (self.parsed["only"] or ("mesh",)):
+            raise UsageError(
+                f"--surface is shown in place of meshes, which --only {self.only} leaves out",
+                "add mesh to --only, or leave one of the two out",
+            )
         self._check_precision()
         self._check_settling()
         self._check_certify()

@@ -315,6 +315,10 @@ class RequestOptions:
         WRITE, "Shapes to write: mesh, gaussians, points, or several separated by commas.",
         shown="all three", parse=texts.parse_only, write=values.words,
     )] = None
+    surface: Annotated[bool, Option(
+        WRITE, "Draw a surface around the particles of what flows (sand, snow, pastes, liquids), in"
+        " place of its mesh: a mesh whose faces change from frame to frame.",
+    )] = False
     tets: Annotated[bool, Option(
         WRITE, "Write a TetMesh of each body, at rest and in motion, that other simulators read"
         " (AOUSD volume deformable API).",

@@ -25,7 +25,7 @@ from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
-    ANIMATED,
+    FOR_BAKES,
     LeftAlone,
     Placement,
     open_stage,
@@ -87,9 +87,10 @@ class BakedMotion:
             time_codes_per_second=float(self._stage.GetTimeCodesPerSecond()),
             meshes=tuple(self._shapes),
             baked=tuple(str(prim.GetPath()) in self._bodies for prim in self._meshes),
+            flows=tuple(str(prim.GetPath()) for prim in self._flows),
             gaussians=self._gaussians,
             about=self.about,
-            notes=self._notes.lines(without=ANIMATED),
+            notes=self._notes.lines(without=FOR_BAKES),
         )
 
     def frames(self, time_codes: Sequence[float] | None = None) -> Iterator[MotionFrame]:
@@ -122,15 +123,41 @@ class BakedMotion:
                     "gf-usd check says more; bake the asset again",
                 )
             meshes.append(points)
+        flows = self._changing(self._context(time, xforms, skins, Notes()))
         if self._gaussians is None:
-            return MotionFrame(time_code=code, meshes=tuple(meshes))
+            return MotionFrame(time_code=code, meshes=tuple(meshes), flows=flows)
         positions, axes = self._splats(time, xforms)
         return MotionFrame(
             time_code=code,
             meshes=tuple(meshes),
+            flows=flows,
             positions=positions,
             axes=axes,
             measured=self._measured(time, len(positions)),
+        )
+
+    def _changing(self, context: Reading) -> tuple[RenderMesh, ...]:
+        """The meshes whose faces change, as they are at one time."""
+        found = []
+        for prim in self._flows:
+            try:
+                surface = read_surface(prim, context)
+            except LeftAlone:  # nothing is there at this time, or not yet
+                continue
+            found.append(to_render_mesh(surface, self._stage, context.time))
+        return tuple(found)
+
+    def _context(
+        self, time: Usd.TimeCode, xforms: UsdGeom.XformCache, skins: Skins, notes: Notes
+    ) -> Reading:
+        return Reading(
+            path=self._path,
+            time=time,
+            meters_per_unit=self._facts.units.length,
+            xforms=xforms,
+            skins=skins,
+            shadings=ShadingReader(time, notes),
+            notes=notes,
         )
 
     def _splats(self, time: Usd.TimeCode, xforms: UsdGeom.XformCache) -> tuple[Floats, Floats]:
@@ -186,21 +213,17 @@ class BakedMotion:
     def _read_rest(self, candidates: Sequence[Usd.Prim]) -> None:
         time = Usd.TimeCode(self._times[0])
         xforms = UsdGeom.XformCache(time)
-        context = Reading(
-            path=self._path,
-            time=time,
-            meters_per_unit=self._facts.units.length,
-            xforms=xforms,
-            skins=Skins(time, xforms, self._notes),
-            shadings=ShadingReader(time, self._notes),
-            notes=self._notes,
-        )
+        context = self._context(time, xforms, Skins(time, xforms, self._notes), self._notes)
+        self._flows: list[Usd.Prim] = []
         self._meshes: list[Usd.Prim] = []
         self._shapes: list[RenderMesh] = []
         for prim in candidates:
             image = UsdGeom.Imageable(prim)
             visible = image.ComputeVisibility(time) != UsdGeom.Tokens.invisible
             if not visible or image.ComputePurpose() not in PURPOSES:
+                continue
+            if _faces_change(prim):
+                self._flows.append(prim)
                 continue
             try:
                 surface = read_surface(prim, context)
@@ -254,6 +277,11 @@ class BakedMotion:
             return None
         floor = settings.get("floor")
         return float(floor) if isinstance(floor, int | float) else None
+
+
+def _faces_change(prim: Usd.Prim) -> bool:
+    mesh = UsdGeom.Mesh(prim) if prim.IsA(UsdGeom.Mesh) else None
+    return mesh is not None and mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying()
 
 
 def _moves(prim: Usd.Prim) -> bool:

@@ -40,7 +40,7 @@ from gf_usd.readers.usd.mesh import Reading, has_surface, read_surface
 from gf_usd.readers.usd.shading import ShadingReader
 from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.stage import (
-    ANIMATED,
+    FOR_BAKES,
     LeftAlone,
     Placement,
     open_stage,
@@ -176,7 +176,7 @@ class PictureStage:
             # that the motion is not simulated further is no news for a picture
             notes=(
                 *self._stage_notes.lines(),
-                *notes.lines(without=ANIMATED),
+                *notes.lines(without=FOR_BAKES),
                 *self._value_notes(),
             ),
         )

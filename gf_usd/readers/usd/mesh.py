@@ -24,7 +24,7 @@ from gf_usd.readers.usd.skeleton import Skins
 from gf_usd.readers.usd.solids.points import cover, widths
 from gf_usd.readers.usd.solids.poses import BrokenPose, bound_points
 from gf_usd.readers.usd.solids.tets import BrokenTets, Tets, surface_of
-from gf_usd.readers.usd.stage import ANIMATED, LeftAlone, Placement
+from gf_usd.readers.usd.stage import ANIMATED, CHANGES, LeftAlone, Placement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,10 +168,7 @@ def _polygons(prim: Usd.Prim, reading: Reading) -> Polygons:
     if mesh.GetPointsAttr().ValueMightBeTimeVarying():
         reading.notes.add(ANIMATED, str(prim.GetPath()))
     if mesh.GetFaceVertexIndicesAttr().ValueMightBeTimeVarying():
-        reading.notes.add(
-            "its topology changes over time: the one at the first frame is used",
-            str(prim.GetPath()),
-        )
+        reading.notes.add(CHANGES, str(prim.GetPath()))
     return Polygons(
         points=points,
         counts=counts,

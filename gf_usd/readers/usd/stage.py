@@ -239,6 +239,8 @@ FLAT = 1e-12
 
 # The note on a mesh whose own animation the simulation takes the place of.
 ANIMATED = "is animated: the simulation starts from its pose at the first frame"
+CHANGES = "its topology changes over time: the one at the first frame is used"
+FOR_BAKES = (ANIMATED, CHANGES)  # notes that are no news for a picture
 
 
 class LeftAlone(Exception):

@@ -84,6 +84,8 @@ def camera_for(motion: Motion) -> Camera:
 def bounds(motion: Motion) -> tuple[Sequence[float], Sequence[float]]:
     """Low and high corner [m] of all that moves, over all frames."""
     points = np.concatenate([motion.points.reshape(-1, 3), motion.positions.reshape(-1, 3)])
+    if motion.flow is not None:
+        points = np.concatenate([points, motion.flow.points])
     return points.min(axis=0).tolist(), points.max(axis=0).tolist()
 
 
@@ -93,6 +95,7 @@ def _scene(recording: Recording, frame: MotionFrame) -> Scene:
         replace(mesh, points=points, normals=None)
         for mesh, points in zip(recording.meshes, frame.meshes)
     )
+    meshes += frame.flows
     solid: tuple[RenderEllipsoids, ...] = ()
     cloud = recording.gaussians
     if not meshes and cloud and frame.positions is not None and frame.axes is not None:

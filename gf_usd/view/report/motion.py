@@ -6,15 +6,30 @@ How far a surface and its Gaussians are stretched, from their shapes alone.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.matrices import ellipsoids
+from gf_usd.core.radiance import linear_to_srgb
 from gf_usd.core.scene import GaussianSet, MotionFrame, Recording
-from gf_usd.view.report.surface import Skin, make_skin, sample
+from gf_usd.view.report.surface import Skin, cluster, corner_colors, make_skin, sample
+
+FLOW_VERTICES = 400_000  # of meshes whose faces change, over all frames: some 6 MB of a page
+FEWEST_OF_FLOW = 1000  # of a frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """Meshes whose faces change, thinned; all frames end to end."""
+
+    starts: NDArray[np.int64]  # (F + 1, 2) where the vertices and triangles of each frame begin
+    points: NDArray[np.float32]  # (V, 3) [m]
+    corners: NDArray[np.int64]  # (T, 3) into the vertices of the frame
+    colors: NDArray[np.uint8]  # (V, 3) sRGB
+    vertices: int  # of all frames before thinning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +48,7 @@ class Motion:
     ratio: NDArray[np.float32]  # (F, G) volume ratio |J|
     measured: Mapping[str, NDArray[np.float32]]  # (F, G) by name, as `MotionFrame` has it
     curves: dict[str, list[float]] = field(default_factory=dict)  # (F,) each, over the whole body
+    flow: Flow | None = None  # None: no faces change
 
     @property
     def gaussians(self) -> GaussianSet | None:
@@ -52,6 +68,7 @@ def collect(
     bodies = [i for i, is_body in enumerate(recording.baked) if is_body]
     surfaces = [SurfaceStretch(mesh.points, mesh.triangles) for mesh in recording.meshes]
     kept = _Kept()
+    flow = _Flows(min(vertices, max(FEWEST_OF_FLOW, FLOW_VERTICES // len(recording.time_codes))))
     curves = _Curves(recording, bodies)
     for frame in frames:
         joined = np.concatenate([np.zeros((0, 3)), *frame.meshes])
@@ -62,7 +79,48 @@ def collect(
             ratio = volume_ratio(frame.axes, recording.gaussians.rest_scales)
         kept.add(frame, joined[skin.kept], np.concatenate([[], *felt])[skin.kept], chosen, ratio)
         curves.add(frame, [faces[i] for i in bodies], ratio)
-    return kept.finish(recording, skin, chosen, curves.values)
+        flow.add(frame)
+    motion = kept.finish(recording, skin, chosen, curves.values)
+    return replace(motion, flow=flow.finish()) if recording.flows else motion
+
+
+class _Flows:
+    """Grows a `Flow`; most : vertices of a frame."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._whole = most, 0
+        self._starts = [(0, 0)]
+        self._points: list[Floats] = []
+        self._corners: list[Ints] = []
+        self._colors: list[Floats] = []
+
+    def add(self, frame: MotionFrame) -> None:
+        before, faces = self._starts[-1]
+        count = 0
+        for mesh in frame.flows:
+            kept, corners, _ = cluster(
+                mesh.points, mesh.triangles, np.zeros(len(mesh.points), int), self._most
+            )
+            tints = np.zeros((len(mesh.points), 3))
+            tints[np.asarray(mesh.triangles)] = corner_colors(mesh)
+            self._points.append(np.asarray(mesh.points)[kept])
+            self._colors.append(tints[kept])
+            self._corners.append(corners + count)
+            self._whole += len(mesh.points)
+            count += len(kept)
+            faces += len(corners)
+        self._starts.append((before + count, faces))
+
+    def finish(self) -> Flow:
+        colors = np.concatenate([np.zeros((0, 3)), *self._colors])
+        code = linear_to_srgb(np.clip(colors, 0.0, 1.0))
+        return Flow(
+            starts=np.array(self._starts),
+            points=np.concatenate([np.zeros((0, 3)), *self._points]).astype(np.float32),
+            corners=np.concatenate([np.zeros((0, 3), np.int64), *self._corners]),
+            colors=np.round(code * 255.0).astype(np.uint8),
+            vertices=self._whole,
+        )
 
 
 class _Kept:
@@ -140,6 +198,8 @@ class _Curves:
         body = [frame.meshes[i] for i in self._bodies]
         if not body and frame.positions is not None:
             body = [frame.positions]
+        elif not body:
+            body = [mesh.points for mesh in frame.flows]
         points = np.concatenate([np.zeros((0, 3)), *body])
         row = {}
         if len(points):

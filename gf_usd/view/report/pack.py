@@ -74,6 +74,12 @@ def pack(motion: Motion) -> tuple[dict[str, dict[str, Any]], str]:
         packer.add("turns", np.round(motion.turns * 127.0).astype(np.int8), moving=True)
         add_scales(packer, motion.scales)
         packer.add("ratio", octaves(motion.ratio), moving=True)
+    if motion.flow is not None:
+        flow = motion.flow
+        packer.add("flowStarts", flow.starts.astype(np.uint32))
+        packer.add("flowCorners", flow.corners.astype(np.uint32))
+        packer.add("flowColors", flow.colors)
+        add_places(packer, "flowPoints", flow.points, moving=False)
     for name, values in motion.measured.items():
         top = float(np.percentile(values, 99.5)) or 1.0
         code = np.clip(values / top, 0.0, 1.0)
@@ -87,14 +93,16 @@ def octaves(values: Floats) -> NDArray[np.uint8]:
     return np.round(128.0 + 127.0 * np.clip(log, -1.0, 1.0)).astype(np.uint8)
 
 
-def add_places(packer: Packer, name: str, values: NDArray[np.float32]) -> None:
-    """Positions (F, n, 3) in 65536 steps over the box of the whole motion."""
+def add_places(
+    packer: Packer, name: str, values: NDArray[np.float32], *, moving: bool = True
+) -> None:
+    """Positions (F, n, 3) in 65536 steps over the box of the whole motion; (n, 3) if not moving."""
     flat = values.reshape(-1, 3)
     low = flat.min(axis=0) if len(flat) else np.zeros(3)
     high = flat.max(axis=0) if len(flat) else np.ones(3)
     step = np.maximum(np.asarray(high - low, dtype=np.float64) / 65535.0, 1e-30)
     code = np.round((values - low) / step).astype(np.uint16)
-    packer.add(name, code, moving=True, low=low.tolist(), step=step.tolist())
+    packer.add(name, code, moving=moving, low=low.tolist(), step=step.tolist())
 
 
 def add_scales(packer: Packer, scales: NDArray[np.float32], least: float = 0.0) -> float:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
+
 from gf_usd.core.scene import MotionFrame, Recording
 from gf_usd.view.compare import Comparison
 from gf_usd.view.report.curves import LENGTHS, Plot, comparison_plots, plots, unit_for
@@ -151,11 +153,16 @@ def _fit(
 
 def _less(motions: Sequence[Motion], limits: Limits, part: float) -> Limits:
     """Limits that leave about `part` of the bytes: vertices and Gaussians first, then frames."""
-    most = max(max(len(m.skin.kept), len(m.chosen)) for m in motions)
+    most = max(max(len(m.skin.kept), len(m.chosen), _flow_vertices(m)) for m in motions)
     if most > FEWEST:
         return replace(limits, vertices=max(FEWEST, min(most - 1, int(part * most))))
     frames = max(len(m.time_codes) for m in motions)
     return replace(limits, vertices=FEWEST, frames=max(2, min(frames - 1, int(part * frames))))
+
+
+def _flow_vertices(motion: Motion) -> int:
+    """Most vertices of a frame of what flows."""
+    return 0 if motion.flow is None else int(np.diff(motion.flow.starts[:, 0]).max(initial=0))
 
 
 def _variant(
@@ -212,6 +219,9 @@ def _shown(motion: Motion) -> list[str]:
     if skin.vertices:
         counts.append(("mesh vertices", len(skin.kept), skin.vertices))
         counts.append(("triangles", len(skin.corners), skin.triangles))
+    if motion.flow is not None:
+        kept, whole = len(motion.flow.points), motion.flow.vertices
+        counts.append(("vertices of surfaces of what flows, over all frames", kept, whole))
     if recording.gaussians is not None:
         counts.append(("Gaussians", len(motion.chosen), len(recording.gaussians)))
     thinned = any(kept < whole for _, kept, whole in counts)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gf_usd.core.errors import InputError, UsageError
+from gf_usd.delivery.deliver import deliver
 from gf_usd.readers.pictures.recording import BakedMotion
 
 # centimeters, Z up; two looks that move a square and one Gaussian differently
@@ -208,3 +209,48 @@ def test_what_is_no_motion_is_refused(tmp_path, name, text, words):
         (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=words):
         BakedMotion(tmp_path / name)
+
+
+CHANGING = """#usda 1.0
+( upAxis = "Y"
+  metersPerUnit = 0.01
+  timeCodesPerSecond = 24 )
+def Mesh "Surface"
+{
+    point3f[] points.timeSamples = {
+        1: [(0, 0, 0), (1, 0, 0), (0, 1, 0)],
+        2: [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0)],
+        3: [],
+    }
+    int[] faceVertexCounts.timeSamples = { 1: [3], 2: [3, 3], 3: [] }
+    int[] faceVertexIndices.timeSamples = { 1: [0, 1, 2], 2: [0, 1, 2, 0, 2, 3], 3: [] }
+    color3f[] primvars:displayColor.timeSamples = {
+        1: [(1, 0, 0), (1, 0, 0), (1, 0, 0)],
+        2: [(0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0)],
+        3: [],
+    }
+    color3f[] primvars:displayColor ( interpolation = "vertex" )
+}
+"""
+
+
+def test_a_mesh_whose_faces_change_is_read_whole_in_every_frame(tmp_path: Path) -> None:
+    path = tmp_path / "changing.usda"
+    path.write_text(CHANGING, encoding="utf-8")
+    motion = BakedMotion(path)
+    recording = motion.recording()
+    assert (recording.meshes, recording.flows) == ((), ("/Surface",))
+    assert recording.notes == ()
+    one, two, none = motion.frames()
+    assert none.flows == ()
+    assert [len(frame.flows[0].triangles) for frame in (one, two)] == [1, 2]
+    np.testing.assert_allclose(two.flows[0].points[2], (0.02, 0.02, 0.0))
+    np.testing.assert_allclose(two.flows[0].colors[0], np.tile([0.0, 1.0, 0.0], (3, 1)))
+
+
+def test_what_changes_its_faces_is_not_delivered(tmp_path: Path) -> None:
+    path = tmp_path / "changing.usda"
+    path.write_text(CHANGING, encoding="utf-8")
+    with pytest.raises(InputError, match="the faces of </Surface> change") as said:
+        deliver(path, tmp_path / "changing.glb")
+    assert "--splats only" in said.value.hint

@@ -20,7 +20,7 @@ from gf_usd.core.scene import Camera, Harmonics, RenderSplats
 from gf_usd.geometry.splat_hull import hull
 from gf_usd.layers.stage import Clock
 from gf_usd.layers.tracks.captured import SplatTrack
-from gf_usd.physics.gaussians import CarriedSplats
+from gf_usd.physics.output.gaussians import CarriedSplats
 from gf_usd.readers.pictures.scene import PictureStage
 from gf_usd.system.taichi_runtime import ensure_taichi
 from gf_usd.view.render.camera import lens

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import zlib
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from recordings import FRAMES, FallingBox
+from recordings import FRAMES, FallingBox, unpack
 from scipy.spatial.transform import Rotation
 
 from gf_usd.view.report.motion import Motion, collect
@@ -21,17 +18,6 @@ def motion() -> Motion:
     source = FallingBox()
     recording = source.recording()
     return collect(recording, source.frames(recording.time_codes), 100, 30)
-
-
-def unpack(table: dict[str, Any], blob: str, name: str) -> np.ndarray:
-    """As data.js does it: byte planes, then sums over time that wrap."""
-    entry = table[name]
-    dtype = np.dtype(entry["type"])
-    count = int(np.prod(entry["shape"]))
-    raw = zlib.decompress(base64.b64decode(blob))
-    planes = np.frombuffer(raw, np.uint8, count * dtype.itemsize, entry["offset"])
-    values = planes.reshape(dtype.itemsize, count).T.copy().view(dtype).reshape(entry["shape"])
-    return np.cumsum(values, axis=0, dtype=dtype) if entry["moving"] else values
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "uint32"])

@@ -38,6 +38,11 @@ async function loadVariant(variant, number) {
   return variant.arrays;
 }
 
+// Whether there is a mesh, or a surface of what flows.
+function hasSurface(arrays) {
+  return arrays.points.row > 0 || Boolean(arrays.flowStarts);
+}
+
 // Color maps as stops from low to high, sRGB 0..255: the shaders and the legend share them.
 const MAPS = {
   diverging: [[37, 78, 166], [86, 143, 214], [178, 207, 232], [238, 236, 230],

@@ -22,23 +22,23 @@ function drawScene(view) {
 function drawBodies(view, mesh, balls, camera) {
   const { gl } = view;
   const a = view.variant.arrays;
-  const there = { mesh: a.points.row > 0, gaussians: a.positions?.row > 0 };
+  const there = { mesh: hasSurface(a), gaussians: a.positions?.row > 0 };
   const wanted = (kind) => there[kind] && (view.show === kind || view.show === "both");
   const both = wanted("mesh") && wanted("gaussians") && mesh === view.mesh;
   if (wanted("gaussians") || (there.gaussians && !there.mesh)) drawBalls(view, balls, camera);
   if (!wanted("mesh") && there.gaussians) return;
   if (!both) {
-    if (there.mesh) drawMesh(view, mesh, camera, 1);
+    if (there.mesh) drawSurfaces(view, mesh, camera, 1);
     return;
   }
   // the nearest layer of the mesh, as a veil over the balls
   gl.colorMask(false, false, false, false);
-  drawMesh(view, mesh, camera, 1);
+  drawSurfaces(view, mesh, camera, 1);
   gl.colorMask(true, true, true, true);
   gl.enable(gl.BLEND);
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   gl.depthFunc(gl.LEQUAL);
-  drawMesh(view, mesh, camera, 0.3);
+  drawSurfaces(view, mesh, camera, 0.3);
   gl.depthFunc(gl.LESS);
   gl.disable(gl.BLEND);
 }
@@ -74,17 +74,28 @@ function useProgram(view, program) {
   gl.useProgram(program.made);
 }
 
-function drawMesh(view, program, camera, alpha) {
+const MESH = { place: "places", normal: "normals", color: "meshColors", value: "meshValues",
+  triangles: "triangles" };
+const FLOW = { place: "flowPlaces", normal: "flowNormals", color: "flowColors", value: "flowValues",
+  triangles: "flowTriangles" };
+
+function drawSurfaces(view, program, camera, alpha) {
+  const { points, corners } = view.variant.arrays;
+  if (points.row) drawMesh(view, program, camera, alpha, MESH, corners.values.length, view.meshValued);
+  if (view.flowCorners) drawMesh(view, program, camera, alpha, FLOW, view.flowCorners, false);
+}
+
+function drawMesh(view, program, camera, alpha, names, count, valued) {
   const { gl } = view;
   useProgram(view, program);
   gl.uniform1f(program.at.alpha ?? null, alpha);
-  common(view, program, camera, view.meshValued);
-  feed(view, program, "place", "places", 3, gl.FLOAT);
-  feed(view, program, "normal", "normals", 3, gl.FLOAT);
-  feed(view, program, "color", "meshColors", 3, gl.UNSIGNED_BYTE, { whole: false });
-  feed(view, program, "value", "meshValues", 1, gl.UNSIGNED_BYTE, { whole: false });
-  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, view.buffers.triangles);
-  gl.drawElements(gl.TRIANGLES, view.variant.arrays.corners.values.length, gl.UNSIGNED_INT, 0);
+  common(view, program, camera, valued);
+  feed(view, program, "place", names.place, 3, gl.FLOAT);
+  feed(view, program, "normal", names.normal, 3, gl.FLOAT);
+  feed(view, program, "color", names.color, 3, gl.UNSIGNED_BYTE, { whole: false });
+  feed(view, program, "value", names.value, 1, gl.UNSIGNED_BYTE, { whole: false });
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, view.buffers[names.triangles]);
+  gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
 }
 
 function drawBalls(view, program, camera) {

@@ -43,7 +43,7 @@ class Controls extends Transport {
   variant(variant, number) {
     super.variant(variant, number);
     const { $ } = this;
-    const has = { mesh: variant.arrays.points.row > 0, gaussians: variant.arrays.positions?.row > 0 };
+    const has = { mesh: hasSurface(variant.arrays), gaussians: variant.arrays.positions?.row > 0 };
     $("kinds").hidden = !(has.mesh && has.gaussians);
     for (const option of $("mode").options) {
       option.hidden = option.value in MEASURED && !variant.arrays[option.value];

@@ -79,6 +79,8 @@ class Viewer {
     this.frame = frame;
     const a = this.variant.arrays;
     if (a.points.row) this.poseMesh(a, frame);
+    this.flowCorners = 0;
+    if (a.flowStarts) this.poseFlow(a, frame);
     if (a.positions?.row) {
       this.upload("positions", a.positions.at(frame));
       this.upload("turns", a.turns.at(frame));
@@ -89,9 +91,34 @@ class Viewer {
 
   poseMesh(a, frame) {
     const { places, sums, normals } = this;
-    const [codes, source, shade] = [a.points.at(frame), a.source.values, a.shade.values];
-    const [x0, y0, z0] = this.stand(a.points.low);
-    const [dx, dy, dz] = a.points.step.map((v) => v * this.shrink);
+    const [source, shade] = [a.source.values, a.shade.values];
+    this.placed(a.points, a.points.at(frame), source, places);
+    this.shaded(places, a.corners.values, shade, sums, normals);
+    this.upload("places", places);
+    this.upload("normals", normals);
+  }
+
+  // A surface of what flows: vertices and triangles of this frame alone.
+  poseFlow(a, frame) {
+    const [v, t] = a.flowStarts.at(frame);
+    const [vEnd, tEnd] = a.flowStarts.at(frame + 1);
+    const all = Uint32Array.from({ length: vEnd - v }, (_, i) => i);
+    const corners = a.flowCorners.values.subarray(3 * t, 3 * tEnd);
+    const [places, normals, sums] = [0, 0, 0].map(() => new Float32Array(3 * all.length));
+    this.placed(a.flowPoints, a.flowPoints.values.subarray(3 * v, 3 * vEnd), all, places);
+    this.shaded(places, corners, all, sums, normals);
+    this.upload("flowPlaces", places);
+    this.upload("flowNormals", normals);
+    this.upload("flowColors", a.flowColors.values.subarray(3 * v, 3 * vEnd));
+    this.upload("flowValues", new Uint8Array(all.length));
+    this.upload("flowTriangles", corners, this.gl.ELEMENT_ARRAY_BUFFER);
+    this.flowCorners = corners.length;
+  }
+
+  // Places in the page's frame of the points that `source` names, from their codes.
+  placed({ low, step }, codes, source, places) {
+    const [x0, y0, z0] = this.stand(low);
+    const [dx, dy, dz] = step.map((v) => v * this.shrink);
     const zup = this.variant.up === "Z";
     for (let i = 0; i < source.length; i++) {
       const k = 3 * source[i];
@@ -99,8 +126,11 @@ class Viewer {
       places[3 * i + 1] = y0 + (zup ? dz * codes[k + 2] : dy * codes[k + 1]);
       places[3 * i + 2] = z0 + (zup ? -dy * codes[k + 1] : dz * codes[k + 2]);
     }
+  }
+
+  // Normals of vertices; those of one number in `shade` share theirs.
+  shaded(places, t, shade, sums, normals) {
     sums.fill(0);
-    const t = a.corners.values;
     for (let i = 0; i < t.length; i += 3) {
       const [p, q, r] = [3 * t[i], 3 * t[i + 1], 3 * t[i + 2]];
       const ax = places[q] - places[p], ay = places[q + 1] - places[p + 1];
@@ -118,8 +148,6 @@ class Viewer {
       const length = Math.hypot(sums[s], sums[s + 1], sums[s + 2]) || 1;
       for (let c = 0; c < 3; c++) normals[3 * i + c] = sums[s + c] / length;
     }
-    this.upload("places", places);
-    this.upload("normals", normals);
   }
 
   // The values that color what is shown.

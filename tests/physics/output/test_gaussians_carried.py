@@ -13,7 +13,7 @@ from gf_usd.core.asset import Splats
 from gf_usd.core.frames import Pose
 from gf_usd.core.matrices import gaussian_axes
 from gf_usd.core.radiance import basis
-from gf_usd.physics.gaussians import STRETCH, CarriedSplats
+from gf_usd.physics.output.gaussians import STRETCH, CarriedSplats
 
 SINGLE = 1e-6  # the captures are float32
 TURNED = 3e-6  # coefficients of size 1, turned by a kernel in single precision

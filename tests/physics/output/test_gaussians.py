@@ -7,7 +7,7 @@ from scipy.stats import special_ortho_group
 
 from gf_usd.core.frames import GaussianPose, Pose
 from gf_usd.core.matrices import matrix_from_quaternion
-from gf_usd.physics.gaussians import GaussianTrack
+from gf_usd.physics.output.gaussians import GaussianTrack
 from gf_usd.physics.per_particle import diagonalize, keep, matrix, nearest_rotation, quaternion
 from gf_usd.system.taichi_runtime import ensure_running, import_taichi
 

@@ -1,0 +1,1 @@
+"""What particles are written as: Gaussians, and the surfaces of what flows."""

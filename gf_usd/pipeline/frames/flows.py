@@ -1,0 +1,44 @@
+"""The surfaces of bodies that flow, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gf_usd.core.frames import Particles, Pose, SurfacePose
+from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import flowing
+
+
+class FlowSurfaces:
+    """Makes a surface of the flowing particles of each body.
+
+    particles : of the bake, whose colors the surfaces carry; materials : what they index.
+    time_scale : simulated seconds per second of playback.
+    """
+
+    def __init__(
+        self, particles: Particles, materials: Sequence[Material], time_scale: float
+    ) -> None:
+        self._bodies = flowing(particles, materials)
+        self._volumes = np.asarray(particles.V0, np.float64)
+        self._colors = np.asarray(particles.color, np.float64)
+        self._rate = time_scale
+
+    def poses(self, pose: Pose) -> dict[int, SurfacePose]:
+        """By body, of particles at a pose."""
+        return {body: self._of(pose, mine) for body, mine in self._bodies.items()}
+
+    def _of(self, pose: Pose, mine: np.ndarray) -> SurfacePose:
+        from gf_usd.physics.output.surface import surface
+
+        values = np.concatenate([pose.v[mine] * self._rate, self._colors[mine]], axis=1)
+        found = surface(pose.x[mine], self._volumes[mine], values)
+        return SurfacePose(
+            points=found.points,
+            velocities=found.carried[:, :3],
+            normals=found.normals,
+            colors=found.carried[:, 3:],
+            triangles=found.triangles,
+        )
