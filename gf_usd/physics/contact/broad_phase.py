@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
+from gf_usd.physics.contact.carriers import cross
 from gf_usd.physics.contact.narrow_phase import Obstacle, box_gap
 
 
@@ -92,13 +92,27 @@ CHANGE = 0.5  # of a relative speed: by as much a velocity may change until the 
 STIR = 1e-3  # [spacings] that a patch is moved by to see how fast it turns
 
 
-def closing(away: Floats, distance: Floats, relative: Floats) -> Floats:
-    """(n,) [m/s] by which distances may shrink; away (n, 3) [m] from one to the other.
+Columns = Sequence[Floats]  # three, of vectors: rows of three are several times as slow
 
-    relative : (n, 3) [m/s] of the other against the one.
+
+def closing(away: Columns, distance: Floats, relative: Columns) -> Floats:
+    """(n,) [m/s] by which distances may shrink; away : 3 x (n,) [m] from one to the other.
+
+    relative : 3 x (n,) [m/s] of the other against the one.
     """
-    along = np.einsum("na,na->n", away, relative) / np.maximum(distance, 1e-30)
-    return np.maximum(-along, 0.0) + CHANGE * np.sqrt(np.einsum("na,na->n", relative, relative))
+    along = dot(away, relative) / np.maximum(distance, 1e-30)
+    return np.maximum(-along, 0.0) + CHANGE * np.sqrt(dot(relative, relative))
+
+
+def dot(p: Columns, q: Columns) -> Floats:
+    """(n,) of vectors in columns."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+def differences(q: Floats, a: Ints, b: Ints) -> Columns:
+    """q_b - q_a, 3 x (k,), of rows a (k,) and b (k,) of q (n, 3)."""
+    x, y, z = np.ascontiguousarray(q.T)
+    return x.take(b) - x.take(a), y.take(b) - y.take(a), z.take(b) - z.take(a)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +120,7 @@ class Judged:
     """Every pair of patches at one time."""
 
     near: Ints  # (P,) whether they may be near each other
+    gap: Floats  # (P,) [m] between the balls around them
     until: Floats  # (P,) [s] before they are not; 0 where they are; inf where they are neighbors
     rate: Floats  # (P,) [m/s] at which they may come together
     fold: float  # [s] before neighbors may be folded onto each other
@@ -156,8 +171,7 @@ class Patches:
         self._a, self._b = np.triu_indices(len(self._count), 1)
         self._spacing, self._see = spacing, see * spacing
         c, n, r = self._shape(X)
-        every = slice(None)
-        gap, look = self._gap(c, r), self._look(c, n, every)
+        gap, look = self._gap(differences(c, self._a, self._b), r), self._look(c, n, None)
         self.adjacent = gap < (see + thick) * spacing  # (P,) neighbors at rest
         opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
         walls = opposed & (look > OPPOSED)  # of a gap: they may close at any time
@@ -168,13 +182,13 @@ class Patches:
         """How near the patches are to each other; x, v : (n, 3) [m], [m/s] of the samples."""
         a, b, s = self._a, self._b, self._spacing
         c, n, r = self._shape(x)
-        gap = self._gap(c, r)
+        away = differences(c, a, b)
+        distance = np.sqrt(dot(away, away))
+        gap = distance - r.take(a) - r.take(b)
         mean = self._mean @ v
         spread = self._farthest(v - mean[self._of])
-        away = c[b] - c[a]
-        distance = np.sqrt(np.einsum("na,na->n", away, away))
-        rate = closing(away, distance, mean[b] - mean[a])
-        rate += (1.0 + CHANGE) * (spread[a] + spread[b])
+        rate = closing(away, distance, differences(mean, a, b))
+        rate += (1.0 + CHANGE) * (spread.take(a) + spread.take(b))
         look = self._look(c, n, self._folds)
         open_ = look <= self._look0 + FOLD
         waits = np.zeros(len(a), bool)  # for a fold
@@ -193,7 +207,7 @@ class Patches:
             left = self._look0[some] + CREASE - look[some]
             turn = np.maximum(later - look[some], 1e-30) / step
             fold = float((left / turn).min()) / (1.0 + CHANGE)
-        return Judged(near=near, until=until, rate=rate, fold=fold)
+        return Judged(near=near, gap=gap, until=until, rate=rate, fold=fold)
 
     def few(self, judged: Judged, span: float, most: int) -> Ints:
         """The pairs of patches that may meet first and within a span [s].
@@ -204,6 +218,19 @@ class Patches:
         pairs = pairs[np.argsort(judged.until[pairs], kind="stable")]
         size = np.cumsum(self._count[self._a[pairs]] * self._count[self._b[pairs]])
         return pairs[size <= most]
+
+    def around(self, judged: Judged, some: Ints, far: float) -> tuple[Ints, Ints]:
+        """(n,) whether samples are of patches that may be near one, or of those of samples `some`
+        (n,); and whether they are of patches less than `far` [m] from these.
+        """
+        looks = np.zeros(len(self._count), bool)
+        looks[self._of[some]] = True
+        looks[self._a[judged.near]] = looks[self._b[judged.near]] = True
+        close = judged.gap < far
+        a, b = self._a[close], self._b[close]
+        there = looks.copy()
+        there[a[looks[b]]] = there[b[looks[a]]] = True
+        return looks[self._of], there[self._of]
 
     def samples(self, pairs: Ints) -> tuple[Ints, Ints, Ints]:
         """Every pair (m,), (m,) of samples of pairs (k,) of patches, and where each (k,) begins."""
@@ -221,7 +248,7 @@ class Patches:
 
     def _normal(self, x: Floats) -> Floats:
         # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
-        n = np.cross(self._first @ x, self._second @ x)
+        n = cross(self._first @ x, self._second @ x)
         length = np.linalg.norm(n, axis=1, keepdims=True)
         return n / np.where(length > 0.0, length, 1.0)
 
@@ -229,15 +256,16 @@ class Patches:
         squared = np.einsum("na,na->n", away, away)
         return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))
 
-    def _gap(self, c: Floats, r: Floats) -> Floats:
-        """(P,) [m] between the balls around the two of each pair."""
-        along = c[self._b] - c[self._a]
-        return np.sqrt(np.einsum("na,na->n", along, along)) - r[self._a] - r[self._b]
+    def _gap(self, away: Columns, r: Floats) -> Floats:
+        """(P,) [m] between the balls around the two of each pair, whose middles are away."""
+        return np.sqrt(dot(away, away)) - r.take(self._a) - r.take(self._b)
 
-    def _look(self, c: Floats, n: Floats, pairs: Any) -> Floats:
-        """The cosine by which both of some pairs look at each other."""
-        a, b = self._a[pairs], self._b[pairs]
-        along = c[b] - c[a]
-        length = np.sqrt(np.einsum("na,na->n", along, along))
-        both = np.minimum(np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b]))
-        return both / np.maximum(length, 1e-30)
+    def _look(self, c: Floats, n: Floats, pairs: Ints | None) -> Floats:
+        """The cosine by which both of some pairs look at each other; None: of all."""
+        a = self._a if pairs is None else self._a[pairs]
+        b = self._b if pairs is None else self._b[pairs]
+        along = differences(c, a, b)
+        columns = np.ascontiguousarray(n.T)
+        one = dot(along, tuple(q.take(a) for q in columns))
+        other = dot(along, tuple(q.take(b) for q in columns))
+        return np.minimum(one, -other) / np.maximum(np.sqrt(dot(along, along)), 1e-30)

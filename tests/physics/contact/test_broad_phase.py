@@ -33,7 +33,7 @@ def test_a_distance_shrinks_by_no_more_than_the_bound():
     random = np.random.default_rng(0)
     away, relative = random.normal(size=(50, 3)), random.normal(size=(50, 3))
     distance = np.linalg.norm(away, axis=1)
-    bound = closing(away, distance, relative)
+    bound = closing(tuple(away.T), distance, tuple(relative.T))
     step = 1e-6
     rate = (distance - np.linalg.norm(away + step * relative, axis=1)) / step
     assert (rate <= bound + 1e-5).all()
