@@ -17,7 +17,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.contact.carriers import cross
-from gf_usd.physics.contact.narrow_phase import Obstacle, box_gap
+from gf_usd.physics.contact.narrow_phase import Obstacle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,29 +58,37 @@ def schedule(
     near: list[tuple[int, int]] = []
     hold = float("inf")
 
-    def judge(gap: float, speed: float, *pairs: tuple[int, int]) -> float:
+    def until(gap: Floats, speed: Floats) -> float:
         # What no sample faces yet is farther than that off, or comes from beyond the box.
-        if gap < reach:
-            near.extend(pairs)
-        return max(reach, gap - spacing) / max(speed + fall, 1e-30)
+        left = np.maximum(reach, gap - spacing) / np.maximum(speed + fall, 1e-30)
+        return float(left.min(initial=np.inf))
 
+    low, high = np.array([box.low for box in boxes]), np.array([box.high for box in boxes])
+    mean, spread = np.array([box.mean for box in boxes]), np.array([box.spread for box in boxes])
     speeds = [obstacle.speed(frame) for obstacle in obstacles]
+    rests = np.zeros(len(boxes), bool) if still is None else np.asarray(still, bool)
+    through: dict[int, list[int]] = {}
+    for one, other in contact_setup.through:
+        through.setdefault(max(one, other), []).append(min(one, other))
 
-    rests = [still is not None and bool(still[k]) for k in range(len(boxes))]
     for a, mine in enumerate(boxes):
-        for b, other in enumerate(boxes[:a]):
-            if (a, b) in contact_setup.through or (b, a) in contact_setup.through:
-                continue
-            if rests[a] and rests[b]:
-                continue
-            speed = float(np.linalg.norm(mine.mean - other.mean)) + mine.spread + other.spread
-            gap = box_gap(mine.low, mine.high, other.low, other.high)
-            hold = min(hold, judge(gap, speed, (a, b), (b, a)))
+        met = ~rests[:a] if rests[a] else np.ones(a, bool)
+        met[through.get(a, [])] = False
+        others = np.flatnonzero(met)
+        apart = np.maximum(np.maximum(low[others] - mine.high, mine.low - high[others]), 0.0)
+        gap = np.sqrt((apart * apart).sum(1))
+        drift = mean[others] - mine.mean
+        hold = min(hold, until(gap, np.sqrt((drift * drift).sum(1)) + mine.spread + spread[others]))
+        for b in others[gap < reach].tolist():
+            near += [(a, b), (b, a)]
         for k, obstacle in enumerate(obstacles):
             if (a, k) in contact_setup.through_colliders or (rests[a] and speeds[k] == 0.0):
                 continue
             speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
-            hold = min(hold, judge(obstacle.gap(mine.low, mine.high), speed, (a, -1 - k)))
+            away = obstacle.gap(mine.low, mine.high)
+            hold = min(hold, until(np.array([away]), np.array([speed])))
+            if away < reach:
+                near.append((a, -1 - k))
     return near, hold
 
 
