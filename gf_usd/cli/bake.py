@@ -15,6 +15,7 @@ import typer
 from gf_usd.cli import exit
 from gf_usd.cli.events import STDOUT, event_stream
 from gf_usd.cli.help import show_all
+from gf_usd.cli.worker import read_ahead
 from gf_usd.core import __version__
 from gf_usd.core.errors import UsageError
 
@@ -72,17 +73,20 @@ def bake(
 
         bake_by_server(asset, options, as_json=as_json, quiet=quiet, events=events)
         return
+    from gf_usd.system.sandbox import parse_limits
+
+    options["limits"] = parse_limits(options["limits"])
+    if options["limits"] is not None:
+        read_ahead()
     from gf_usd.cli.console import announce, progress, show_plan, summarize
     from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.result import require_healthy
     from gf_usd.pipeline.run import run
     from gf_usd.prepare.plan import describe
-    from gf_usd.system.sandbox import parse_limits
 
     taken = ("strict", "max_hours", "slice", "until")
     strict, max_hours, slice, until = (options.pop(name) for name in taken)
-    options["limits"] = parse_limits(options["limits"])
     options["overwrite"] |= dry_run  # which replaces nothing
     refining = Refining(until, max_hours, options)
     shown = not quiet and not dry_run

@@ -26,8 +26,8 @@ READERS = (
     "gf_usd.readers.isolated",
     "gf_usd.readers.usd.asset",
     "gf_usd.readers.usd_bake.spec",
-    "gf_usd.system.usd_schema",
 )
+SCHEMA = "gf_usd.system.usd_schema"  # with it USD starts threads, unless it is told not to
 MOST_JOBS = 100  # commands of one process
 MOST_MEMORY = 2 << 30  # [bytes] that are in use between two commands
 
@@ -65,9 +65,18 @@ def forked_readers() -> ForkServer | None:
 
     if not AVAILABLE:
         return None
-    forks = ForkServer(READERS)
+    forks = ForkServer((*READERS, SCHEMA))
     sandbox.start_by(forks.start)
     return forks
+
+
+def read_ahead() -> None:
+    """Fork the child that reads the next file, unless a worker has others for that."""
+    from gf_usd.system import sandbox
+    from gf_usd.system.warm.fork_server import fork_ahead
+
+    if sys.platform == "linux" and sandbox.starts_afresh():
+        fork_ahead(READERS)
 
 
 def make_ready() -> None:

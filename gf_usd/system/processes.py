@@ -1,8 +1,8 @@
 """Child processes: bakes that a batch starts, and readers of untrusted files.
 
-A child is started afresh, never forked from this process, whose other threads may hold locks.  Its
-output is read while it runs, it is stopped when its time is over, and it ends when its parent is
-gone, whatever killed that.
+A child is started afresh and not forked from this process, whose other threads may hold locks: only
+`warm.fork_server` forks, where there are none.  Its output is read while it runs, it is stopped
+when its time is over, and it ends when its parent is gone, whatever killed that.
 """
 
 from __future__ import annotations
@@ -135,8 +135,44 @@ class Running:
         )
 
 
-class Process(Running):
-    """A process in a session of its own, so that a signal reaches all that it started.
+class Owned(Running):
+    """A child in a session of its own, so that a signal reaches all that it started.
+
+    Parameters
+    ----------
+    pid : of the process, which is reaped by `reap` only.
+    grace : as of `Running`.
+    """
+
+    def __init__(self, pid: int, grace: float | None = None) -> None:
+        super().__init__(grace)
+        self.pid = pid
+        self._lock = threading.Lock()
+        self._reaped = False
+
+    def reap(self) -> tuple[int, float, int]:
+        """See `Running`."""
+        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
+            # ended but not yet reaped, its number still names its group
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+            self._signal(signal.SIGKILL)
+        # not Popen.wait: only this call also tells what the process used
+        _, code, usage = os.wait4(self.pid, 0)
+        with self._lock:
+            self._reaped = True
+        status = os.waitstatus_to_exitcode(code)
+        return status, usage.ru_utime + usage.ru_stime, peak_memory(usage)
+
+    def _signal(self, number: int) -> None:
+        with self._lock:
+            # before it is reaped its number cannot be another process's
+            if not self._reaped:
+                with contextlib.suppress(PermissionError):  # macOS: of a group that has ended
+                    os.killpg(self.pid, number)
+
+
+class Process(Owned):
+    """A process that runs a command.
 
     Parameters
     ----------
@@ -154,7 +190,6 @@ class Process(Running):
         err: int = subprocess.DEVNULL,
         grace: float | None = None,
     ) -> None:
-        super().__init__(grace)
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL, stdout=out, stderr=err,
@@ -164,32 +199,13 @@ class Process(Running):
                 **os.environ, PARENT: str(os.getpid()), INHERITED: ",".join(map(str, inherit)),
             },
         )  # fmt: skip
-        self._lock = threading.Lock()
-        self._reaped = False
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
+        super().__init__(self._process.pid, grace)
 
     def reap(self) -> tuple[int, float, int]:
         """See `Running`."""
-        if hasattr(os, "waitid"):  # not on macOS before Python 3.13
-            # ended but not yet reaped, its number still names its group
-            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
-            self._signal(signal.SIGKILL)
-        # not Popen.wait: only this call also tells what the process used
-        _, code, usage = os.wait4(self.pid, 0)
-        with self._lock:
-            self._reaped = True
-        self._process.returncode = os.waitstatus_to_exitcode(code)
-        return self._process.returncode, usage.ru_utime + usage.ru_stime, peak_memory(usage)
-
-    def _signal(self, number: int) -> None:
-        with self._lock:
-            # before it is reaped its number cannot be another process's
-            if not self._reaped:
-                with contextlib.suppress(PermissionError):  # macOS: of a group that has ended
-                    os.killpg(self._process.pid, number)
+        ended = super().reap()
+        self._process.returncode = ended[0]
+        return ended
 
 
 def tail_of(stderr: IO[bytes], on_line: Callable[[str], None]) -> str:

@@ -129,6 +129,11 @@ def start_by(other: Callable[[Path], Reader]) -> None:
     _starts[:] = [other]
 
 
+def starts_afresh() -> bool:
+    """Whether children of this process are new processes."""
+    return _starts[-1] is start
+
+
 class Isolated:
     """A task that reads a file in a child process, next to what this process does meanwhile.
 

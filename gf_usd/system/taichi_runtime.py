@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from gf_usd.core.errors import GfUsdError, UsageError
-from gf_usd.system.taichi_fast_start import quicken, restore
+from gf_usd.system.taichi_fast_start import quick_import, quicken, restore
 
 DEVICES = ("cpu", "cuda")
 THREADS = 8  # that kernels are compiled for, at least
@@ -113,7 +113,7 @@ def is_ours() -> bool:
 @cache
 def _imported() -> ModuleType:
     try:
-        with _quiet():
+        with _quiet(), quick_import():
             return importlib.import_module("taichi")
     except ImportError as error:
         if "libX11" in str(error):

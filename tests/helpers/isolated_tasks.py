@@ -17,6 +17,8 @@ from gf_usd.core.errors import GfUsdError, InputError
 from gf_usd.readers.isolated import read_untrusted
 from gf_usd.system.sandbox import Limits, attempt
 
+IMPORTED_BY = os.getpid()
+
 
 def crash(*_: object) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
@@ -75,6 +77,16 @@ def unknown() -> object:
 
 def parent() -> int:
     return os.getppid()
+
+
+def loaded_already() -> int:
+    """1 where this module was imported before the process became a child."""
+    return int(os.getpid() != IMPORTED_BY)
+
+
+def files() -> int:
+    """How many are open."""
+    return len(os.listdir("/proc/self/fd"))
 
 
 def folder() -> str:

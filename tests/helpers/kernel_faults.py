@@ -62,19 +62,25 @@ def corotated_with_half_mu(F, q, converged):
 
 @ti.func
 def move_upward(
-    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
     coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
-    move_node(body, node, contact, 0.0 - g, dt, drift, keep, plain, coupled, slides, goals)
+    move_node(
+        body, node, contact, 0.0 - g, dt, drift, keep, alpha, filtering, plain, coupled, slides,
+        goals,
+    )  # fmt: skip
 
 
 @ti.func
 def move_without_body_force(
-    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
     coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
     b = ti.Vector([body.acceleration[3 * node + d] for d in range(3)])
-    move_node(body, node, contact, g - b, dt, drift, keep, plain, coupled, slides, goals)
+    move_node(
+        body, node, contact, g - b, dt, drift, keep, alpha, filtering, plain, coupled, slides,
+        goals,
+    )  # fmt: skip
 
 
 @ti.func
@@ -83,7 +89,7 @@ def floor_without_damping(body: ti.template(), s, d, v, up, dt):
 
 
 @ti.func
-def sum_without_followers(body: ti.template(), node, plain: ti.template()):
+def sum_without_followers(body: ti.template(), node, filtering, plain: ti.template()):
     return block_sum(body, node, plain)
 
 

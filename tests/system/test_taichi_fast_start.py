@@ -320,3 +320,35 @@ def test_taichi_asks_no_network_whether_it_is_the_newest() -> None:
     assert asked({}) == "[]"
     # One who wants the check has it, as Taichi made it.
     assert asked({"TI_SKIP_VERSION_CHECK": "OFF"}) == "[1]"
+
+
+ANNOUNCED = """
+import sys
+from gf_usd.system import taichi_runtime
+
+ti = taichi_runtime.import_taichi()
+from taichi.lang.kernel_impl import Func
+seen = [type(finder).__name__ for finder in sys.meta_path]
+assert "_Finder" not in seen, seen
+for name, module in sorted(sys.modules.items()):
+    if not name.startswith("taichi"):
+        continue
+    for owner in (module, *(one for one in vars(module).values() if isinstance(one, type))):
+        for key, value in vars(owner).items():
+            made = getattr(value, "__dict__", {}).get("func")
+            if isinstance(made, Func):
+                print(name, key, made.classfunc)
+"""
+
+
+def test_taichi_announces_its_own_functions_alike_however_it_is_imported() -> None:
+    def announced(switch: str) -> set[str]:
+        done = subprocess.run(
+            [sys.executable, "-c", ANNOUNCED], capture_output=True, text=True, check=True,
+            env={**os.environ, "GF_USD_FAST_START": switch}, cwd=ROOT,
+        )  # fmt: skip
+        return set(done.stdout.splitlines())
+
+    quick = announced("1")
+    assert len(quick) > 50
+    assert quick == announced("0")

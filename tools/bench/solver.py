@@ -57,7 +57,7 @@ def solver_speed(n: int, threads: int, runs: int) -> tuple[int, Sample]:
         )  # fmt: skip
         return solver.TotalLagrangian(particles, [rubber], settings, velocity=twist)
 
-    fps = 1.0 / (0.999 * SUBSTEPS * made(24.0, 1).step.dt)
+    fps = 1.0 / (0.999 * SUBSTEPS * made(24.0, 1).body.step.dt)
     for _ in made(fps, 2).frames():
         pass  # compiles the kernels, or fetches them from the disk
     body = made(fps, 2)

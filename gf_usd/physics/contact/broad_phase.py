@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.stage import ContactSetup
-from gf_usd.physics.contact.narrow_phase import Obstacle, box_gap
+from gf_usd.physics.contact.carriers import cross
+from gf_usd.physics.contact.narrow_phase import Obstacle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,29 +58,37 @@ def schedule(
     near: list[tuple[int, int]] = []
     hold = float("inf")
 
-    def judge(gap: float, speed: float, *pairs: tuple[int, int]) -> float:
+    def until(gap: Floats, speed: Floats) -> float:
         # What no sample faces yet is farther than that off, or comes from beyond the box.
-        if gap < reach:
-            near.extend(pairs)
-        return max(reach, gap - spacing) / max(speed + fall, 1e-30)
+        left = np.maximum(reach, gap - spacing) / np.maximum(speed + fall, 1e-30)
+        return float(left.min(initial=np.inf))
 
+    low, high = np.array([box.low for box in boxes]), np.array([box.high for box in boxes])
+    mean, spread = np.array([box.mean for box in boxes]), np.array([box.spread for box in boxes])
     speeds = [obstacle.speed(frame) for obstacle in obstacles]
+    rests = np.zeros(len(boxes), bool) if still is None else np.asarray(still, bool)
+    through: dict[int, list[int]] = {}
+    for one, other in contact_setup.through:
+        through.setdefault(max(one, other), []).append(min(one, other))
 
-    rests = [still is not None and bool(still[k]) for k in range(len(boxes))]
     for a, mine in enumerate(boxes):
-        for b, other in enumerate(boxes[:a]):
-            if (a, b) in contact_setup.through or (b, a) in contact_setup.through:
-                continue
-            if rests[a] and rests[b]:
-                continue
-            speed = float(np.linalg.norm(mine.mean - other.mean)) + mine.spread + other.spread
-            gap = box_gap(mine.low, mine.high, other.low, other.high)
-            hold = min(hold, judge(gap, speed, (a, b), (b, a)))
+        met = ~rests[:a] if rests[a] else np.ones(a, bool)
+        met[through.get(a, [])] = False
+        others = np.flatnonzero(met)
+        apart = np.maximum(np.maximum(low[others] - mine.high, mine.low - high[others]), 0.0)
+        gap = np.sqrt((apart * apart).sum(1))
+        drift = mean[others] - mine.mean
+        hold = min(hold, until(gap, np.sqrt((drift * drift).sum(1)) + mine.spread + spread[others]))
+        for b in others[gap < reach].tolist():
+            near += [(a, b), (b, a)]
         for k, obstacle in enumerate(obstacles):
             if (a, k) in contact_setup.through_colliders or (rests[a] and speeds[k] == 0.0):
                 continue
             speed = float(np.linalg.norm(mine.mean)) + mine.spread + speeds[k]
-            hold = min(hold, judge(obstacle.gap(mine.low, mine.high), speed, (a, -1 - k)))
+            away = obstacle.gap(mine.low, mine.high)
+            hold = min(hold, until(np.array([away]), np.array([speed])))
+            if away < reach:
+                near.append((a, -1 - k))
     return near, hold
 
 
@@ -92,13 +100,27 @@ CHANGE = 0.5  # of a relative speed: by as much a velocity may change until the 
 STIR = 1e-3  # [spacings] that a patch is moved by to see how fast it turns
 
 
-def closing(away: Floats, distance: Floats, relative: Floats) -> Floats:
-    """(n,) [m/s] by which distances may shrink; away (n, 3) [m] from one to the other.
+Columns = Sequence[Floats]  # three, of vectors: rows of three are several times as slow
 
-    relative : (n, 3) [m/s] of the other against the one.
+
+def closing(away: Columns, distance: Floats, relative: Columns) -> Floats:
+    """(n,) [m/s] by which distances may shrink; away : 3 x (n,) [m] from one to the other.
+
+    relative : 3 x (n,) [m/s] of the other against the one.
     """
-    along = np.einsum("na,na->n", away, relative) / np.maximum(distance, 1e-30)
-    return np.maximum(-along, 0.0) + CHANGE * np.sqrt(np.einsum("na,na->n", relative, relative))
+    along = dot(away, relative) / np.maximum(distance, 1e-30)
+    return np.maximum(-along, 0.0) + CHANGE * np.sqrt(dot(relative, relative))
+
+
+def dot(p: Columns, q: Columns) -> Floats:
+    """(n,) of vectors in columns."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+def differences(q: Floats, a: Ints, b: Ints) -> Columns:
+    """q_b - q_a, 3 x (k,), of rows a (k,) and b (k,) of q (n, 3)."""
+    x, y, z = np.ascontiguousarray(q.T)
+    return x.take(b) - x.take(a), y.take(b) - y.take(a), z.take(b) - z.take(a)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +128,7 @@ class Judged:
     """Every pair of patches at one time."""
 
     near: Ints  # (P,) whether they may be near each other
+    gap: Floats  # (P,) [m] between the balls around them
     until: Floats  # (P,) [s] before they are not; 0 where they are; inf where they are neighbors
     rate: Floats  # (P,) [m/s] at which they may come together
     fold: float  # [s] before neighbors may be folded onto each other
@@ -156,8 +179,7 @@ class Patches:
         self._a, self._b = np.triu_indices(len(self._count), 1)
         self._spacing, self._see = spacing, see * spacing
         c, n, r = self._shape(X)
-        every = slice(None)
-        gap, look = self._gap(c, r), self._look(c, n, every)
+        gap, look = self._gap(differences(c, self._a, self._b), r), self._look(c, n, None)
         self.adjacent = gap < (see + thick) * spacing  # (P,) neighbors at rest
         opposed = np.einsum("na,na->n", n[self._a], n[self._b]) < -OPPOSED
         walls = opposed & (look > OPPOSED)  # of a gap: they may close at any time
@@ -168,13 +190,13 @@ class Patches:
         """How near the patches are to each other; x, v : (n, 3) [m], [m/s] of the samples."""
         a, b, s = self._a, self._b, self._spacing
         c, n, r = self._shape(x)
-        gap = self._gap(c, r)
+        away = differences(c, a, b)
+        distance = np.sqrt(dot(away, away))
+        gap = distance - r.take(a) - r.take(b)
         mean = self._mean @ v
         spread = self._farthest(v - mean[self._of])
-        away = c[b] - c[a]
-        distance = np.sqrt(np.einsum("na,na->n", away, away))
-        rate = closing(away, distance, mean[b] - mean[a])
-        rate += (1.0 + CHANGE) * (spread[a] + spread[b])
+        rate = closing(away, distance, differences(mean, a, b))
+        rate += (1.0 + CHANGE) * (spread.take(a) + spread.take(b))
         look = self._look(c, n, self._folds)
         open_ = look <= self._look0 + FOLD
         waits = np.zeros(len(a), bool)  # for a fold
@@ -193,7 +215,7 @@ class Patches:
             left = self._look0[some] + CREASE - look[some]
             turn = np.maximum(later - look[some], 1e-30) / step
             fold = float((left / turn).min()) / (1.0 + CHANGE)
-        return Judged(near=near, until=until, rate=rate, fold=fold)
+        return Judged(near=near, gap=gap, until=until, rate=rate, fold=fold)
 
     def few(self, judged: Judged, span: float, most: int) -> Ints:
         """The pairs of patches that may meet first and within a span [s].
@@ -204,6 +226,19 @@ class Patches:
         pairs = pairs[np.argsort(judged.until[pairs], kind="stable")]
         size = np.cumsum(self._count[self._a[pairs]] * self._count[self._b[pairs]])
         return pairs[size <= most]
+
+    def around(self, judged: Judged, some: Ints, far: float) -> tuple[Ints, Ints]:
+        """(n,) whether samples are of patches that may be near one, or of those of samples `some`
+        (n,); and whether they are of patches less than `far` [m] from these.
+        """
+        looks = np.zeros(len(self._count), bool)
+        looks[self._of[some]] = True
+        looks[self._a[judged.near]] = looks[self._b[judged.near]] = True
+        close = judged.gap < far
+        a, b = self._a[close], self._b[close]
+        there = looks.copy()
+        there[a[looks[b]]] = there[b[looks[a]]] = True
+        return looks[self._of], there[self._of]
 
     def samples(self, pairs: Ints) -> tuple[Ints, Ints, Ints]:
         """Every pair (m,), (m,) of samples of pairs (k,) of patches, and where each (k,) begins."""
@@ -221,7 +256,7 @@ class Patches:
 
     def _normal(self, x: Floats) -> Floats:
         # t1 x t2 = n0 (t2 = n0 x t1 gives t1 x t2 = n0).
-        n = np.cross(self._first @ x, self._second @ x)
+        n = cross(self._first @ x, self._second @ x)
         length = np.linalg.norm(n, axis=1, keepdims=True)
         return n / np.where(length > 0.0, length, 1.0)
 
@@ -229,15 +264,16 @@ class Patches:
         squared = np.einsum("na,na->n", away, away)
         return np.sqrt(np.maximum.reduceat(squared[self._order], self._start))
 
-    def _gap(self, c: Floats, r: Floats) -> Floats:
-        """(P,) [m] between the balls around the two of each pair."""
-        along = c[self._b] - c[self._a]
-        return np.sqrt(np.einsum("na,na->n", along, along)) - r[self._a] - r[self._b]
+    def _gap(self, away: Columns, r: Floats) -> Floats:
+        """(P,) [m] between the balls around the two of each pair, whose middles are away."""
+        return np.sqrt(dot(away, away)) - r.take(self._a) - r.take(self._b)
 
-    def _look(self, c: Floats, n: Floats, pairs: Any) -> Floats:
-        """The cosine by which both of some pairs look at each other."""
-        a, b = self._a[pairs], self._b[pairs]
-        along = c[b] - c[a]
-        length = np.sqrt(np.einsum("na,na->n", along, along))
-        both = np.minimum(np.einsum("na,na->n", along, n[a]), -np.einsum("na,na->n", along, n[b]))
-        return both / np.maximum(length, 1e-30)
+    def _look(self, c: Floats, n: Floats, pairs: Ints | None) -> Floats:
+        """The cosine by which both of some pairs look at each other; None: of all."""
+        a = self._a if pairs is None else self._a[pairs]
+        b = self._b if pairs is None else self._b[pairs]
+        along = differences(c, a, b)
+        columns = np.ascontiguousarray(n.T)
+        one = dot(along, tuple(q.take(a) for q in columns))
+        other = dot(along, tuple(q.take(b) for q in columns))
+        return np.minimum(one, -other) / np.maximum(np.sqrt(dot(along, along)), 1e-30)

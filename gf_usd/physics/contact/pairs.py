@@ -277,7 +277,7 @@ class BodyContact:
                 self._face_obstacle(search, near, -1 - other, frame, min(hold, left * dt))
                 continue
             self._face_body(search, near, other, now.nodes[0], now.offset)
-        hold = min(hold, self._face_themselves(search, v, left * dt))
+        hold = min(hold, self._face_themselves(search, v, left * dt, whole=done == 0))
         if not len(old.planes.active) and not len(search.planes.active):
             self._gap, self._detected, self._x = search.gap, time, x
             chunk = int(np.clip(hold / dt, 1, left))
@@ -349,6 +349,8 @@ class BodyContact:
     def _schedule(
         self, x: Floats, v: Floats, frame: float, span: float, still: Ints | None = None
     ) -> tuple[list[tuple[int, int]], float]:
+        if len(self._members) == 1 and not self._obstacles:
+            return [], float("inf")
         s = self._body.settings
         fall = (float(np.linalg.norm(s.gravity)) + s.pushes) * span
         return schedule(
@@ -393,22 +395,29 @@ class BodyContact:
         point = found.point + self._offset_from(mine, other)[:, None] * found.normal
         search.offer(mine, found.gap, found.normal, point, *skin.carriers(rest))
 
-    def _face_themselves(self, search: ContactSearch, v: Floats, span: float) -> float:
+    def _face_themselves(
+        self, search: ContactSearch, v: Floats, span: float, *, whole: bool
+    ) -> float:
         """Offer what bodies have near of themselves; returns for how long [s] that is all.
 
-        span : [s] after which it is asked again.
+        span : [s] after which it is asked again; whole : where something may be near, all samples
+        look ahead, and not those of the patches that may be: once a frame that finds what neighbors
+        face before they are folded.
         """
         hold = float("inf")
         known = self._own_gap
         self._own_gap = np.full(len(known), (FACING + TRAVEL) * self._spacing)
         for k, own in self._own.items():
             m = self._members[k]
-            near, until = own.judge(search.x[m], v[m], span)
+            judged, until = own.judge(search.x[m], v[m], min(span, hold))
             hold = min(hold, until)
-            if not near:
+            if judged is None:
                 continue
             before = self._before(k, search.x)
-            found = own.find(search.x[m], v[m], FACE * self._spacing, before, known[m])
+            found = own.find(
+                search.x[m], v[m], FACE * self._spacing, before, known[m],
+                None if whole else judged,
+            )  # fmt: skip
             self._own_gap[m[found.rows]] = found.gap
             hold = min(hold, found.hold)
             order = np.argsort(-found.weights, axis=1, kind="stable")

@@ -22,7 +22,7 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.neighbors import kd_tree
 from gf_usd.core.stage import Skin
-from gf_usd.physics.contact.broad_phase import Patches, closing
+from gf_usd.physics.contact.broad_phase import Judged, Patches, closing, differences, dot
 from gf_usd.physics.contact.sample_mesh import Neighbors, SampleMesh, triangulate
 
 HOPS = 4  # edges of the sample mesh, from where on a body meets itself
@@ -32,6 +32,8 @@ SEEDS = 3  # samples facing one whose triangles are looked at
 STEP = 0.75  # [spacings] that a sample moves between two detections at most, against what is near
 ASIDE = 0.5  # cosine of a sample's normal with those of triangles beside what it faces
 TURN = 3.0  # [spacings] that a normal turned by a radian is as far as
+# [spacings] from a sample to what it may face: as far as two normals that are alike let it look.
+WIDEST = float(np.hypot(2.0 * SEE, 2.0**0.5 * TURN))
 LOOKED = 8  # samples of which SEEDS are chosen
 AHEAD = 1.5  # speeds may grow by this factor until the next detection
 FEW = 8_000  # pairs of samples that are looked at one by one
@@ -91,8 +93,8 @@ class SelfContact:
             self._offset[seen.rows] = np.clip(seen.gap, 0.0, most)
         return self._offset
 
-    def judge(self, x: Floats, v: Floats, span: float = np.inf) -> tuple[bool, float]:
-        """Whether anything may be near itself, and for how long [s] that holds.
+    def judge(self, x: Floats, v: Floats, span: float = np.inf) -> tuple[Judged | None, float]:
+        """What may be near itself, None where nothing is; and for how long [s] that holds.
 
         x, v : (n, 3) [m], [m/s] of the samples; span : [s] after which it is asked again.
         """
@@ -102,47 +104,72 @@ class SelfContact:
         # Of what is not looked at one by one the bound is that of how far samples see.
         unseen = (2.0 * SEE - CLEAR) * self._spacing
         until[judged.near] = unseen / np.maximum(judged.rate[judged.near], 1e-30)
+        # What ends later than this, or than the pairs that are not few, is no concern.
+        span = min(span, judged.fold)
         few = patches.few(judged, span, FEW)
         if len(few):
-            until[few] = np.maximum(until[few], self._one_by_one(few, x, v))
-        return bool(judged.near.any()), min(judged.fold, float(until.min(initial=np.inf)))
+            others = np.delete(until, few)
+            least = min(span, float(others.min(initial=np.inf)))
+            until[few] = np.maximum(until[few], self._one_by_one(few, x, v, least))
+        hold = min(judged.fold, float(until.min(initial=np.inf)))
+        return judged if judged.near.any() else None, hold
 
-    def _one_by_one(self, pairs: Ints, x: Floats, v: Floats) -> Floats:
-        """(k,) [s] before samples of pairs (k,) of patches may touch that do not yet."""
+    def _one_by_one(self, pairs: Ints, x: Floats, v: Floats, least: float) -> Floats:
+        """(k,) [s] before samples of pairs (k,) of patches may touch that do not yet.
+
+        least : [s] from where it may be any time after it.
+        """
         i, j, start = self._patches.samples(pairs)
-        away, relative = x[j] - x[i], v[j] - v[i]
-        distance = np.sqrt(np.einsum("na,na->n", away, away))
+        away, relative = differences(x, i, j), differences(v, i, j)
+        distance = np.sqrt(dot(away, away))
         # What touches slides: it may go on for a while.
         left = np.maximum(distance - CLEAR * self._spacing, CLEAR * self._spacing)
         until = left / np.maximum(closing(away, distance, relative), 1e-30)
         if self._patches.adjacent[pairs].any():
-            until[self._mesh[1].near(i, j)] = np.inf
+            soon = np.flatnonzero(until < least)
+            until[soon[self._mesh[1].near(i[soon], j[soon])]] = np.inf
         return np.minimum.reduceat(until, start)
 
     def imminent(self, x: Floats, v: Floats, span: float, before: Floats, gap: Floats) -> bool:
         """Whether anything may touch itself within a span [s]; before, gap : as of `find`."""
-        near, hold = self.judge(x, v, span)
-        if not near:
+        judged, hold = self.judge(x, v, span)
+        if judged is None:
             return hold < span
-        found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap)
+        found = self.find(x, v, 2.0 * SEE * self._spacing, before, gap, judged)
         theirs = np.einsum("nk,nka->na", found.weights, v[found.carriers])
         closing = -((v[found.rows] - theirs) * found.normal).sum(1)
         away = found.gap - self.offset[found.rows]
         left = away - AHEAD * span * np.maximum(closing, 0.0)
         return bool((left < NEARLY * self._spacing).any())
 
-    def find(self, x: Floats, v: Floats, reach: float, before: Floats, gap: Floats) -> Facing:
+    def find(
+        self, x: Floats, v: Floats, reach: float, before: Floats, gap: Floats,
+        judged: Judged | None = None,
+    ) -> Facing:  # fmt: skip
         """What faces itself within a reach [m].
 
         x, before : (n, 3) [m] now and at the last detection; v : (n, 3) [m/s]; gap : (n,) [m] found
-        at the last detection.
+        at the last detection; judged : of `judge`, only what may be near by it is looked at, and
+        what was found before; None: everything.
         """
-        mesh, neighbors = self._mesh
+        mesh = self._mesh[0]
         if len(mesh.triangles) == 0:
             return _nothing()
-        face, corner, normal = _normals(x, mesh)
-        rows = self._ahead(x, normal, neighbors, gap < reach)
-        seeds = self._seeds(rows, x, normal, neighbors)
+        known = gap < reach
+        looks = scene = np.ones(len(x), bool)
+        if judged is not None:
+            looks, scene = self._patches.around(judged, known, 2.0 * SEE * self._spacing)
+        normals = _normals(x, mesh, looks)
+        rows = self._ahead(x, normals[2], looks, scene, known)
+        if len(rows) == 0:
+            return _nothing()
+        if judged is not None:
+            wanted = np.zeros(len(x), bool)
+            wanted[rows] = True
+            scene = self._patches.around(judged, wanted, WIDEST * self._spacing)[1]
+            normals = _normals(x, mesh, scene)
+        normal = normals[2]
+        seeds = self._seeds(rows, x, normal, np.flatnonzero(scene))
         rows, seeds = rows[seeds[:, 0] >= 0], seeds[seeds[:, 0] >= 0]
         if len(rows) == 0:
             return _nothing()
@@ -154,42 +181,46 @@ class SelfContact:
         hold = float(until.min(initial=np.inf))
         if not close.any():
             return replace(_nothing(), hold=hold)
-        normals = face, corner, normal
         found = self._closest(rows[close], seeds[close], x, reach, before, gap, normals)
         return replace(found, hold=hold)
 
-    def _ahead(self, x: Floats, normal: Floats, neighbors: Neighbors, known: Ints) -> Ints:
-        """Samples before which something is that is not near at rest, with what is there."""
-        radius = SEE * self._spacing
-        tree = kd_tree(x)
-        center = x + radius * normal
-        distance, at = tree.query(
-            center, k=min(LOOKED, len(x)), distance_upper_bound=radius * (1.0 - 1e-6)
+    def _ahead(self, x: Floats, normal: Floats, looks: Ints, scene: Ints, known: Ints) -> Ints:
+        """Samples before which something is that is not near at rest, with what is there.
+
+        looks, scene, known : (n,) whether samples look ahead, may be seen, and are wanted anyway.
+        """
+        radius, neighbors = SEE * self._spacing, self._mesh[1]
+        looks, scene = np.flatnonzero(looks), np.flatnonzero(scene)
+        center = x[looks] + radius * normal[looks]
+        distance, at = kd_tree(x[scene]).query(
+            center, k=min(LOOKED, len(scene)), distance_upper_bound=radius * (1.0 - 1e-6)
         )
         there = np.isfinite(distance)
-        who = np.broadcast_to(np.arange(len(x))[:, None], at.shape)[there]
-        other = at[there]
+        who = np.broadcast_to(looks[:, None], at.shape)[there]
+        other = scene[at[there]]
         far = ~neighbors.near(who, other)
         wanted = known.copy()
         wanted[who[far]] = True
         wanted[other[far]] = True
         # A crease is full of neighbors, which may hide what is far.
-        wanted |= there.all(1)
+        wanted[looks[there.all(1)]] = True
         return np.flatnonzero(wanted)
 
-    def _seeds(self, rows: Ints, x: Floats, normal: Floats, neighbors: Neighbors) -> Ints:
-        """(k, SEEDS) the samples nearest to each of rows that face it and are not near; -1: no."""
-        out = np.full((len(rows), SEEDS), -1)
+    def _seeds(self, rows: Ints, x: Floats, normal: Floats, scene: Ints) -> Ints:
+        """(k, SEEDS) the samples of a scene nearest to each of rows that face it and are not near;
+        -1: no.
+        """
+        out, neighbors = np.full((len(rows), SEEDS), -1), self._mesh[1]
         if len(rows) == 0:
             return out
         # Facing is near in space and in minus the normal: what lies beside is as far as `wide`.
         wide = TURN * self._spacing
-        at = kd_tree(np.hstack([x, wide * normal])).query(
-            np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(x)),
+        at = kd_tree(np.hstack([x[scene], wide * normal[scene]])).query(
+            np.hstack([x[rows], -wide * normal[rows]]), k=min(LOOKED, len(scene)),
             distance_upper_bound=np.hypot(2.0 * SEE * self._spacing, 2.0**0.5 * wide),
         )[1].reshape(len(rows), -1)  # fmt: skip
-        a, j = np.nonzero(at < len(x))
-        b = at[a, j]
+        a, j = np.nonzero(at < len(scene))
+        b = scene[at[a, j]]
         facing = np.einsum("na,na->n", normal[rows[a]], normal[b]) < 0.0
         facing[facing] = ~neighbors.near(rows[a[facing]], b[facing])
         a, b = a[facing], b[facing]
@@ -290,23 +321,38 @@ def _nothing() -> Facing:
     )  # fmt: skip
 
 
-def _normals(x: Floats, mesh: SampleMesh) -> tuple[Floats, Floats, Floats]:
-    """Unit normals (T, 3) of triangles, their angles (T, 3), unit normals (n, 3) of vertices."""
-    t = mesh.triangles
-    a, b, c = x[t[:, 0]], x[t[:, 1]], x[t[:, 2]]
-    u, v, w = b - a, c - b, a - c
-    n = np.cross(u, -w)
-    length = np.sqrt(np.einsum("na,na->n", n, n))
-    n /= np.where(length > 0.0, length, 1.0)[:, None]
+def _normals(x: Floats, mesh: SampleMesh, there: Ints) -> tuple[Floats, Floats, Floats]:
+    """Unit normals (T, 3) of triangles, their angles (T, 3), unit normals (n, 3) of vertices.
+
+    there : the vertices whose normals are wanted, and those of the triangles at them, as numbers or
+    flags (n,).
+    """
+    some = np.zeros(len(mesh.triangles), bool)
+    at = mesh.around[there]
+    some[at[at >= 0]] = True
+    some = np.flatnonzero(some)
+    i, j, k = mesh.triangles.take(some, 0).T
+    u, v, w = differences(x, i, j), differences(x, j, k), differences(x, k, i)
+    n = (
+        u[2] * w[1] - u[1] * w[2],
+        u[0] * w[2] - u[2] * w[0],
+        u[1] * w[0] - u[0] * w[1],
+    )
+    length = np.sqrt(dot(n, n))
+    divisor = np.where(length > 0.0, length, 1.0)
+    n = tuple(one / divisor for one in n)
     # tan of an angle = |cross| / dot of its two edges
-    dots = [-np.einsum("na,na->n", p, q) for p, q in ((w, u), (u, v), (v, w))]
-    angle = np.arctan2(length[:, None], np.stack(dots, 1))
-    out = np.zeros_like(x)
-    for k in range(3):
+    angles = [np.arctan2(length, -dot(p, q)) for p, q in ((w, u), (u, v), (v, w))]
+    out = list(np.zeros((3, len(x))))
+    for corner, angle in zip((i, j, k), angles):
         for axis in range(3):
-            out[:, axis] += np.bincount(t[:, k], angle[:, k] * n[:, axis], minlength=len(x))
-    size = np.sqrt(np.einsum("na,na->n", out, out))
-    return n, angle, out / np.where(size > 0.0, size, 1.0)[:, None]
+            out[axis] += np.bincount(corner, angle * n[axis], minlength=len(x))
+    size = np.sqrt(dot(out, out))
+    vertices = np.stack(out, 1) / np.where(size > 0.0, size, 1.0)[:, None]
+    faces, corners = np.zeros((2, len(mesh.triangles), 3))
+    for axis in range(3):
+        faces[some, axis], corners[some, axis] = n[axis], angles[axis]
+    return faces, corners, vertices
 
 
 def closest_weights(p: Floats, corners: Floats) -> Floats:

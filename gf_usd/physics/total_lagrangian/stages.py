@@ -27,12 +27,24 @@ GRAIN = 256
 GROUP_GRAIN = 4
 
 
+# Parts that do the same: over ways of their own, or with the filter's momenta in place of forces.
+SAME = {
+    "open followers": "follow", "filtered followers": "follow", "loss": "share",
+    "filter lumped": "move lumped", "filter": "move",
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Part:
     """One thing that is done to each item."""
 
     name: str
     items: str
+
+    @property
+    def work(self) -> str:
+        """What is done."""
+        return SAME.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
@@ -41,6 +53,20 @@ class Stage:
 
     parts: tuple[Part, ...]
     when: str = ALWAYS
+
+
+def works(table: tuple[Stage, ...]) -> tuple[tuple[Part, tuple[int, ...]], ...]:
+    """What is done in a table of stages, each once: a part that does it, and the numbers of the
+    stages that it is in.
+
+    Code that stands at several places is read, optimized and translated several times.
+    """
+    found: dict[str, tuple[Part, tuple[int, ...]]] = {}
+    for number, stage in enumerate(table):
+        for part in stage.parts:
+            first, numbers = found.get(part.work, (part, ()))
+            found[part.work] = first, (*numbers, number)
+    return tuple(found.values())
 
 
 def stages(plain: bool, meets: bool, coupled: bool, rigid: bool = False) -> tuple[Stage, ...]:

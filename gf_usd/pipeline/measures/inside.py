@@ -126,8 +126,10 @@ class InsideMeasure:
     def _inside(self, now: WoundSurfaces, looked: Ints) -> tuple[Ints, Floats, Floats, Floats]:
         sound, area, center, normal = self._geometry(now.points, looked)
         off = OFF * float(np.ptp(now.points, axis=0).max()) * normal
-        around = np.abs(now.turns(np.concatenate([center + off, center - off])))
-        return sound & (around.reshape(2, -1).min(0) > WITHIN), area, center, normal
+        inside = sound & (np.abs(now.turns(center + off)) > WITHIN)
+        rows = np.flatnonzero(inside)  # few: a body does not wind around what is off its surface
+        inside[rows] = np.abs(now.turns(center[rows] - off[rows])) > WITHIN
+        return inside, area, center, normal
 
     def _geometry(self, points: Floats, which: Ints) -> tuple[Ints, Floats, Floats, Floats]:
         """Whether triangles (n,) have an area, and it; their middles and unit normals (n, 3)."""

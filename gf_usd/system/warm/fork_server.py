@@ -2,11 +2,15 @@
 
 The process has one thread and opens no file, so that a fork inherits no lock that is held and
 nothing of another file.  Without it a child loads Python, NumPy and USD for every file.
+
+Of many files the process is one of its own, a `ForkServer`.  A command that reads one file forks
+the child itself, before it has threads or files: `fork_ahead`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import importlib
 import json
 import os
@@ -18,9 +22,10 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from gf_usd.system import sandbox
-from gf_usd.system.processes import PARENT, Ended, Process, Running, peak_memory
+from gf_usd.system.processes import PARENT, Ended, Owned, Process, Running, peak_memory
 from gf_usd.system.warm.workers import receive, send
 
 AVAILABLE = hasattr(os, "pidfd_open") and Path("/proc/self/task").is_dir()  # Linux
@@ -130,6 +135,86 @@ class Forked(Running):
                 self._server.kill()
 
 
+class ForkedAhead(Owned):
+    """A child of this process that waits for its one request, and ends where none comes.
+
+    Parameters
+    ----------
+    pid : of the child.
+    request : descriptor by which it is told where its request is.
+    out, err : descriptors of what it writes.
+    """
+
+    def __init__(self, pid: int, request: int, out: int, err: int) -> None:
+        super().__init__(pid, grace=0.0)
+        self._request, self._out, self._err = request, out, err
+
+    def start(self, request: Path) -> sandbox.Reader:
+        """This child, for a request; those after it are started by `sandbox.start`."""
+        sandbox.start_by(sandbox.start)
+        try:
+            with os.fdopen(self._request, "wb") as file:
+                file.write(os.fsencode(request))
+        except BrokenPipeError:  # somebody ended it
+            return sandbox.start(request)
+        return self
+
+    def wait(self, on_line: Callable[[str], None], timeout: float | None = None) -> Ended:
+        """See `Child.wait`."""
+        with os.fdopen(self._out, "rb") as out, os.fdopen(self._err, "rb") as err:
+            return self._read(out, err, on_line, timeout, binary=True)
+
+
+def fork_ahead(modules: Sequence[str]) -> bool:
+    """Fork the child that reads the next file now, with these modules imported here.
+
+    Returns False where the system cannot, or where this process has other threads, whose locks a
+    child would inherit: children are then started as before.
+    """
+    if not AVAILABLE:
+        return False
+    for module in modules:
+        importlib.import_module(module)
+    if _threads() > 1:
+        return False
+    request, out, err = os.pipe(), os.pipe(), os.pipe()
+    parent = os.getpid()
+    process = os.fork()
+    if not process:
+        _await(parent, request[0], out[1], err[1])
+    for descriptor in (request[0], out[1], err[1]):
+        os.close(descriptor)
+    sandbox.start_by(ForkedAhead(process, request[1], out[0], err[0]).start)
+    return True
+
+
+def _await(parent: int, request: int, out: int, err: int) -> NoReturn:
+    """The child of `fork_ahead`: it keeps none of the parent's files, among them locks."""
+    os.setsid()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    given = [fcntl.fcntl(one, fcntl.F_DUPFD, 3) for one in (request, out, err)]
+    for number, one in enumerate(given):
+        os.dup2(one, number)
+    os.closerange(3, max(map(int, os.listdir("/proc/self/fd"))) + 1)
+    with os.fdopen(os.dup(0), "rb") as file:
+        path = os.fsdecode(file.read())
+    if not path:
+        os._exit(0)
+    os.environ[PARENT] = str(parent)
+    try:
+        sandbox.serve(path)
+    finally:  # the hook of `serve`, before the handlers of what forked it
+        error = sys.exception()
+        assert error is not None
+        sys.excepthook(type(error), error, error.__traceback__)
+
+
+def _threads() -> int:
+    """Of this process."""
+    return len(os.listdir("/proc/self/task"))
+
+
 def run(descriptor: int, modules: Sequence[str]) -> None:
     """The process: fork a child for each request until the other end is closed."""
     os.environ[PARENT] = str(os.getpid())
@@ -140,7 +225,7 @@ def run(descriptor: int, modules: Sequence[str]) -> None:
         request, descriptors = asked
         if "request" not in request:  # to end a child that has ended
             continue
-        process = os.fork() if len(os.listdir("/proc/self/task")) == 1 else -1
+        process = os.fork() if _threads() == 1 else -1
         if not process:
             end.close()
             os.setsid()

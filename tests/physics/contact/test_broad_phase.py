@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from two_legs import SPACING, legs, sampled
 
-from gf_usd.physics.contact.broad_phase import Patches, closing
+from gf_usd.core.stage import ContactSetup
+from gf_usd.physics.contact.broad_phase import Box, Patches, closing, schedule
+from gf_usd.physics.contact.narrow_phase import box_gap
 
 GAP = 1.5  # [m] between the legs at rest
 
@@ -33,7 +36,7 @@ def test_a_distance_shrinks_by_no_more_than_the_bound():
     random = np.random.default_rng(0)
     away, relative = random.normal(size=(50, 3)), random.normal(size=(50, 3))
     distance = np.linalg.norm(away, axis=1)
-    bound = closing(away, distance, relative)
+    bound = closing(tuple(away.T), distance, tuple(relative.T))
     step = 1e-6
     rate = (distance - np.linalg.norm(away + step * relative, axis=1)) / step
     assert (rate <= bound + 1e-5).all()
@@ -97,3 +100,33 @@ def test_a_sample_without_a_normal_is_judged_as_its_neighbors_are():
     judged = patches.judge(samples.X, v)
     assert np.isfinite(judged.rate).all()
     assert judged.until.min() < GAP
+
+
+@pytest.mark.parametrize("resting", [False, True])
+def test_bodies_are_scheduled_as_pair_by_pair(resting: bool):
+    random = np.random.default_rng(1)
+    middle, size = 6.0 * random.random((20, 3)), 0.3 + random.random((20, 3))
+    boxes = [
+        Box(low=m - s, high=m + s, mean=v, spread=float(w))
+        for m, s, v, w in zip(middle, size, random.normal(size=(20, 3)), random.random(20))
+    ]
+    through = frozenset({(3, 8), (12, 2)})
+    still = random.random(20) < 0.5 if resting else None
+    reach, spacing, fall = 0.2, 0.1, 0.05
+    near, hold = schedule(
+        boxes, (), ContactSetup(skins=(), through=through), frame=0.0, fall=fall, reach=reach,
+        spacing=spacing, still=still,
+    )  # fmt: skip
+    expected, least = [], np.inf
+    for a, mine in enumerate(boxes):
+        for b, other in enumerate(boxes[:a]):
+            if {(a, b), (b, a)} & through or (resting and still[a] and still[b]):
+                continue
+            gap = box_gap(mine.low, mine.high, other.low, other.high)
+            speed = np.linalg.norm(mine.mean - other.mean) + mine.spread + other.spread
+            least = min(least, max(reach, gap - spacing) / (speed + fall))
+            if gap < reach:
+                expected += [(a, b), (b, a)]
+    assert near == expected
+    assert 0 < len(near) < 20 * 19
+    np.testing.assert_allclose(hold, least, rtol=1e-14)  # two roots and a sum of three

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import igl
 import numpy as np
 import pytest
@@ -118,6 +120,28 @@ def test_legs_that_close_face_each_other():
     np.testing.assert_allclose(
         np.einsum("nk,nka->na", found.weights, x[found.carriers]), found.point, atol=1e-12
     )
+
+
+def test_what_may_be_near_by_its_patches_is_found_as_if_all_were_looked_at():
+    own, samples = made()
+    x = closed(samples.X, 0.05)
+    v = 0.1 * np.random.default_rng(0).normal(size=x.shape)
+    nothing = np.full(len(x), REACH)
+    judged, _ = own.judge(x, v)
+    assert judged is not None
+    looks, scene = own._patches.around(judged, nothing < REACH, 4.0 * SPACING)
+    assert looks.sum() < 0.6 * len(x), "else all are looked at anyway"
+    assert (scene | ~looks).all()
+    every, near = own.find(x, v, REACH, x, nothing), own.find(x, v, REACH, x, nothing, judged)
+    assert len(every.rows) > 0
+    for name in ("rows", "gap", "normal", "point", "carriers", "weights"):
+        np.testing.assert_array_equal(getattr(near, name), getattr(every, name), name)
+    # What was found stays looked at, whatever the patches say.
+    known = nothing.copy()
+    known[every.rows] = every.gap
+    apart = replace(judged, near=np.zeros_like(judged.near))
+    again = own.find(x, v, REACH, x, known, apart)
+    assert np.isin(every.rows, again.rows).all()
 
 
 def test_a_sample_is_inside_where_it_came_through():

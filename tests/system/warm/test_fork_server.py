@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -108,3 +110,66 @@ def test_children_end_with_the_process_that_wants_them(file: Path, tmp_path: Pat
     for process in map(int, told.read_text().split()):
         assert _is_gone(process)
     forks._end.close()
+
+
+AHEAD = """
+import os, sys, threading
+from pathlib import Path
+from gf_usd.core.errors import InputError
+from gf_usd.system.sandbox import Limits, attempt, starts_afresh
+from gf_usd.system.warm.fork_server import fork_ahead
+
+file, task, threads = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+for _ in range(threads):
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+held = os.open(file, os.O_RDONLY)
+forked = fork_ahead(["isolated_tasks"])
+assert forked is not starts_afresh()
+for number in range(2):
+    try:
+        said = attempt(file, f"isolated_tasks:{task}", Limits(time=1.0))
+    except InputError as error:
+        said = error.message
+    print(forked, said)
+os._exit(0)
+"""
+
+
+def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
+    """What a process says of a task that its first and second child do."""
+    done = subprocess.run(
+        [sys.executable, "-c", AHEAD, str(file), task, str(threads)],
+        capture_output=True, text=True, check=True, timeout=60.0,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ("loaded_already", "1"),
+        ("crash", "made its reader crash (signal 11, SIGSEGV)"),
+        ("hang", "took longer than 1 s"),
+        ("fail", "made its reader fail: KeyError: 'points'"),
+        ("vanish", "made its reader crash (without a word)"),
+    ],
+)
+def test_a_child_that_is_forked_ahead_is_as_isolated_as_any(
+    tmp_path: Path, task: str, words: str
+) -> None:
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n")
+    first, second = _ahead(path, task)
+    assert first.startswith("True ")
+    assert words in first
+    # the second child is started afresh: it is one file that a command reads
+    assert ("0" if task == "loaded_already" else words) in second
+
+
+def test_no_child_is_forked_ahead_beside_threads_or_keeps_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n")
+    assert _ahead(path, "folder", threads=1)[0] == f"False {Path.cwd()}"
+    ahead, afresh = _ahead(path, "files")
+    assert ahead.split()[1] == afresh.split()[1]

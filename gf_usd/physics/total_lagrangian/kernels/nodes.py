@@ -63,15 +63,21 @@ def block_sum(body: ti.template(), node, plain: ti.template()):
 
 @ti.func
 def follower_share(
-    body: ti.template(), follower, free, dt, plain: ti.template(), slides: ti.template()
+    body: ti.template(), follower, free, dt, filtering, plain: ti.template(), slides: ti.template()
 ):
-    """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works."""
+    """Keep what the cells hold for a follower, for the nodes it follows; and what a pin works.
+
+    filtering : 1: that is (B v - m v)_l, of which no pin works.
+    """
     f = block_sum(body, free + follower, plain)
-    o = ANCHOR * follower
-    work = body.anchor[o + PIN_WORK]
-    for d in ti.static(range(3)):
-        work -= dt * f[d] * body.anchor[o + PIN_RATE + d]
-    body.anchor[o + PIN_WORK] = work
+    if filtering > 0:
+        f = less_momentum(body, free + follower, f)
+    else:
+        o = ANCHOR * follower
+        work = body.anchor[o + PIN_WORK]
+        for d in ti.static(range(3)):
+            work -= dt * f[d] * body.anchor[o + PIN_RATE + d]
+        body.anchor[o + PIN_WORK] = work
     keep_share(body, free + follower, f, slides)
 
 
@@ -86,9 +92,22 @@ def keep_share(body: ti.template(), node, f, slides: ti.template()):
 
 
 @ti.func
-def node_sum(body: ti.template(), node, plain: ti.template()):
-    """What the cells hold for a free node and for those that follow it: (E^T f)_i."""
-    return block_sum(body, node, plain) + leader_sum(body, node)
+def node_sum(body: ti.template(), node, filtering, plain: ti.template()):
+    """What the cells hold for a free node and for those that follow it: (E^T f)_i.
+
+    filtering : 1: E^T (B - M) E v, with what the followers kept of it.
+    """
+    f = block_sum(body, node, plain)
+    if filtering > 0:
+        f = less_momentum(body, node, f)
+    return f + leader_sum(body, node)
+
+
+@ti.func
+def less_momentum(body: ti.template(), node, p):
+    """(B v - m v)_i of p = (B v)_i: what a transfer to particles and back does to momentum."""
+    v = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
+    return p - body.node_mass[MASS * node] * v
 
 
 @ti.func
@@ -141,15 +160,20 @@ def drift_node(body: ti.template(), node, drift):
 
 
 @ti.func
-def force(body: ti.template(), node, contact, dt, plain: ti.template(), goals: ti.template()):
-    """The force of the cells, of contact and of its goal on a free node."""
-    f = node_sum(body, node, plain)
-    if ti.static(goals > NO_GOALS):
-        f += goal_force(body, node)
-    if ti.static(goals > SPRINGS):
-        f += limit_pull(body, node) / body.node_mass[MASS * node + INVERSE]
-    if contact > 0:
-        f += contact_force(body, node, dt)
+def force(
+    body: ti.template(), node, contact, dt, filtering, plain: ti.template(), goals: ti.template()
+):
+    """The force of the cells, of contact and of its goal on a free node; filtering : see
+    `node_sum`.
+    """
+    f = node_sum(body, node, filtering, plain)
+    if filtering == 0:
+        if ti.static(goals > NO_GOALS):
+            f += goal_force(body, node)
+        if ti.static(goals > SPRINGS):
+            f += limit_pull(body, node) / body.node_mass[MASS * node + INVERSE]
+        if contact > 0:
+            f += contact_force(body, node, dt)
     return f
 
 
@@ -182,12 +206,16 @@ def goal_force(body: ti.template(), node):
 
 
 @ti.func
-def goal_share(body: ti.template(), node, dt, goals: ti.template()):
-    """1 / (1 + k dt^2 / 4 + c dt / 2): what the implicit spring leaves of an acceleration."""
+def goal_share(body: ti.template(), node, dt, filtering, goals: ti.template()):
+    """1 / (1 + k dt^2 / 4 + c dt / 2): what the implicit spring leaves of an acceleration.
+
+    filtering : 1: all of it, since the filter knows no spring.
+    """
     share = dt * 0.0 + 1.0
-    if ti.static(goals > NO_GOALS):
-        k, c = goal_spring(body, node)
-        share = 1.0 / (1.0 + 0.25 * dt * dt * k + 0.5 * dt * c)
+    if ti.static(goals > NO_GOALS):  # noqa: SIM102  (known while the kernel is built; the next is not)
+        if filtering == 0:
+            k, c = goal_spring(body, node)
+            share = 1.0 / (1.0 + 0.25 * dt * dt * k + 0.5 * dt * c)
     return share
 
 
@@ -273,68 +301,38 @@ def inverse(body: ti.template(), node, share, slides: ti.template()):
 
 @ti.func
 def move_node(
-    body: ti.template(), node, contact, g, dt, drift, keep, plain: ti.template(),
+    body: ti.template(), node, contact, g, dt, drift, keep, alpha, filtering, plain: ti.template(),
     coupled: ti.template(), slides: ti.template(), goals: ti.template(),
 ):  # fmt: skip
-    """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled."""
-    share = goal_share(body, node, dt, goals)
+    """v += dt (M~^-1 f + g + b), u += drift v; the forces are kept already where coupled.
+
+    filtering : 1: v += alpha M~^-1 E^T (B - M) E v in its place.  B and M agree on sum m v and sum
+    X x m v, and E carries both, so the momenta of M~ are kept to rounding; B <= M in the sense of
+    forms, so no motion can grow while alpha M~^-1 M <= 1.
+    """
+    share = goal_share(body, node, dt, filtering, goals)
     before = ti.Vector([body.v[3 * node], body.v[3 * node + 1], body.v[3 * node + 2]])
-    a = share * g
+    r = before * 0.0
     if ti.static(coupled):
-        a += inverse(body, node, share, slides)
+        r = inverse(body, node, share, slides)
     else:
-        a += (
-            force(body, node, contact, dt, plain, goals)
+        r = (
+            force(body, node, contact, dt, filtering, plain, goals)
             * body.node_mass[MASS * node + INVERSE]
             * share
         )
-    for d in ti.static(range(3)):
-        a[d] += share * body.acceleration[3 * node + d]
-        body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]
-    if ti.static(goals > NO_GOALS):
-        goal_work(body, node, before, dt, goals)
-        drift_goal(body, node, drift, goals)
-    for d in ti.static(range(3)):
-        v = body.v[3 * node + d] * keep
-        body.v[3 * node + d] = v
-        body.u[3 * node + d] = body.u[3 * node + d] + drift * v
-
-
-@ti.func
-def follower_loss(body: ti.template(), follower, free, plain: ti.template(), slides: ti.template()):
-    """Keep (B v - m v)_l of a follower, for the nodes it follows."""
-    keep_share(body, free + follower, momentum_change(body, free + follower, plain), slides)
-
-
-@ti.func
-def momentum_change(body: ti.template(), node, plain: ti.template()):
-    """(B v - m v)_i: what a transfer to particles and back does to a node's momentum."""
-    p = block_sum(body, node, plain)
-    for d in ti.static(range(3)):
-        p[d] -= body.node_mass[MASS * node] * body.v[3 * node + d]
-    return p
-
-
-@ti.func
-def filter_momentum(body: ti.template(), node, plain: ti.template()):
-    """B v - m v of a free node, with the followers' shares: E^T (B - M) E v."""
-    return momentum_change(body, node, plain) + leader_sum(body, node)
-
-
-@ti.func
-def filter_node(
-    body: ti.template(), node, alpha, plain: ti.template(), coupled: ti.template(),
-    slides: ti.template(),
-):  # fmt: skip
-    """v += alpha M~^-1 E^T (B - M) E v; what M~^-1 acts on is kept already where coupled.
-
-    B and M agree on sum m v and sum X x m v, and E carries both, so the momenta of M~ are kept to
-    rounding; B <= M in the sense of forms, so no motion can grow while alpha M~^-1 M <= 1.
-    """
-    a = ti.Vector([body.u[0] * 0.0, body.u[0] * 0.0, body.u[0] * 0.0])
-    if ti.static(coupled):
-        a = inverse(body, node, alpha * 0.0 + 1.0, slides)
+    if filtering > 0:
+        for d in ti.static(range(3)):
+            body.v[3 * node + d] = body.v[3 * node + d] + alpha * r[d]
     else:
-        a = filter_momentum(body, node, plain) * body.node_mass[MASS * node + INVERSE]
-    for d in ti.static(range(3)):
-        body.v[3 * node + d] = body.v[3 * node + d] + alpha * a[d]
+        a = share * g + r
+        for d in ti.static(range(3)):
+            a[d] += share * body.acceleration[3 * node + d]
+            body.v[3 * node + d] = body.v[3 * node + d] + dt * a[d]
+        if ti.static(goals > NO_GOALS):
+            goal_work(body, node, before, dt, goals)
+            drift_goal(body, node, drift, goals)
+        for d in ti.static(range(3)):
+            v = body.v[3 * node + d] * keep
+            body.v[3 * node + d] = v
+            body.u[3 * node + d] = body.u[3 * node + d] + drift * v

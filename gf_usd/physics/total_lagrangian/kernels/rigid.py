@@ -7,7 +7,7 @@ import taichi as ti
 
 from gf_usd.physics.contact.kernels import contact_force, row
 from gf_usd.physics.grid.rigid import ARM, NODE, RHO, ROW, D, J, L, M, Q, V
-from gf_usd.physics.total_lagrangian.kernels.nodes import ANCHOR, block_sum, momentum_change
+from gf_usd.physics.total_lagrangian.kernels.nodes import ANCHOR, block_sum, less_momentum
 
 
 @ti.func
@@ -111,7 +111,8 @@ def filter_region(
     T = F
     first, behind = nodes_of(body, k)
     for e in range(first, behind):
-        p = momentum_change(body, free + body.rigid_nodes[regions + 1 + e], plain)
+        node = free + body.rigid_nodes[regions + 1 + e]
+        p = less_momentum(body, node, block_sum(body, node, plain))
         F += p
         T += turned(q, row(body.rigid, ROW * regions + NODE * e + RHO)).cross(p)
     for a in ti.static(range(3)):

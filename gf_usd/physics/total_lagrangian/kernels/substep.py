@@ -24,10 +24,7 @@ from gf_usd.physics.laws.simd3x3 import LANES
 from gf_usd.physics.total_lagrangian.kernels.nodes import (
     drift_goal,
     drift_node,
-    filter_momentum,
-    filter_node,
     follow,
-    follower_loss,
     follower_share,
     force,
     goal_share,
@@ -82,6 +79,7 @@ from gf_usd.physics.total_lagrangian.stages import (
     REGIONS,
     TOUCHING,
     stages,
+    works,
 )
 
 STRIDE = 32  # Taichi gives a CPU thread at least 512 iterations: groups, which are few, are spread
@@ -126,6 +124,7 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
     Body = pack_type(real, epoch)
     vec = ti.types.vector(3, real)
     table = stages(options.plain, options.meets, options.coupled, options.rigid > 0)
+    numbered, work = tuple(enumerate(table)), works(table)
 
     @ti.func
     def size(part: ti.template(), groups, free, followers, active, paired):
@@ -158,33 +157,37 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
         return on
 
     @ti.func
+    def way_of(stage: ti.template(), dt, drift):
+        """[s] that followers move on for in a stage."""
+        way = drift
+        if ti.static(stage.parts[0].name == "open followers"):
+            way = 0.5 * dt
+        elif ti.static(stage.parts[0].name == "filtered followers"):
+            way = 0.0 * dt
+        return way
+
+    @ti.func
     def act(
         part: ti.template(), body: ti.template(), n, free, nodes, active, alpha, g, up, lift, dt,
-        drift, keep,
+        drift, way, keep, filtering,
     ):  # fmt: skip
-        """One part of a substep, done to its item n."""
+        """One part of a substep, done to its item n; way : as of `way_of`; filtering : 1 in stages
+        of the filter.
+        """
         ih = body.numbers[PER_H]
         converged = body.numbers[CONVERGED]
         if ti.static(part.name == "open"):
             drift_node(body, n, 0.5 * dt)
             if ti.static(options.goals > NO_GOALS):
                 drift_goal(body, n, 0.5 * dt, options.goals)
-        elif ti.static(part.name == "open followers"):
-            follow(body, n, free, 0.5 * dt, options.slides)
+        elif ti.static(part.work == "follow"):
+            follow(body, n, free, way, options.slides)
         elif ti.static(part.name == "momentum" and options.plain):
             particle_velocity(body, n, nodes)
         elif ti.static(part.name == "momentum"):
             filter_group(body, n)
         elif ti.static(part.name == "node momentum"):
             node_momentum(body, n, nodes)
-        elif ti.static(part.name == "loss"):
-            follower_loss(body, n, free, options.plain, options.slides)
-        elif ti.static(part.name == "filter"):
-            filter_node(body, n, alpha, options.plain, options.coupled, options.slides)
-        elif ti.static(part.name == "filter lumped"):
-            keep_raw(body, n, filter_momentum(body, n, options.plain), alpha * 0.0 + 1.0)
-        elif ti.static(part.name == "filtered followers"):
-            follow(body, n, free, 0.0 * dt, options.slides)
         elif ti.static(part.name == "stress" and options.plain):
             particle_stress(body, n, nodes, laws, damped, dt, ih, converged, options)
         elif ti.static(part.name == "stress"):
@@ -199,24 +202,30 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
             pair_contact(body, body.sample_active[1 + n], dt)
         elif ti.static(part.name == "pair total"):
             pair_total(body, body.sample_active[1 + n], dt, options.driven)
-        elif ti.static(part.name == "share"):
-            follower_share(body, n, free, dt, options.plain, options.slides)
-        elif ti.static(part.name == "move"):
+        elif ti.static(part.work == "share"):
+            follower_share(body, n, free, dt, filtering, options.plain, options.slides)
+        elif ti.static(part.work == "move"):
             move_node(
-                body, n, active, g, dt, drift, keep, options.plain, options.coupled,
-                options.slides, options.goals,
+                body, n, active, g, dt, drift, keep, alpha, filtering, options.plain,
+                options.coupled, options.slides, options.goals,
             )  # fmt: skip
-        elif ti.static(part.name == "move lumped"):
-            share = goal_share(body, n, dt, options.goals)
-            keep_raw(body, n, force(body, n, active, dt, options.plain, options.goals), share)
-        elif ti.static(part.name == "follow"):
-            follow(body, n, free, drift, options.slides)
+        elif ti.static(part.work == "move lumped"):
+            f = force(body, n, active, dt, filtering, options.plain, options.goals)
+            keep_raw(body, n, f, goal_share(body, n, dt, filtering, options.goals))
         elif ti.static(part.name == "open rigid"):
             open_region(body, n, 0.5 * dt, options.rigid)
         elif ti.static(part.name == "filter rigid"):
             filter_region(body, n, free, alpha, options.plain, options.rigid)
         elif ti.static(part.name == "move rigid"):
             move_region(body, n, free, active, g, dt, drift, keep, options.plain, options.rigid)
+
+    @ti.func
+    def is_in(step, steps: ti.template()):
+        """Whether a stage is one of these."""
+        found = step == steps[0]
+        for other in ti.static(steps[1:]):
+            found = found or step == other
+        return found
 
     @ti.kernel
     def queued(
@@ -238,20 +247,31 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
                     drift = dt
                     if s == substeps - 1 and ends & CLOSES > 0:
                         drift = 0.5 * dt
-                    for stage in ti.static(table):
-                        count = size(stage.parts[0], groups, free, followers, active, paired)
-                        pieces = pieces_of(stage.parts[0], count, threads)
-                        pieces *= due(stage, s, ends, every, phase, paired)
+                    for step in range(ti.static(len(table))):
+                        pieces = 0
+                        way = drift
+                        filtering = 0
+                        for number, stage in ti.static(numbered):
+                            if step == number:
+                                count = size(
+                                    stage.parts[0], groups, free, followers, active, paired
+                                )
+                                pieces = pieces_of(stage.parts[0], count, threads)
+                                pieces *= due(stage, s, ends, every, phase, paired)
+                                way = way_of(stage, dt, drift)
+                                if ti.static(stage.when == FILTERING):
+                                    filtering = 1
                         while work_item < before + pieces:
                             wait(body.queue, before)
-                            for part in ti.static(stage.parts):
-                                many = size(part, groups, free, followers, active, paired)
-                                first, behind = piece(many, work_item - before, pieces)
-                                for n in range(first, behind):
-                                    act(
-                                        part, body, n, free, free + followers, active, alpha, g,
-                                        up, lift, dt, drift, keep,
-                                    )  # fmt: skip
+                            for part, steps in ti.static(work):
+                                if is_in(step, steps):
+                                    many = size(part, groups, free, followers, active, paired)
+                                    first, behind = piece(many, work_item - before, pieces)
+                                    for n in range(first, behind):
+                                        act(
+                                            part, body, n, free, free + followers, active, alpha,
+                                            g, up, lift, dt, drift, way, keep, filtering,
+                                        )  # fmt: skip
                             finish(body.queue)
                             work_item = take(body.queue)
                         before += pieces
@@ -271,9 +291,11 @@ def build(laws, damped: bool, real, epoch: int, options: Options = DEFAULT) -> S
                     size(part, groups, free, followers, active, paired)
                     * due(stage, 0, ends, every, phase, paired)
                 ):
+                    drift = dt - 0.5 * dt * closing
                     act(
                         part, body, n, free, free + followers, active, alpha, g, up, lift, dt,
-                        dt - 0.5 * dt * closing, keep,
+                        drift, way_of(stage, dt, drift), keep,
+                        ti.static(1 if stage.when == FILTERING else 0),
                     )  # fmt: skip
 
     @ti.kernel
