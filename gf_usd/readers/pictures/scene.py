@@ -59,6 +59,8 @@ SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 KINDS = ("mesh", "splats", "gaussians", "points")
+# Of a bake that shows its Gaussians beside meshes, as what flows onto obstacles does.
+BESIDE = (("mesh", "splats", "gaussians", "grains"), "gaussians")
 
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
@@ -106,9 +108,13 @@ class PictureStage:
             self._facts = stage_facts(
                 self._stage, path, self._stage_notes, meters_per_unit=None, up_axis=None
             )
-            self.show = show or self._first_kind()
-            self._select_display(SHOWS[self.show][1])
-            self._prims = self._visible(SHOWS[self.show][0])
+            there = self._visible_kinds()
+            self.show = show or next((kind for kind in KINDS if kind in there), "mesh")
+            kinds, display = SHOWS[self.show]
+            if show is None and {"mesh", "gaussians"} <= there:
+                kinds, display = BESIDE
+            self._select_display(display)
+            self._prims = self._visible(kinds)
             self._camera = find_camera(self._stage, path, camera) if camera else None
             pressure = self._facts.units.pressure
             self.values = Values(self._stage, color, path, pressure) if color else None
@@ -293,10 +299,9 @@ class PictureStage:
             and (_is_visible(prim, time) or is_ours(prim))
         ]
 
-    def _first_kind(self) -> str:
+    def _visible_kinds(self) -> set[str]:
         time = self._time(None)
-        there = {kind for kind, prim in self._all() if _is_visible(prim, time)}
-        return next((kind for kind in KINDS if kind in there), "mesh")
+        return {kind for kind, prim in self._all() if _is_visible(prim, time)}
 
     def _select_display(self, display: str) -> None:
         """Select a bake's display variant, in the session only."""
