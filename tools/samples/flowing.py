@@ -96,7 +96,7 @@ def _made_of(prim: Usd.Prim, preset: str) -> None:
     prim.AddAppliedSchema("GaussianFleshBakeAPI")
     uniform = Sdf.VariabilityUniform
     prim.CreateAttribute("gaussianFlesh:enabled", Types.Bool, False, uniform).Set(True)
-    prim.CreateAttribute("gaussianFlesh:material", Types.String, False, uniform).Set(preset)
+    prim.CreateAttribute("gaussianFlesh:material", Types.Token, False, uniform).Set(preset)
 
 
 def _revolved(
