@@ -125,7 +125,7 @@ def test_particles_inside_out_and_frames_redone_are_failures(
             return 0, json.dumps({"findings": []}), ""
         report = folder.parent / "report.json"
         report.write_text(
-            json.dumps({"check": [], "bodies": [1], "riders": [], "bakes": [{"health": health}]})
+            json.dumps({"check": [], "bodies": [1], "embedded": [], "bakes": [{"health": health}]})
         )
         end = {"event": "finished", "report": str(report), "root": "root.usda", "particles": 9}
         return 0, json.dumps(end) + "\n", ""

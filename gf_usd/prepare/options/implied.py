@@ -21,6 +21,8 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
     notes = []
     path, physics = asset.facts.path, spec.physics
     more: dict[str, Any] = {}
+    mixed = request.solver == MIXED
+    unaware = "bodies that flow without end" if mixed else "--rigid and --solver ul"
     if request.gravity is None and physics.gravity is not None:
         more["gravity"] = ",".join(repr(g) for g in physics.gravity)
         notes.append(
@@ -29,16 +31,14 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         )
         if physics.gravity_keys and (request.rigid or request.solver in ("ul", MIXED)):
             raise UsageError(
-                f"{path}: gravity of <{physics.scene}> changes, which --rigid, --solver ul and"
-                " what flows without end do not know",
+                f"{path}: gravity of <{physics.scene}> changes, which {unaware} do not know",
                 "give one with --gravity",
             )
     if physics.fields and not request.fields:
         if request.rigid or request.solver in ("ul", MIXED):
             raise UsageError(
-                f"{path}: <{physics.scene}> has fields, which --rigid, --solver ul and what flows"
-                " without end do not know",
-                "leave --rigid or --solver ul out, or remove the fields",
+                f"{path}: <{physics.scene}> has fields, which {unaware} do not know",
+                "remove the fields" if mixed else "leave --rigid or --solver ul out",
             )
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
