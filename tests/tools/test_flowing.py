@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 
+import gf_usd
 from tools.samples import flowing
 from tools.samples.implicit import Field
 from tools.samples.quads import Quads
@@ -72,3 +73,22 @@ def test_a_stage_is_sound_and_as_the_tool_writes_it(tmp_path: Path, name: str) -
         e for e in found.Validate(stage) if e.GetType() == UsdValidation.ValidationErrorType.Error
     ]
     assert [e.GetMessage() for e in errors] == []
+
+
+def test_the_castle_flows_and_the_duck_holds_together() -> None:
+    plan = gf_usd.inspect(SAMPLES / "sandcastle.usda", particles=800).plan
+    assert plan is not None
+    assert plan.settings.solver == "mixed"
+    assert plan.choices.flowing == ("/SandCastle/Castle",)
+    assert list(plan.points) == ["/SandCastle/Duck/Geom/Body"]
+
+
+@pytest.mark.parametrize(
+    ("name", "faced"), [("snowball", {"Bowl"}), ("toothpaste", {"Bristles", "Head", "Handle"})]
+)
+def test_what_flows_meets_the_obstacles(name: str, faced: set[str]) -> None:
+    plan = gf_usd.inspect(SAMPLES / f"{name}.usda", particles=300).plan
+    assert plan is not None
+    assert plan.settings.solver == "ul"
+    assert plan.contact_setup is not None
+    assert {Path(c.path).name for c in plan.contact_setup.colliders} == faced | {"Ground"}

@@ -266,6 +266,16 @@ def test_show_switches_the_display_of_a_bake_and_leaves_the_file_alone(tmp_path)
     assert path.read_bytes() == before
 
 
+def test_gaussians_of_a_bake_are_drawn_beside_obstacles(tmp_path):
+    """As what flows is shown: its own mesh is hidden, the obstacle's is not."""
+    ours = "uniform point3f[] gaussianFlesh:restPositions = [(1, 0, 0), (0, 2, 0)]"
+    path = write(tmp_path, BOX + splats(extra=ours))
+    scene = read_scene(path)
+    assert (len(scene.meshes), len(scene.splats)) == (1, 1)
+    assert not read_scene(path, show="mesh").splats
+    assert not read_scene(path, show="gaussians").meshes
+
+
 def test_what_is_not_there_is_said(tmp_path):
     path = write(tmp_path, BOX)
     with pytest.raises(InputError, match="no visible gaussians") as caught:
