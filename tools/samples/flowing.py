@@ -27,7 +27,7 @@ WALLS, TOWERS, KEEP = 7.0, 2.4, 3.6  # [cm] half width between towers, radii
 WALL_TOP, TOWER_TOP, KEEP_TOP = 4.4, 7.0, 10.0  # [cm]
 MERLON = 1.2  # [cm] height and width of the teeth on top
 DUCK_AT, DUCK_SPEED = (1.0, 4.0, 34.0), (0.0, 50.0, 650.0)  # [cm], [cm/s] in its own frame
-BALL, BALL_AT, BALL_SPEED = 1.1, (2.6, 3.8, 0.0), (0.0, -4.0, 0.0)  # [m], [m/s] of the snowball
+BALL, BALL_AT, BALL_SPEED = 1.1, (4.2, 4.6, 0.0), (0.0, -8.0, 0.0)  # [m], [m/s] of the snowball
 BRUSH, PASTE_STEP = 1.5, 0.06  # [cm] height of its bristles' tips, lattice of the paste
 TUFT, TUFTS_ACROSS, TUFTS_ALONG = 0.4, (-0.5, 0.0, 0.5), np.linspace(-1.5, 1.5, 7)  # [cm]
 SAND = Look(color=(0.62, 0.45, 0.24), roughness=0.95, clearcoat=0.0)
