@@ -15,7 +15,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.system import sandbox
 from gf_usd.system.memory_and_disk import system_file
 from gf_usd.system.sandbox import Isolated, Limits, attempt
-from gf_usd.system.warm.fork_server import AVAILABLE, ForkServer
+from gf_usd.system.warm.fork_server import ALONE, AVAILABLE, ForkServer
 
 pytestmark = pytest.mark.skipif(not AVAILABLE, reason="not this system")
 
@@ -140,7 +140,10 @@ def _ahead(file: Path, task: str, threads: int = 0) -> list[str]:
     done = subprocess.run(
         [sys.executable, "-c", AHEAD, str(file), task, str(threads)],
         capture_output=True, text=True, check=True, timeout=60.0,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        env={
+            **os.environ, "PYTHONPATH": os.pathsep.join(sys.path),
+            **dict.fromkeys(ALONE, "1"),  # as the command line sets it: NumPy starts no threads
+        },
     )  # fmt: skip
     return done.stdout.splitlines()
 
