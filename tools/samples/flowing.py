@@ -30,6 +30,7 @@ DUCK_AT, DUCK_SPEED = (1.0, 5.0, 22.0), (0.0, 20.0, 360.0)  # [cm], [cm/s] in it
 BALL, BALL_AT, BALL_SPEED = 1.1, (4.2, 4.6, 0.0), (0.0, -8.0, 0.0)  # [m], [m/s] of the snowball
 BRUSH, PASTE_STEP = 1.5, 0.06  # [cm] height of its bristles' tips, lattice of the paste
 TUFT, TUFTS_ACROSS, TUFTS_ALONG = 0.4, (-0.5, 0.0, 0.5), np.linspace(-1.5, 1.5, 7)  # [cm]
+GRAINS, DABS = 6000, 2000  # particles: minutes in place of an hour
 SAND = Look(color=(0.62, 0.45, 0.24), roughness=0.95, clearcoat=0.0)
 SNOW = Look(color=(0.86, 0.90, 0.95), roughness=0.8, clearcoat=0.0)
 PASTE = Look(color=(0.25, 0.72, 0.66), roughness=0.35, clearcoat=0.4)
@@ -116,7 +117,7 @@ def write_sandcastle(path: Path, duck: str) -> None:
     stage = _stage(
         path, "SandCastle", "A rubber duck runs into a castle of wet sand. Centimeters, Y up.", 0.01
     )
-    _body(stage, "/SandCastle/Castle", castle_mesh(), castle, SAND, "wet-sand")
+    _body(stage, "/SandCastle/Castle", castle_mesh(), castle, SAND, "wet-sand", GRAINS)
     xform = UsdGeom.Xform.Define(stage, "/SandCastle/Duck")
     prim = xform.GetPrim()
     prim.GetReferences().AddReference(duck)
@@ -149,7 +150,7 @@ def write_snowball(path: Path) -> None:
 def write_toothpaste(path: Path) -> None:
     """A ribbon of toothpaste just above a brush that lies on the ground."""
     stage = _stage(path, "Toothpaste", "Toothpaste falls on a brush. Centimeters, Y up.", 0.01)
-    mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste")
+    mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste", DABS)
     mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 2.2, 0.0))
     bristles = _mesh(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
     _collide(bristles.GetPrim())
@@ -185,13 +186,14 @@ def _stage(path: Path, name: str, doc: str, meters: float) -> Usd.Stage:
 
 
 def _body(
-    stage: Usd.Stage, path: str, quads: Quads, field: Field, look: Look, preset: str
-) -> UsdGeom.Mesh:
+    stage: Usd.Stage, path: str, quads: Quads, field: Field, look: Look, preset: str,
+    particles: int,
+) -> UsdGeom.Mesh:  # fmt: skip
     """A soft body of a preset, with the normals of the field that it was drawn from."""
     mesh = _mesh(stage, path, quads.points, np.full(len(quads.faces), 4), quads.faces.ravel(),
                  unit_normals(field, quads.points), look.color)  # fmt: skip
     _drawn(stage, mesh, look)
-    _soft(mesh.GetPrim(), preset)
+    _soft(mesh.GetPrim(), preset, particles)
     return mesh
 
 
@@ -220,11 +222,13 @@ def _drawn(stage: Usd.Stage, mesh: UsdGeom.Mesh, look: Look) -> None:
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 
 
-def _soft(prim: Usd.Prim, preset: str) -> None:
+def _soft(prim: Usd.Prim, preset: str, particles: int | None = None) -> None:
     prim.AddAppliedSchema("GaussianFleshBakeAPI")
     types, uniform = Sdf.ValueTypeNames, Sdf.VariabilityUniform
     prim.CreateAttribute("gaussianFlesh:enabled", types.Bool, False, uniform).Set(True)
     prim.CreateAttribute("gaussianFlesh:material", types.Token, False, uniform).Set(preset)
+    if particles is not None:
+        prim.CreateAttribute("gaussianFlesh:particles", types.Int, False, uniform).Set(particles)
 
 
 def _collide(prim: Usd.Prim) -> None:
