@@ -31,6 +31,7 @@ def crash(material: str):
     return solver, list(solver.frames())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["rubber", "jelly"])
 def test_what_one_body_loses_another_gains(material):
     solver, frames = crash(material)

@@ -54,6 +54,7 @@ def test_reruns_threads_and_launches_agree_to_the_bit(first, way, threads, monke
     assert np.array_equal(first, march(threads, way, monkeypatch))
 
 
+@pytest.mark.slow
 def test_a_kept_state_goes_on_to_the_bit():
     solver = falling()
     last, kept, strained, ends = Health(), {}, 1, []

@@ -52,6 +52,7 @@ def test_momentum_and_its_moment_are_kept_to_rounding(body, followers):
     np.testing.assert_allclose(moments[1], moments[0], atol=1e-12 * size)
 
 
+@pytest.mark.slow
 @on_every_body
 @followed
 def test_rigid_and_affine_motion_pass_unchanged(body, followers):

@@ -151,6 +151,7 @@ def test_energy_that_flow_takes_is_its_plastic_work(family):
     assert press.health.elastic < 1e-9 * sum(lost)
 
 
+@pytest.mark.slow
 @families
 def test_a_body_at_rest_stays_and_says_so(family):
     body = block((0.0, 0.0, 0.0), (2, 2, 2), 0.5)

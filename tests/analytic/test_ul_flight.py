@@ -100,6 +100,7 @@ def test_an_affine_velocity_is_an_affine_strain():
     np.testing.assert_allclose(last.particles.v, body.X @ SHEAR.T, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_body_that_outgrows_its_grid_gets_a_larger_one():
     # The frame is done again in the larger grid: the same to the bit as where it was there before.
     body, _ = ball(300)

@@ -219,6 +219,7 @@ def test_a_batch_takes_auto_and_asks_no_advisor(vision):
         _materials("auto:vision", Path())
 
 
+@pytest.mark.slow
 def test_the_sample_advisor_asks_the_stub_server(gf_usd, here, stage, server, vision):
     said = cube("Said", 4, "rel material:binding:physics = </All/Stiff>", BINDS)
     asset = stage(MATERIALS, cube("SteelBlock", 0), cube("Other", 2), said)

@@ -40,6 +40,7 @@ def test_a_bake_in_clips(gf_usd, here: Path, block: Path) -> None:
     assert check_file(here / f"{STEM}.usda").ok
 
 
+@pytest.mark.slow
 def test_a_new_bake_leaves_no_clips_of_the_old_one(gf_usd, here: Path, block: Path) -> None:
     assert gf_usd("bake", block, *SMALL, "--clip-frames", "2", "-q").status == 0
     again = ("bake", block, *SMALL, "--overwrite", "-q")
@@ -51,6 +52,7 @@ def test_a_new_bake_leaves_no_clips_of_the_old_one(gf_usd, here: Path, block: Pa
     assert names(here) == [name for name in WHOLE if "clips" not in name]
 
 
+@pytest.mark.slow
 def test_a_failure_keeps_the_old_bake_and_shows_its_own(
     gf_usd, here: Path, block: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

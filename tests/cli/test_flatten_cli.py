@@ -133,6 +133,7 @@ def test_a_failure_leaves_the_layers_it_worked_on(
     assert names(here) == ["a.report.json", "a.usdz"]
 
 
+@pytest.mark.slow
 def test_a_report_of_one_file_knows_its_look(gf_usd, here: Path, block: Path) -> None:
     from gf_usd.readers.pictures.recording import BakedMotion
 

@@ -35,6 +35,7 @@ def mp4(path) -> tuple[dict, list[np.ndarray]]:
     return facts, [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(int) for f in reader]
 
 
+@pytest.mark.slow
 def test_a_film_is_its_frames_in_real_time(stage, tmp_path):
     done = run(stage, "-o", tmp_path / "a.mp4", "--size", "160x120")
     assert done.exit_code == 0, done.output

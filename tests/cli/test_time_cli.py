@@ -66,6 +66,7 @@ def test_samples_between_frames_are_simulated_states(baked) -> None:
     assert check_file(fine).ok
 
 
+@pytest.mark.slow
 def test_health_stays_that_of_frames(baked, here: Path) -> None:
     # without flight, whose frames have no substeps
     said = ("--frames", "14", "--no-shortcuts")

@@ -46,6 +46,7 @@ def test_a_body_swings_as_its_springs_say(damping: float) -> None:
     np.testing.assert_allclose(np.array(energy) - energy[0], work, atol=1e-4 * energy[0])
 
 
+@pytest.mark.slow
 def test_springs_hold_a_body_up_where_it_sags_by_g_over_w_squared() -> None:
     s = replace(settings("cpu", frames=121, fps=48.0), gravity=(0.0, -9.81, 0.0))
     *_, last = TotalLagrangian(BODY, SOFT, s, goals=goals(damping=1.0)).frames()

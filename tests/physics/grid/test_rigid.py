@@ -118,6 +118,7 @@ def test_a_region_at_the_surface_bounces_off_the_floor() -> None:
     assert np.diff(E).max() < 2e-3 * E.max()
 
 
+@pytest.mark.slow
 def test_a_region_goes_on_from_what_was_saved() -> None:
     def made() -> TotalLagrangian:
         body, _, center = bar()

@@ -144,6 +144,7 @@ def test_the_work_of_a_sliding_pin_is_what_the_energy_gains():
     assert sum(h.work for h in health) == pytest.approx(gained, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_thrown_bar_keeps_its_energy_and_what_it_has_along_the_plane():
     body = block((-0.25, 0.0, -0.25), (2, 6, 2), H)
     s = settings(frames=30, substeps=20, filter_rate=0.0)

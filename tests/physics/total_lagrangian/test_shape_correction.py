@@ -117,6 +117,7 @@ def test_the_shape_correction_moves_towards_the_rest_shape_by_its_strength(alpha
     assert after.injected < 0.0
 
 
+@pytest.mark.slow
 def test_the_shape_correction_does_not_turn_with_the_body():
     # A quarter turn is pulled apart: the price of a target without rotation.
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

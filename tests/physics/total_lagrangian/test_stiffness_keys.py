@@ -66,6 +66,7 @@ def test_a_factor_that_stays_is_another_material(body):
         assert ours.health.work == 0.0
 
 
+@pytest.mark.slow
 def test_the_work_of_stiffening_is_in_the_energy_book(body):
     """Moduli that rise fourfold give a swinging ball energy, all of which is work.
 

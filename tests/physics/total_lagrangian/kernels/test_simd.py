@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from strained_ball import force, made, shear_modulus
 
 from gf_usd.physics.total_lagrangian.layout import batch_particles
@@ -15,6 +16,7 @@ def corotated(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
     return 2.0 * mu * (F - U @ Vt) + lam * (J - 1.0) * J * np.linalg.inv(F).swapaxes(1, 2)
 
 
+@pytest.mark.slow
 def test_forces_are_the_plain_sum_over_particles():
     solver = made(np.float64)
     X = solver.body.stencil.node_X
