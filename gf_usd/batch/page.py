@@ -28,6 +28,7 @@ from gf_usd.system.atomic_files import publish_text
 from gf_usd.system.file_locks import locked
 from gf_usd.system.processes import Children
 from gf_usd.view.report.html import Html, join, policy, script, tag
+from gf_usd.view.report.record import variant_of
 
 # head, whether it is a number, what it says
 COLUMNS = (
@@ -215,7 +216,7 @@ def _why(outcome: Outcome, undrawn: Mapping[Path, str]) -> list[str]:
     if outcome.hint:
         parts.append(tag("p", outcome.hint, class_="hint"))
     parts += [
-        tag("p", f"{w.get('variant', w.get('look', ''))}: {w.get('message', '')}", class_="warning")
+        tag("p", f"{variant_of(w)}: {w.get('message', '')}", class_="warning")
         for w in outcome.warnings
     ]
     parts += [tag("p", note, class_="hint") for note in outcome.notes]

@@ -79,6 +79,7 @@ def bake(
     if options["limits"] is not None:
         read_ahead()
     from gf_usd.cli.console import announce, progress, show_plan, summarize
+    from gf_usd.pipeline.health.warnings import warnings_json
     from gf_usd.pipeline.measures.refine import Refining
     from gf_usd.pipeline.prepared import prepare
     from gf_usd.pipeline.result import require_healthy
@@ -137,8 +138,8 @@ def bake(
         for note in result.notes[len(plan.notes) :]:
             if note not in told:
                 emit("note", message=note)
-        for name, warning in result.warnings:
-            emit("warning", variant=name, look=name, **warning.as_json())
+        for warning in warnings_json(result.warnings):
+            emit("warning", **warning)
         emit("finished", **result.as_json())
         if as_json:
             typer.echo(json.dumps(result.as_json(), indent=1))

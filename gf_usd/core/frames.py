@@ -71,8 +71,12 @@ class Particles:
     @property
     def radii(self) -> NDArray[np.float64]:
         """(bodies,) [m] the same of each body; 0 of one without particles."""
-        body = np.zeros(len(self), int) if self.body is None else np.asarray(self.body)
-        return np.cbrt(0.75 / np.pi * np.bincount(body, np.asarray(self.V0, float)))
+        return np.cbrt(0.75 / np.pi * np.bincount(self.body_of, np.asarray(self.V0, float)))
+
+    @property
+    def body_of(self) -> Ints:
+        """(N,) the body of each; 0 where all are one."""
+        return np.zeros(len(self), np.int64) if self.body is None else np.asarray(self.body)
 
 
 @dataclass(frozen=True, kw_only=True)

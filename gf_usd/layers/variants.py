@@ -125,16 +125,16 @@ def hidden(mode: str, root: Sdf.Path, asset: Asset, home: Home, choices: Choices
     paths = [
         Sdf.Path(one.path) for one in asset.surfaces if not drawn or one.path in choices.flowing
     ]
-    beside = [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
-    if choices.mesh and choices.flowing and not beside:
-        beside = [home.scope.AppendChild(FLOW)]
-    if drawn and choices.particles and not beside:
+    stand_ins = [home.scope.AppendChild(flow_name(body)) for body in choices.flows]
+    if choices.mesh and choices.flowing and not stand_ins:
+        stand_ins = [home.scope.AppendChild(FLOW)]
+    if drawn and choices.particles and not stand_ins:
         paths.append(home.scope)
     for shape, name in PARTICLES.items():
-        if mode != shape and shape in choices.shapes and (beside or not drawn):
+        if mode != shape and shape in choices.shapes and (stand_ins or not drawn):
             paths.append(home.scope.AppendChild(name))
     if not drawn:
-        paths += beside
+        paths += stand_ins
     return [path for path in paths if path.HasPrefix(root)]
 
 

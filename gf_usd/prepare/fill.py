@@ -30,11 +30,11 @@ from gf_usd.core.stage import Pin, StageSpec, Triple
 from gf_usd.prepare import paper as paper_options
 from gf_usd.prepare.bodies.contact import (
     LimbPlan,
-    beside_grains,
     contact_setup,
     keep_limbs_apart,
     require_clear_start,
     skins,
+    with_grains,
 )
 from gf_usd.prepare.bodies.flow import flow_of
 from gf_usd.prepare.bodies.plan import plan_bodies
@@ -160,7 +160,7 @@ def fill(
             asset.facts.up_axis,
         )
     if mixed:
-        samples = beside_grains(samples, particles, bodies.flows(flow.flows))
+        samples = with_grains(samples, particles, bodies.flows(flow.flows))
     floor, normal = floor_plane(request.parsed["floor"], asset.facts.up, unit)
     # a sheet that was thickened reaches below what is drawn
     every_surface = (*asset.surfaces, *solid.surfaces)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from tools.samples.bowl import bowl
 from tools.samples.implicit import Field, Floats, ellipsoid, join, lozenge, meet, unit_normals
 from tools.samples.quads import Quads
 from tools.samples.sphere import sphere_quads
 from tools.samples.surface_nets import surface_nets
-from tools.samples.usd import Look, define_material
+from tools.samples.usd import Look, collide, define_material, define_plain
 
 Ints = NDArray[np.int64]
 
@@ -133,16 +133,19 @@ def write_snowball(path: Path) -> None:
     """A ball of powder snow above the rim of the bowl of the ten ducks, in meters."""
     stage = _stage(path, "Snowball", "A snowball bursts on the rim of a bowl. Meters, Y up.", 1.0)
     quads = sphere_quads()
-    mesh = _mesh(stage, "/Snowball/Ball", BALL * quads.points, np.full(len(quads.faces), 4),
-                 quads.faces.ravel(), quads.points, SNOW.color)  # fmt: skip
+    counts = np.full(len(quads.faces), 4)
+    mesh = define_plain(
+        stage, "/Snowball/Ball", BALL * quads.points, counts, quads.faces.ravel(), quads.points,
+        SNOW.color,
+    )  # fmt: skip
     mesh.AddTranslateOp().Set(Gf.Vec3d(*BALL_AT))
     _drawn(stage, mesh, SNOW)
     _soft(mesh.GetPrim(), "powder-snow")
     UsdPhysics.RigidBodyAPI.Apply(mesh.GetPrim()).CreateVelocityAttr(Gf.Vec3f(*BALL_SPEED))
     points, counts, indices, normals = bowl()
-    dish = _mesh(stage, "/Snowball/Bowl", points, counts, indices, normals, CLAY)
+    dish = define_plain(stage, "/Snowball/Bowl", points, counts, indices, normals, CLAY)
     dish.AddTranslateOp().Set(Gf.Vec3d(0.0, round(-float(points[:, 1].min()), 4), 0.0))
-    _collide(dish.GetPrim())
+    collide(dish.GetPrim())
     _ground(stage, "/Snowball")
     stage.GetRootLayer().Save()
 
@@ -152,8 +155,8 @@ def write_toothpaste(path: Path) -> None:
     stage = _stage(path, "Toothpaste", "Toothpaste falls on a brush. Centimeters, Y up.", 0.01)
     mesh = _body(stage, "/Toothpaste/Paste", paste_mesh(), paste, PASTE, "toothpaste", DABS)
     mesh.AddTranslateOp().Set(Gf.Vec3d(0.0, BRUSH + 2.2, 0.0))
-    bristles = _mesh(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
-    _collide(bristles.GetPrim())
+    bristles = define_plain(stage, "/Toothpaste/Bristles", *tufts(), BRISTLES)
+    collide(bristles.GetPrim())
     for name, at, size in (
         ("Head", (0.0, 0.3, 0.0), (1.7, 0.6, 3.6)),
         ("Handle", (0.0, 0.3, -6.8), (1.0, 0.6, 10.0)),
@@ -164,7 +167,7 @@ def write_toothpaste(path: Path) -> None:
         cube.AddTranslateOp().Set(Gf.Vec3d(*at))
         cube.AddScaleOp().Set(Gf.Vec3f(*size))
         cube.CreateDisplayColorAttr([Gf.Vec3f(*HANDLE)])
-        _collide(cube.GetPrim())
+        collide(cube.GetPrim())
     _ground(stage, "/Toothpaste")
     stage.GetRootLayer().Save()
 
@@ -190,30 +193,10 @@ def _body(
     particles: int,
 ) -> UsdGeom.Mesh:  # fmt: skip
     """A soft body of a preset, with the normals of the field that it was drawn from."""
-    mesh = _mesh(stage, path, quads.points, np.full(len(quads.faces), 4), quads.faces.ravel(),
-                 unit_normals(field, quads.points), look.color)  # fmt: skip
+    counts, normals = np.full(len(quads.faces), 4), unit_normals(field, quads.points)
+    mesh = define_plain(stage, path, quads.points, counts, quads.faces.ravel(), normals, look.color)
     _drawn(stage, mesh, look)
     _soft(mesh.GetPrim(), preset, particles)
-    return mesh
-
-
-def _mesh(
-    stage: Usd.Stage, path: str, points: Floats, counts: Ints, indices: Ints,
-    normals: Floats, color: tuple[float, ...],
-) -> UsdGeom.Mesh:  # fmt: skip
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    values = Vt.Vec3fArray.FromNumpy((np.round(points, 4) + 0.0).astype(np.float32))
-    mesh.CreatePointsAttr(values)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts.astype(np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices.astype(np.int32)))
-    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(values))
-    rounded = (np.round(normals, 4) + 0.0).astype(np.float32)
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(rounded))
-    tokens = UsdGeom.Tokens
-    smooth = len(normals) == len(points)
-    mesh.SetNormalsInterpolation(tokens.vertex if smooth else tokens.faceVarying)
-    mesh.CreateDisplayColorAttr([Gf.Vec3f(*color)])
     return mesh
 
 
@@ -231,14 +214,8 @@ def _soft(prim: Usd.Prim, preset: str, particles: int | None = None) -> None:
         prim.CreateAttribute("gaussianFlesh:particles", types.Int, False, uniform).Set(particles)
 
 
-def _collide(prim: Usd.Prim) -> None:
-    UsdPhysics.CollisionAPI.Apply(prim)
-    if prim.IsA(UsdGeom.Mesh):
-        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
-
-
 def _ground(stage: Usd.Stage, root: str) -> None:
     ground = UsdGeom.Plane.Define(stage, f"{root}/Ground")
     ground.CreateAxisAttr(UsdGeom.Tokens.y)
     ground.CreateDisplayColorAttr([Gf.Vec3f(0.34, 0.36, 0.38)])
-    _collide(ground.GetPrim())
+    collide(ground.GetPrim())

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
 from tools.samples.bowl import bowl, rocking
+from tools.samples.usd import collide, define_plain
 
 FPS, FRAMES = 24, 97
 SCALE = 0.2  # of a duck in centimeters in a stage in meters: it is two meters long
@@ -140,28 +141,9 @@ def _paint(stage: Usd.Stage, path: Sdf.Path, color: tuple[float, float, float]) 
     body.CreateDisplayColorAttr([Gf.Vec3f(*part) for part in (color, BEAK, EYES)])
 
 
-def _collide(prim: Usd.Prim, *, kinematic: bool) -> None:
-    UsdPhysics.CollisionAPI.Apply(prim)
-    if kinematic:
-        UsdPhysics.RigidBodyAPI.Apply(prim).CreateKinematicEnabledAttr(True)
-    if prim.IsA(UsdGeom.Mesh):
-        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
-
-
 def _bowl(stage: Usd.Stage) -> None:
-    points, counts, indices, normals = bowl()
-    mesh = UsdGeom.Mesh.Define(stage, "/TenDucks/Bowl")
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    values = Vt.Vec3fArray.FromNumpy((np.round(points, 4) + 0.0).astype(np.float32))
-    mesh.CreatePointsAttr(values)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts.astype(np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices.astype(np.int32)))
-    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(values))
-    rounded = (np.round(normals, 4) + 0.0).astype(np.float32)
-    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(rounded))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-    mesh.CreateDisplayColorAttr([Gf.Vec3f(0.62, 0.66, 0.68)])
-    _collide(mesh.GetPrim(), kinematic=True)
+    mesh = define_plain(stage, "/TenDucks/Bowl", *bowl(), (0.62, 0.66, 0.68))
+    collide(mesh.GetPrim(), kinematic=True)
     lift, turns = rocking(np.arange(FRAMES) / FPS)
     move, turn = mesh.AddTranslateOp(), mesh.AddRotateXZYOp()
     for frame in range(FRAMES):
@@ -177,7 +159,7 @@ def _ground(stage: Usd.Stage) -> None:
     ground.AddTranslateOp().Set(Gf.Vec3d(0.0, -0.25, 0.0))
     ground.AddScaleOp().Set(Gf.Vec3f(GROUND, 0.5, GROUND))
     ground.CreateDisplayColorAttr([Gf.Vec3f(0.34, 0.36, 0.38)])
-    _collide(ground.GetPrim(), kinematic=False)
+    collide(ground.GetPrim())
 
 
 def _light_and_camera(stage: Usd.Stage) -> None:

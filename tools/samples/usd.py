@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from tools.samples.quads import Quads
 from tools.samples.uv import Atlas
@@ -109,6 +109,39 @@ def define_mesh(stage: Usd.Stage, path: Sdf.Path, sample: Sample) -> UsdGeom.Mes
         color.SetInterpolation(UsdGeom.Tokens.uniform)
         color.SetIndices(Vt.IntArray([names.index(part) for part in sample.mesh.parts]))
     return mesh
+
+
+def define_plain(
+    stage: Usd.Stage,
+    path: Sdf.Path | str,
+    points: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    indices: NDArray[np.int64],
+    normals: NDArray[np.float64],
+    color: Sequence[float],
+) -> UsdGeom.Mesh:
+    """A mesh without textures; normals are of its points, or of the corners of its faces."""
+    mesh, tokens = UsdGeom.Mesh.Define(stage, path), UsdGeom.Tokens
+    mesh.CreateSubdivisionSchemeAttr(tokens.none)
+    values = Vt.Vec3fArray.FromNumpy(rounded(points, 4))
+    mesh.CreatePointsAttr(values)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(counts.astype(np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(indices.astype(np.int32)))
+    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(values))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(rounded(normals, NORMAL_DECIMALS)))
+    smooth = len(normals) == len(points)
+    mesh.SetNormalsInterpolation(tokens.vertex if smooth else tokens.faceVarying)
+    mesh.CreateDisplayColorAttr([Gf.Vec3f(*color)])
+    return mesh
+
+
+def collide(prim: Usd.Prim, *, kinematic: bool = False) -> None:
+    """Make a prim a collider, a mesh by its own triangles."""
+    UsdPhysics.CollisionAPI.Apply(prim)
+    if kinematic:
+        UsdPhysics.RigidBodyAPI.Apply(prim).CreateKinematicEnabledAttr(True)
+    if prim.IsA(UsdGeom.Mesh):
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
 
 
 def define_material(stage: Usd.Stage, path: Sdf.Path, look: Look) -> UsdShade.Material:

@@ -39,10 +39,15 @@ def columns(materials: Sequence[Material]) -> dict[str, Floats]:
     return {name: np.array([getattr(m, name) for m in materials]) for name in FREE} | own
 
 
+def unbounded(particles: Particles, materials: Sequence[Material]) -> Ints:
+    """(N,) whether particles flow without end, by the laws of their materials."""
+    return np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
+
+
 def flowing(particles: Particles, materials: Sequence[Material]) -> dict[int, Ints]:
     """Indices of the particles that flow without end, by body; bodies without any are left out."""
-    flows = np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
-    body = np.zeros(len(particles), int) if particles.body is None else np.asarray(particles.body)
+    flows = unbounded(particles, materials)
+    body = particles.body_of
     return {int(b): np.flatnonzero(flows & (body == b)) for b in np.unique(body[flows])}
 
 

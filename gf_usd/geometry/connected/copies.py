@@ -71,7 +71,7 @@ def find_limbs(solid: Solid, particles: Particles, of_surface: Ints) -> Limbs | 
     of_surface : (S,) body of each surface, in the order of `Solid.surfaces`.
     """
     h = CELL * particles.lattice
-    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    body = particles.body_of
     bodies = int(max(of_surface.max(), body.max())) + 1
     corners = particles.corner if particles.corners is None else particles.corners
     corners = np.broadcast_to(np.asarray(corners, float), (bodies, 3))

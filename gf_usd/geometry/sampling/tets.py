@@ -43,7 +43,7 @@ KUHN = _kuhn()
 def tet_lattices(particles: Particles, samples: SurfaceSamples) -> tuple[TetLattice, ...]:
     """The tetrahedra of each body that has particles."""
     h = CELL * particles.lattice
-    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    body = particles.body_of
     corners = particles.corner if particles.corners is None else particles.corners
     corners = np.broadcast_to(np.asarray(corners, float), (int(body.max()) + 1, 3))
     made = []

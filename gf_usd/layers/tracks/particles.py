@@ -26,8 +26,8 @@ from gf_usd.core.frames import (
     SurfacePose,
     TetLattice,
 )
-from gf_usd.core.materials.laws import LAWS, law_parameters
-from gf_usd.core.materials.per_particle import spread
+from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials.per_particle import spread, unbounded
 from gf_usd.layers.materials import bind, bind_points, write_materials
 from gf_usd.layers.space import Space
 from gf_usd.layers.stage import Clock, Home, f32, quaternions
@@ -92,7 +92,7 @@ class ParticleTrack:
             self._twin = PointsTrack(
                 cache, where, particles, self._unit, velocities=choices.velocities
             )
-        self._grains, self._flow = flowing(particles, info, choices), None
+        self._grains, self._flow = shown_with_meshes(particles, info, choices), None
         if self._grains is not None:
             self._flow = PointsTrack(
                 cache, home.scope.AppendChild(FLOW), some(particles, self._grains), self._unit,
@@ -255,13 +255,11 @@ class ParticleTrack:
         return ops
 
 
-def flowing(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
-    """(k,) the particles shown beside meshes of others; None: none are, or their surface is."""
+def shown_with_meshes(particles: Particles, info: BakeInfo, choices: Choices) -> Ints | None:
+    """(k,) the particles shown with meshes of others; None: none are, or their surface is."""
     if choices.flows or not (choices.mesh and choices.flowing):
         return None
-    return np.flatnonzero(
-        np.array([LAWS[m.law].unbounded for m in info.materials])[np.asarray(particles.material)]
-    )
+    return np.flatnonzero(unbounded(particles, info.materials))
 
 
 def some(particles: Particles, rows: Ints) -> Particles:

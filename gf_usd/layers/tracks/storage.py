@@ -45,7 +45,7 @@ class Tolerance:
     """
 
     def __init__(self, precision: Precision, particles: Particles, unit: float) -> None:
-        self._body = np.zeros(len(particles), int) if particles.body is None else particles.body
+        self._body = particles.body_of
         self._surface = np.asarray(particles.surface)
         radii = particles.radii
         self.radius = float(radii[radii > 0.0].min())  # [m]

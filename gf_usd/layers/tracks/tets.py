@@ -75,7 +75,7 @@ class TetTrack:
         for name in ("physics", "omniphysics"):
             shape = f"{name}:restShapePoints"
             self.prim.CreateAttribute(shape, Types.Point3fArray, False).Set(rest)
-        of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+        of = particles.body_of
         mine = of == tets.body
         weight = np.asarray(particles.V0, float) * spread(particles, info.materials)["density"]
         mass = float(weight[mine].sum()) / units.mass

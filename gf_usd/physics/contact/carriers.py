@@ -90,15 +90,21 @@ FLAT = 1e-4  # of det J / (tr J)^3, at most 1/32: below it three samples lie on 
 def spin(x: Floats, v: Floats) -> Floats:
     """omega (k, 3) [1/s] of triples at x (k, 3, 3) [m] with v (k, 3, 3) [m/s]; 0 on a line."""
     r = x - x.mean(1, keepdims=True)
+    return turn(r, cross(r.reshape(-1, 3), v.reshape(-1, 3)).reshape(-1, 3, 3).sum(1))
+
+
+def turn(r: Floats, moment: Floats) -> Floats:
+    """alpha (k, 3) with J alpha = moment (k, 3), of triples at r (k, 3, 3) [m] from their centroid;
+    0 on a line."""
     products = r.swapaxes(1, 2) @ r
     size = 2.0 * np.trace(products, axis1=1, axis2=2)
     scale = np.where(size > 0.0, size, 1.0)
     J = (0.5 * size)[:, None, None] * np.eye(3) - products
     J /= scale[:, None, None]
-    moment = cross(r.reshape(-1, 3), v.reshape(-1, 3)).reshape(-1, 3, 3).sum(1) / scale[:, None]
     fit = np.linalg.det(J) > FLAT
     J[~fit] = np.eye(3)
-    return np.where(fit[:, None], np.linalg.solve(J, moment[..., None])[..., 0], 0.0)
+    alpha = np.linalg.solve(J, (moment / scale[:, None])[..., None])[..., 0]
+    return np.where(fit[:, None], alpha, 0.0)
 
 
 NEXT, LAST = (1, 2, 0), (2, 0, 1)  # axes after and before each

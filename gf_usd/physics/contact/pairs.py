@@ -234,14 +234,19 @@ class BodyContact:
         return self._members
 
     def surface(
-        self, body: int, x: Floats, known: Floats, now: StateView, reach: float
+        self,
+        body: int,
+        X: Floats,
+        known: Floats,
+        x: Floats,
+        u: Floats,
+        offset: Floats,
+        reach: float,
     ) -> tuple[Closest, Ints, Floats]:
-        """The surface of a body as points x (n, 3) [m] see it within reach [m], and the contact
-        samples (k, 3) that carry the places seen, with weights (k, 3); known : see `BodySkin`."""
-        skin = self._skins[body]
-        place = self.motion(now)[0][self._members[body]]
-        seen, rest = skin.near(x, known, place, now.nodes[0], now.offset, reach)
-        return seen, *skin.carriers(rest)
+        """What points see of a body: `BodySkin.near`, and the contact samples (k, 3) that carry the
+        places seen, with weights (k, 3)."""
+        seen, rest = self._skins[body].near(X, known, x, u, offset, reach)
+        return seen, *self._skins[body].carriers(rest)
 
     def motion(self, now: StateView) -> tuple[Floats, Floats]:
         """x [m] and v [m/s] of the samples, (n, 3)."""
@@ -389,11 +394,12 @@ class BodyContact:
         gap, faced = self._gap[rows], self.planes.partner[rows]
         was = (gap < 0.0) & (faced >= 0) & (self._of[faced] == other)
         known = np.where(was, gap - EASE * self._spacing, 0.0)
-        skin = self._skins[other]
-        found, rest = skin.near(search.x[rows], known, theirs, nodes, offset, search.reach)
+        found, *carriers = self.surface(
+            other, search.x[rows], known, theirs, nodes, offset, search.reach
+        )
         mine = rows[found.rows]
         point = found.point + self._offset_from(mine, other)[:, None] * found.normal
-        search.offer(mine, found.gap, found.normal, point, *skin.carriers(rest))
+        search.offer(mine, found.gap, found.normal, point, *carriers)
 
     def _face_themselves(
         self, search: ContactSearch, v: Floats, span: float, *, whole: bool

@@ -21,16 +21,16 @@ from __future__ import annotations
 import numpy as np
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.physics.contact.carriers import FLAT, cross
+from gf_usd.physics.contact.carriers import cross, turn
 from gf_usd.physics.contact.continuity import EASE
 from gf_usd.physics.contact.narrow_phase import TRAVEL
+from gf_usd.physics.contact.pairs import COVER
 from gf_usd.physics.grid.bodies import fastest
 from gf_usd.physics.total_lagrangian.solver import TotalLagrangian
 from gf_usd.physics.updated_lagrangian.planes import Faced
 from gf_usd.physics.updated_lagrangian.solver import UpdatedLagrangian
 
 STEP = 1.0  # w T of a span at most: a quarter of what is stable, squared
-COVER = 1.5  # [spacings] from any place of a surface, strained, to its nearest sample
 
 
 class SolidBodies:
@@ -63,8 +63,9 @@ class SolidBodies:
         for k, members in enumerate(self._pairs.members):
             if not len(members):
                 continue
-            low = place[members].min(0) - reach - COVER * self._spacing
-            high = place[members].max(0) + reach + COVER * self._spacing
+            theirs = place[members]
+            low = theirs.min(0) - reach - COVER * self._spacing
+            high = theirs.max(0) + reach + COVER * self._spacing
             rows = np.flatnonzero(((x >= low) & (x <= high)).all(1))
             if not len(rows):
                 continue
@@ -72,7 +73,9 @@ class SolidBodies:
             # fold of the surface
             was = (gap[rows] < 0.0) & (face[rows] == k)
             known = np.where(was, gap[rows] - EASE * self._spacing, 0.0)
-            seen, carriers, weights = self._pairs.surface(k, x[rows], known, now, reach)
+            seen, carriers, weights = self._pairs.surface(
+                k, x[rows], known, theirs, now.nodes[0], now.offset, reach
+            )
             out.append(
                 Faced(
                     body=k,
@@ -200,13 +203,4 @@ def shared(J: Floats, L: Floats, x: Floats, weights: Floats) -> Floats:
     out = weights[:, :, None] * J[:, None]
     left = L - cross(np.einsum("nk,nka->na", weights, x), J)
     r = x - x.mean(1, keepdims=True)
-    products = r.swapaxes(1, 2) @ r
-    size = 2.0 * np.trace(products, axis1=1, axis2=2)
-    scale = np.where(size > 0.0, size, 1.0)
-    inertia = (0.5 * size)[:, None, None] * np.eye(3) - products
-    inertia /= scale[:, None, None]
-    fit = np.linalg.det(inertia) > FLAT
-    inertia[~fit] = np.eye(3)
-    turn = np.linalg.solve(inertia, (left / scale[:, None])[..., None])[..., 0]
-    turn = np.where(fit[:, None], turn, 0.0)
-    return out + np.cross(turn[:, None], r)
+    return out + np.cross(turn(r, left)[:, None], r)

@@ -11,8 +11,8 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import CellCopies, Particles, SurfaceSamples
-from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.stage import ContactSetup
 
 
@@ -42,8 +42,8 @@ def flowing_bodies(particles: Particles, materials: Sequence[Material]) -> Ints:
 
     Raises InputError for a body of which only a part does.
     """
-    flows = np.array([LAWS[m.law].unbounded for m in materials])[np.asarray(particles.material)]
-    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    flows = unbounded(particles, materials)
+    body = particles.body_of
     share = np.bincount(body, flows) / np.maximum(np.bincount(body), 1)
     if (halves := np.flatnonzero((share > 0.0) & (share < 1.0))).size:
         k = int(halves[0])
@@ -66,7 +66,7 @@ def part_of(
     copied: bool,
 ) -> Part:
     """The part of the bodies (B,) `which`; copied : cells that limbs share stay copied."""
-    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    body = particles.body_of
     at = np.flatnonzero(which[body])
     number = np.cumsum(which) - 1
     several = int(which.sum()) > 1

@@ -37,7 +37,7 @@ class Bodies:
 
 def bodies_of(particles: Particles, density: Floats) -> Bodies:
     """The bodies of particles; density : (N,) [kg/m^3]."""
-    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    of = particles.body_of
     volume = np.bincount(of, particles.V0)
     return Bodies(
         of=of,

@@ -71,7 +71,7 @@ def keep_limbs_apart(
     )
 
 
-def beside_grains(samples: SurfaceSamples, particles: Particles, flows: Ints) -> SurfaceSamples:
+def with_grains(samples: SurfaceSamples, particles: Particles, flows: Ints) -> SurfaceSamples:
     """Samples of the surfaces of solid bodies, and every particle of those (B,) that flow.
 
     Each particle stands for an area such that rho * area * spacing is its own mass.
@@ -151,7 +151,7 @@ def require_clear_start(
     way = np.asarray(lift, float)
     if not way.any():
         return
-    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    body = particles.body_of
     for k, one in enumerate(setup.colliders):
         free = [a for a in range(len(setup.skins)) if (a, k) in setup.through_colliders]
         X = particles.X[~np.isin(body, free)]

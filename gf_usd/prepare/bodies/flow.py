@@ -10,7 +10,7 @@ import numpy as np
 
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.material import Material
-from gf_usd.core.materials.per_particle import flowing
+from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.prepare.bodies.plan import BodyPlan
 
 if TYPE_CHECKING:
@@ -33,13 +33,11 @@ def flow_of(
     A mesh that is filled moves with nothing solid where all of its particles flow, any other one
     where all of its body do.
     """
-    found = flowing(particles, materials)
-    if not found:
+    flows = unbounded(particles, materials)
+    if not flows.any():
         return Flow()
-    flows = np.zeros(len(particles), bool)
-    flows[np.concatenate(list(found.values()))] = True
     surface = np.asarray(particles.surface)
-    body = np.zeros(len(particles), int) if particles.body is None else np.asarray(particles.body)
+    body = particles.body_of
     meshes = [s.path for k, s in enumerate(solid.surfaces) if flows[surface == k].all()]
     filled = {s.path for s in solid.surfaces}
     meshes += [
@@ -47,4 +45,4 @@ def flow_of(
         for path, of in bodies.embedded.items()
         if path not in filled and flows[body == of].all()
     ]
-    return Flow(bodies=tuple(found), meshes=tuple(meshes))
+    return Flow(bodies=tuple(np.unique(body[flows]).tolist()), meshes=tuple(meshes))

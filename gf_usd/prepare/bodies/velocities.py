@@ -66,7 +66,7 @@ def start_velocities(
 
 def _centers(particles: Particles) -> Floats:
     """(B, 3) [m] the center of volume of each body."""
-    of = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    of = particles.body_of
     volume = np.bincount(of, particles.V0)
     return np.stack([np.bincount(of, particles.V0 * x) / volume for x in particles.X.T], axis=1)
 

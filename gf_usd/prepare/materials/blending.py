@@ -74,7 +74,7 @@ def blended(
     material = np.asarray(particles.material)
     of_slot = {int(k): int(material[np.flatnonzero(slot == k)[0]]) for k in np.unique(slot)}
     material_parts = part_of_triangles(solid, parts)
-    body = np.zeros(len(particles), np.int64) if particles.body is None else particles.body
+    body = particles.body_of
     table = columns(materials)
     values = of_materials(particles, materials)
     several = False

@@ -14,6 +14,7 @@ from gf_usd.core.errors import InputError, UsageError
 from gf_usd.core.frames import Particles
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.core.materials.material import Material
+from gf_usd.core.materials.per_particle import unbounded
 from gf_usd.core.materials.presets import find_preset
 from gf_usd.core.stage import Skin, StageSpec
 from gf_usd.prepare.materials.parts import material_parts
@@ -113,9 +114,9 @@ def require_whole(
 
     path : of the asset, for messages; tables : the materials of each variant.
     """
-    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    body = particles.body_of
     for table in tables:
-        flows = np.array([LAWS[m.law].unbounded for m in table])[particles.material]
+        flows = unbounded(particles, table)
         for k in range(int(body.max()) + 1):
             mine = np.flatnonzero(body == k)
             count = int(flows[mine].sum())
@@ -140,7 +141,7 @@ def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequen
     """
     from gf_usd.geometry.winding import winding_inside
 
-    body = np.zeros(len(particles), int) if particles.body is None else particles.body
+    body = particles.body_of
     X = np.asarray(particles.X)[flows[body]]
     for k in map(int, np.flatnonzero(~flows)):
         points, triangles = skins[k].points, skins[k].triangles

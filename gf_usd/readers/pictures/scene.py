@@ -59,8 +59,8 @@ SHOWS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 KINDS = ("mesh", "splats", "gaussians", "points")
-# Of a bake that shows its Gaussians beside meshes, as what flows onto obstacles does.
-BESIDE = (("mesh", "splats", "gaussians", "grains"), "gaussians")
+# Of a bake that shows its Gaussians together with meshes, as what flows onto obstacles does.
+WITH_MESHES = (SHOWS["both"][0], "gaussians")
 
 PURPOSES = (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
 
@@ -112,7 +112,7 @@ class PictureStage:
             self.show = show or next((kind for kind in KINDS if kind in there), "mesh")
             kinds, display = SHOWS[self.show]
             if show is None and {"mesh", "gaussians"} <= there:
-                kinds, display = BESIDE
+                kinds, display = WITH_MESHES
             self._select_display(display)
             self._prims = self._visible(kinds)
             self._camera = find_camera(self._stage, path, camera) if camera else None

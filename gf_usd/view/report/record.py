@@ -62,16 +62,15 @@ def load_report(root: Path) -> tuple[dict[str, Any], str]:
     return data, ""
 
 
+def variant_of(entry: Mapping[str, Any]) -> str:
+    """The variant of a bake or a warning of a report; those of former versions call it `look`."""
+    return str(entry.get("variant", entry.get("look", "")))
+
+
 def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str) -> Record:
     """The numbers of a variant: of the report if it is of this bake, else of the root layer."""
-    bake = next(
-        (
-            b
-            for b in report.get("bakes", ())
-            if b.get("variant", b.get("look")) == recording.variant
-        ),
-        None,
-    )
+    mine = (b for b in report.get("bakes", ()) if variant_of(b) == recording.variant)
+    bake = next(mine, None)
     about = recording.about
     if bake is not None and about.get("inputHash") not in (None, report.get("input_sha256")):
         bake, why_empty = None, "the report next to the file is of another bake"
@@ -95,7 +94,7 @@ def make_record(recording: Recording, report: Mapping[str, Any], why_empty: str)
         warnings=tuple(
             Warned(message=w.get("message", ""), hint=w.get("hint", ""), about=w.get("about", ""))
             for w in map(_table, report.get("warnings", ()))
-            if w.get("variant", w.get("look")) == recording.variant
+            if variant_of(w) == recording.variant
         ),
         failure=str(_in_layer(recording).get("failure", "")),
         findings=tuple(_table(f) for f in report.get("check", ())),
