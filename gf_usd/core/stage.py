@@ -31,11 +31,6 @@ RIGID = 1e-5  # how far a motion may stretch space and still count as rigid: flo
 
 WATER = 1000.0  # [kg/m^3] what UsdPhysics assumes where no density is given
 DEFAULT_LAW = "neoHookean"
-# Newton bounds sqrt(J2), the stress of pure shear, and ours sqrt(3 J2), the equivalent one; its
-# viscosity is that of shear, and ours goes with the equivalent rate: three times it.
-NEWTONS = {"yield_stress": ("yieldStress", 3.0**0.5), "flow_viscosity": ("viscosity", 3.0)}
-# Of what is granular, which both bound by sqrt(J2) <= cohesion + internal friction times pressure.
-GRAINS = {"internal_friction": ("internalFriction", 1.0), "cohesion": ("yieldStress", 1.0)}
 FRICTION, RESTITUTION = 0.8, 0.85  # where an elastic material says nothing of them
 
 

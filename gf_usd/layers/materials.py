@@ -15,9 +15,9 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gf_usd.core.arrays import Ints
-from gf_usd.core.materials.laws import law_parameters
+from gf_usd.core.materials import newton
+from gf_usd.core.materials.laws import LAWS, law_parameters
 from gf_usd.core.materials.material import Material
-from gf_usd.core.stage import GRAINS, NEWTONS
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.stage import new_layer, refresh, save, to_metadata
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
@@ -155,27 +155,33 @@ def _write(
         ("newton:mpm:youngsModulus", young),
         ("newton:mpm:poissonsRatio", material.poissons_ratio),
         ("newton:mpm:elasticDamping", young * material.damping_time),
-        # Newton's fallback, 0, is a material that falls apart under tension, like sand
-        ("newton:mpm:tensileYieldRatio", 0.0 if material.law == "druckerPrager" else 1.0),
         *_newtons_flow(material, units),
     ):
         prim.CreateAttribute(name, Types.Float, False).Set(value)
 
 
 def _newtons_flow(material: Material, units: StageUnits) -> list[tuple[str, float]]:
-    """Newton's words on a material that flows; see `core.stage.NEWTONS` and `GRAINS`.
+    """Newton's terms for a material with flow; see `core.materials.newton`.
 
-    Newton's fallback of internalFriction would make the strength of a metal grow with pressure.
+    Its fallback of tensileYieldRatio, 0, is a material that falls apart under tension, like sand,
+    and that of internalFriction would make the strength of a metal grow with pressure.
     """
-    if material.law == "druckerPrager":
-        words, known = [], GRAINS
-    elif material.law in VOLUME_KEEPING:
-        words, known = [("newton:mpm:internalFriction", 0.0)], NEWTONS
+    known, words = newton.FLOW, {newton.TENSION: 1.0}
+    if material.law == newton.GRANULAR:
+        known, words = newton.GRAINS, {newton.TENSION: 0.0}
+    elif material.law in (*VOLUME_KEEPING, newton.CRUSHABLE):
+        words["internalFriction"] = 0.0
     else:
-        return []
+        known = {}
     for one in law_parameters([material.law]):
         if one.name in known:
             name, factor = known[one.name]
-            value = material.parameter(one) / units.factor(one.unit) / factor
-            words.append((f"newton:mpm:{name}", value))
-    return words
+            words[name] = material.parameter(one) / units.factor(one.unit) / factor
+    if material.law == newton.CRUSHABLE:
+        y, hardening, alpha, tension = map(material.parameter, LAWS[material.law].parameters)
+        shear, pressure = newton.bounds(y, alpha)
+        words |= {
+            "yieldStress": shear / units.pressure, "yieldPressure": pressure / units.pressure,
+            "hardening": hardening / y, newton.TENSION: tension,
+        }  # fmt: skip
+    return [(f"newton:mpm:{name}", value) for name, value in words.items()]

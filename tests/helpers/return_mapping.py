@@ -22,13 +22,13 @@ from scipy.stats import special_ortho_group
 
 from gf_usd.core.arrays import Floats
 
-MU, LAM, CAP = 2.0, 3.0, 2.12  # [Pa]
+MU, LAM, CAP, TENSILE = 2.0, 3.0, 2.12, 0.4  # [Pa], [Pa], and shape of the crushable law
 BULK = LAM + 2.0 / 3.0 * MU
 # Size of the strains and yield stress [Pa]: by principal stretches, and by the series near 1.
 REGIMES = {"large": (0.3, 0.05), "small": (3e-3, 5e-4)}
 OWN = {
     "vonMises": {"hardening": 0.2, "saturation": 0.04, "saturation_rate": 15.0},
-    "crushable": {"hardening": 0.3, "cap_shape": CAP},
+    "crushable": {"hardening": 0.3, "cap_shape": CAP, "tensile_yield_ratio": TENSILE},
 }
 OVER = {"vonMisesNeoHookean": "neoHookean", "vonMisesCorotated": "corotated"}
 OWN |= dict.fromkeys(OVER, OWN["vonMises"])
@@ -71,8 +71,9 @@ def surface(token: str, e: Floats, tau: Floats, a: Floats, yields: float) -> tup
     shear = np.sqrt(1.5) * np.linalg.norm(s, axis=1)
     if token == "crushable":
         scale = 1.0 + CAP**2 / 9.0
-        Q = np.sqrt((shear**2 + CAP**2 * p**2) / scale)
-        slope = (1.5 * s - CAP**2 * p[:, None] / 3.0) / (scale * Q[:, None])
+        cap = np.where(p < 0.0, CAP / TENSILE, CAP) ** 2
+        Q = np.sqrt((shear**2 + cap * p**2) / scale)
+        slope = (1.5 * s - (cap * p)[:, None] / 3.0) / (scale * Q[:, None])
         return Q - yields - 0.3 * a, slope
     assert token in ("vonMises", *OVER)
     Y = yields + 0.2 * a + 0.04 * (1.0 - np.exp(-15.0 * a))

@@ -143,6 +143,13 @@ LAWS: dict[str, LawSpec] = {
                     " 3 / sqrt(2) keeps the width of what is pressed along one axis.",
                     label="Shape of the cap", low=0.1, high=2.9,
                 ),
+                Parameter(
+                    name="tensile_yield_ratio", unit="", attribute="tensileYieldRatio",
+                    default=1.0,
+                    meaning="Tension at which a crushable material yields over the pressure at"
+                    " which it does, the same from all sides.",
+                    label="Tensile yield ratio", low=0.05, high=5.0,
+                ),
             ),
             flows=True,
             internal=(

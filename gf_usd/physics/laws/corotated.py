@@ -37,6 +37,12 @@ def pk1(F, q, converged):
     return combination(m, difference(F, R), p, cof)
 
 
+@ti.func
+def powers(q):
+    """c1 and c2 of `radial_flow`: F^T P = 2 mu (U^2 - U) + lam (J - 1) J 1."""
+    return [-2.0 * q[0], 2.0 * q[0]]
+
+
 def stored(s, J, q):
     """psi of signed stretches: |F - R|^2 = sum (s_i - 1)^2."""
     return q[0] * ((s - 1.0) ** 2).sum(1) + 0.5 * q[1] * (J - 1.0) ** 2

@@ -7,12 +7,15 @@ stress that grows as the cells close:
     Q = sqrt((sigma^2 + alpha^2 p^2) / (1 + alpha^2 / 9)) > Y(c) = yield_stress + hardening c
 
 c is the volume lost for good, -ln det F_p where that is above 0, and alpha the shape of the cap
-(1.5 * sqrt(2) = 2.1 makes a uniaxial test show no plastic Poisson's ratio).  Associated flow
+(1.5 * sqrt(2) = 2.1 makes a uniaxial test show no plastic Poisson's ratio).  Under tension, p < 0,
+alpha of the numerator is alpha / r, r the ratio of the largest tension to the largest pressure: two
+half ellipses that share their widest point and its normal.  Associated flow
 de_p = l d(Q^2 (1 + alpha^2/9))/d tau returns stress along (its eq. 7, backward Euler)
 
     s = s* / (1 + 6 mu l),   p = p* / (1 + 2 alpha^2 K l),   K = lam + 2 mu / 3
 
-with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with l.  Where a stretch of F_e
+which keeps the sign of p, with l >= 0 such that Q = Y(c): Newton from below, since Q - Y falls with
+l.  Where a stretch of F_e
 is below 0.1 or F_e is inverted nothing flows: Hencky's law pushes it back first.
 """
 
@@ -67,7 +70,7 @@ def flow(F, q, a, dt, converged):
             m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
             work = dissipated(q, m, s, p)
             k = 1.0 / (1.0 + 3.0 * m) - 1.0
-            t = exp(trace * (1.0 / (1.0 + slope(q) * m) - 1.0) / 3.0)
+            t = exp(trace * (1.0 / (1.0 + slope(q, p) * m) - 1.0) / 3.0)
             assign(X, scaled(k, X))
             choose(E, y, scaled(t, product(F, exponential(X))))
     else:
@@ -79,7 +82,7 @@ def flow(F, q, a, dt, converged):
             m, lost = multiplier(q, a[0], y, s, p, ti.max(0.0 - trace, 0.0))
             work = dissipated(q, m, s, p)
             k = 1.0 / (1.0 + 3.0 * m) - 1.0
-            t = trace * (1.0 / (1.0 + slope(q) * m) - 1.0) / 3.0
+            t = trace * (1.0 / (1.0 + slope(q, p) * m) - 1.0) / 3.0
             back = [exp(k * d[0] + t), exp(k * d[1] + t), exp(k * d[2] + t)]
             choose(E, y, product(F, spectral(back, V)))
     return E, [a[0] + lost], work
@@ -89,15 +92,21 @@ def flow(F, q, a, dt, converged):
 def dissipated(q, m, stress, pressure):
     """tau : (e* - e) [J/m^3] of the stress that remains: of shear, and of pressure."""
     u = 1.0 / (1.0 + 3.0 * m)
-    w = 1.0 / (1.0 + slope(q) * m)
+    w = 1.0 / (1.0 + slope(q, pressure) * m)
     shear = stress * stress * u * (1.0 - u) / (3.0 * q[0])
     return shear + pressure * pressure * w * (1.0 - w) / (q[1] + q[0] * (2.0 / 3.0))
 
 
 @ti.func
-def slope(q):
+def cap(q, pressure):
+    """alpha^2 on the side of -p [Pa]: under tension over r^2."""
+    return q[4] * q[4] * ti.select(pressure > 0.0, 1.0 / (q[5] * q[5]), 1.0)
+
+
+@ti.func
+def slope(q, pressure):
     """b = alpha^2 K / mu."""
-    return q[4] * q[4] * (q[1] / q[0] + 2.0 / 3.0)
+    return cap(q, pressure) * (q[1] / q[0] + 2.0 / 3.0)
 
 
 @ti.func
@@ -105,17 +114,16 @@ def excess(q, a, size, trace):
     """Q* - Y(c), sigma* and -p* [Pa] of a trial strain with |dev e| = size."""
     s = ti.sqrt(6.0) * q[0] * size
     p = (q[1] + q[0] * (2.0 / 3.0)) * trace
-    cap = q[4] * q[4]
-    Q = ti.sqrt((s * s + cap * p * p) / (1.0 + cap / 9.0))
+    Q = ti.sqrt((s * s + cap(q, p) * p * p) / (1.0 + q[4] * q[4] / 9.0))
     return Q - q[2] - q[3] * a, s, p
 
 
 @ti.func
 def multiplier(q, a, y, stress, pressure, inward):
     """m = 2 mu l of the return, and the growth of c; inward : -tr e* where that is above 0."""
-    cap = q[4] * q[4]
-    scale = 1.0 / (1.0 + cap / 9.0)
-    b = slope(q)
+    alpha = cap(q, pressure)
+    scale = 1.0 / (1.0 + q[4] * q[4] / 9.0)
+    b = slope(q, pressure)
     m = y * 0.0
     steps, unsolved = 0, 1.0
     while unsolved > 0.0 and steps < ITERATIONS:
@@ -123,9 +131,9 @@ def multiplier(q, a, y, stress, pressure, inward):
         w = 1.0 / (1.0 + b * m)
         s = stress * u
         p = pressure * w
-        Q = ti.sqrt(scale * (s * s + cap * p * p))
+        Q = ti.sqrt(scale * (s * s + alpha * p * p))
         r = Q - q[2] - q[3] * (a + inward * (1.0 - w))
-        fall = scale * (3.0 * s * s * u + cap * b * p * p * w) / ti.max(Q, 1e-30)
+        fall = scale * (3.0 * s * s * u + alpha * b * p * p * w) / ti.max(Q, 1e-30)
         fall = fall + q[3] * inward * b * w * w
         r = ti.select(y > 0.0, r, 0.0)
         m = m + r / ti.max(fall, 1e-30)

@@ -46,6 +46,12 @@ def pk1(F, q, converged):
     return combination(mu, F, p, cof)
 
 
+@ti.func
+def powers(q):
+    """c1 and c2 of `radial_flow`: F^T P = mu U^2 + (lam g - mu) g' J 1."""
+    return [0.0 * q[0], q[0]]
+
+
 def stored(s, J, q):
     """psi of stretches: |F|^2 = sum s_i^2."""
     t = (np.minimum(J, J_EXTENSION) - J_EXTENSION) / J_EXTENSION

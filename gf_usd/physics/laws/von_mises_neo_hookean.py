@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from gf_usd.physics.laws.neo_hookean import moduli, pk1, psi, stored
+from gf_usd.physics.laws.neo_hookean import moduli, pk1, powers, psi, stored
 from gf_usd.physics.laws.radial_flow import flow_along_strain
 
 __all__ = ["flow", "moduli", "pk1", "psi", "stored"]
@@ -11,4 +11,4 @@ __all__ = ["flow", "moduli", "pk1", "psi", "stored"]
 @ti.func
 def flow(F, q, a, dt, converged):
     """See `radial_flow`."""
-    return flow_along_strain(pk1, F, q, a, dt, converged)
+    return flow_along_strain(powers, F, q, a, dt, converged)

@@ -8,12 +8,14 @@ schema's fallback is nobody's word.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from gf_usd.core.errors import InputError
+from gf_usd.core.materials import newton
 from gf_usd.core.materials.laws import LAWS, law_parameters
-from gf_usd.core.stage import GRAINS, NEWTONS, PhysicsMaterialSpec
+from gf_usd.core.stage import PhysicsMaterialSpec
 from gf_usd.core.units import StageUnits
 
 PREFIXES = ("physics:", "newton:mpm:", "omniphysics:")
@@ -102,62 +104,91 @@ def _parameters(authored: Authored, where: str, units: StageUnits) -> dict[str, 
     return out
 
 
-# What has no counterpart here, with the value at which it changes nothing.
-NOT_OURS = {"internalFriction": 0.0, "tensileYieldRatio": 1.0, "yieldPressure": float("inf")}
-# Of what is granular: Newton bounds its tension by a share of the yield pressure, which is none by
-# its fallback, ours by the tip of the cone.
-GRANULAR = "druckerPrager"
-NOT_OF_GRAINS = {"tensileYieldRatio": 0.0, "yieldPressure": float("inf"), "viscosity": 0.0}
+# What has no counterpart in a law, with the value at which it changes nothing.
+UNREAD = {
+    "": {"internalFriction": 0.0, newton.TENSION: 1.0, "yieldPressure": math.inf},
+    newton.CRUSHABLE: {"internalFriction": 0.0, "viscosity": 0.0},
+    # Newton bounds the tension of grains by a share of the yield pressure, which is none by its
+    # fallback, ours by the tip of the cone.
+    newton.GRANULAR: {newton.TENSION: 0.0, "yieldPressure": math.inf, "viscosity": 0.0},
+}
+WHY = {
+    "": "the stress at which it yields is the same in tension and under any pressure",
+    newton.CRUSHABLE: "crushable materials yield at once and by an ellipse of shear and pressure",
+    newton.GRANULAR: "what is granular bears no more tension than its cohesion gives",
+}
 
 
 def _newtons(
     authored: Authored, where: str, units: StageUnits, law: str | None, say: Assume | None
 ) -> dict[str, float]:
-    """Newton's words on flow as parameters of ours, in SI; none where they say of no flow.
+    """Newton's terms for flow as parameters of ours, in SI; none where nothing flows by them.
 
-    Newton bears a shear stress sqrt(J2) <= yieldStress + internalFriction p.  Without internal
-    friction that is a von Mises yield stress of sqrt(3) yieldStress, with it Drucker and Prager's
-    cone, whose cohesion is yieldStress.
+    See `newton`.  Internal friction makes a material granular, a yield pressure a crushable one.
     """
 
     def stated(name: str) -> float | None:
         value = _float(authored(PREFIXES[1] + name), PREFIXES[1] + name, where)
-        return None if value is None or value == float("-inf") else value
+        return None if value is None or value == -math.inf else value
 
-    granular = bool(stated("internalFriction")) and law in (None, GRANULAR)
-    ours = GRAINS if granular else NEWTONS
+    def positive(name: str, value: float, high: float = math.inf, low: float = 0.0) -> float:
+        return _closed(where, PREFIXES[1] + name, value, high, low)
+
+    kind = newton.GRANULAR if stated("internalFriction") and law in (None, newton.GRANULAR) else ""
     out = {}
-    for one in law_parameters([GRANULAR] if granular else None):
-        if one.name in ours:
-            name, factor = ours[one.name]
-            value = stated(name)
-            if value:
-                SI = value * factor * units.factor(one.unit)
-                out[one.name] = _closed(where, PREFIXES[1] + name, SI, one.high, one.low)
-    if not granular and "yield_stress" not in out:
+    for one in law_parameters([kind] if kind else None):
+        name, factor = (newton.GRAINS if kind else newton.FLOW).get(one.name, ("", 0.0))
+        value = stated(name) if name else None
+        if value:
+            SI = value * factor * units.factor(one.unit)
+            out[one.name] = positive(name, SI, one.high, one.low)
+    if not kind and "yield_stress" not in out:
         return {}
-    unread = NOT_OF_GRAINS if granular else NOT_OURS
-    left = [name for name, nothing in unread.items() if stated(name) not in (None, nothing)]
-    hardening = stated("hardening")
-    if hardening and law == "crushable":
-        # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
-        out["hardening"] = _closed(
-            where, PREFIXES[1] + "hardening", hardening * out["yield_stress"], float("inf")
-        )
-    elif hardening:
-        left.append("hardening")
+    crushed = {}
+    if not kind and law in (None, newton.CRUSHABLE):
+        crushed = _crushable(stated, positive, units)
+        if crushed or law:
+            kind = newton.CRUSHABLE
+            out.pop("flow_viscosity", None)
+            out |= crushed
+    left = [name for name, nothing in UNREAD[kind].items() if stated(name) not in (None, nothing)]
+    if kind == newton.CRUSHABLE:
+        tension, ratio = LAWS[kind].parameters[3], stated(newton.TENSION)
+        if ratio is not None and tension.low <= ratio <= tension.high:
+            out[tension.name] = ratio
+        elif ratio is not None:
+            left.append(newton.TENSION)
+        if not crushed and stated("yieldPressure") not in (None, math.inf):
+            left.append("yieldPressure")
+    if hardening := stated("hardening"):
+        if kind == newton.CRUSHABLE:
+            # exp(h (1 - J)) of the yield stress, to first order in the volume that is lost
+            out["hardening"] = positive("hardening", hardening * out["yield_stress"])
+        else:
+            left.append("hardening")
     if say and left:
-        what, why = (
-            ("internal friction", "what is granular bears no more tension than its cohesion gives")
-            if granular
-            else ("yield stress", "it is the same in tension and under any pressure")
-        )
+        what = "internal friction" if kind == newton.GRANULAR else "yield stress"
         say(
             f"the {what} is read in Newton's words, but not "
             + ", ".join(PREFIXES[1] + name for name in left)
-            + f": {why}"
+            + f": {WHY[kind]}"
         )
     return out
+
+
+def _crushable(
+    stated: Callable[[str], float | None], positive: Callable[..., float], units: StageUnits
+) -> dict[str, float]:
+    """Parameters of `crushable` by the yield pressure; none where that is out of its range."""
+    pressure, shape = stated("yieldPressure"), LAWS[newton.CRUSHABLE].parameters[2]
+    if not pressure or math.isinf(pressure):
+        return {}
+    shear = positive("yieldStress", (stated("yieldStress") or 0.0) * units.pressure)
+    pressure = positive("yieldPressure", pressure * units.pressure)
+    yields, alpha = newton.cap(shear, pressure)
+    if not shape.low <= alpha <= shape.high:
+        return {}
+    return {"yield_stress": yields, shape.name: alpha}
 
 
 def _damping_time(

@@ -15,11 +15,11 @@ from gf_usd.physics.laws.von_mises import CLOSE
 from gf_usd.verify.cases.patch import stress
 
 MU, LAM, YIELD = 2.0, 3.0, 0.05  # [Pa]; it yields at a strain of about 0.01
-BULK, CAP = LAM + 2.0 / 3.0 * MU, 2.12
+BULK, CAP, TENSILE = LAM + 2.0 / 3.0 * MU, 2.12, 0.4
 # Parameters of each law besides the yield stress; a law without a row here has none to speak of.
 OWN = {
     "vonMises": {"hardening": 0.2, "saturation": 0.04, "saturation_rate": 15.0},
-    "crushable": {"hardening": 0.3, "cap_shape": CAP},
+    "crushable": {"hardening": 0.3, "cap_shape": CAP, "tensile_yield_ratio": TENSILE},
 }
 OVER_OTHERS = ("vonMisesNeoHookean", "vonMisesCorotated")  # elastic energies than Hencky's
 OWN |= dict.fromkeys(OVER_OTHERS, OWN["vonMises"])
@@ -81,7 +81,8 @@ def excess(token: str, F: np.ndarray, a: np.ndarray) -> np.ndarray:
         return shear - YIELD - 0.2 * a - 0.04 * (1.0 - np.exp(-15.0 * a))
     if token == "crushable":
         p = -BULK * e.sum(1)
-        return np.sqrt((shear**2 + CAP**2 * p**2) / (1.0 + CAP**2 / 9.0)) - YIELD - 0.3 * a
+        cap = np.where(p < 0.0, CAP / TENSILE, CAP) ** 2
+        return np.sqrt((shear**2 + cap * p**2) / (1.0 + CAP**2 / 9.0)) - YIELD - 0.3 * a
     assert token == ROW.token
     return shear - YIELD - HARDENING * MU * a
 
@@ -89,7 +90,7 @@ def excess(token: str, F: np.ndarray, a: np.ndarray) -> np.ndarray:
 @flowing
 @pytest.mark.parametrize("real", [np.float64, np.float32])
 def test_inside_the_yield_surface_nothing_changes_not_a_bit(token, real):
-    F, a = gradients(64, 0.002).astype(real), hardened(64).astype(real)
+    F, a = gradients(64, 0.0008).astype(real), hardened(64).astype(real)
     E, after = returned(token, F, a, real)
     assert np.array_equal(E, F)
     assert np.array_equal(after, a)
@@ -177,6 +178,17 @@ def test_what_is_pressed_together_stays_smaller_and_what_is_sheared_does_not():
         assert (a[0, 0] > 1e-3) == lost
         if lost:
             assert a[0, 0] == pytest.approx(np.log(np.linalg.det(E[0]) / np.linalg.det(F[0])))
+
+
+@pytest.mark.parametrize("tension", [1.0, 0.25])
+def test_the_tensile_yield_ratio_is_that_of_the_pressures_at_yield(tension):
+    # All around: |p| = Y sqrt(1 + alpha^2 / 9) / alpha, in tension times the ratio.
+    e = np.array([[-0.02] * 3, [0.02] * 3])
+    own = {"yield_stress": YIELD, "cap_shape": CAP, "tensile_yield_ratio": tension}
+    E, _ = flow("crushable", np.exp(e)[:, :, None] * np.eye(3), np.zeros((2, 1)), MU, LAM, **own)
+    p = BULK * np.log(np.linalg.det(E))
+    pressed = YIELD * np.sqrt(1.0 + CAP**2 / 9.0) / CAP
+    np.testing.assert_allclose(p, [-pressed, tension * pressed], rtol=CLOSE**2 + 1e-12)
 
 
 def test_a_viscous_return_is_that_of_perzyna_backwards_in_time():

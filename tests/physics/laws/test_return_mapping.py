@@ -10,7 +10,7 @@ from lane_kernels import compile_anew
 from return_mapping import faults
 
 from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
-from gf_usd.physics.laws import crushable, radial_flow, von_mises
+from gf_usd.physics.laws import crushable, radial_flow, von_mises, von_mises_neo_hookean
 from gf_usd.physics.laws.simd3x3 import let, unrolled
 
 # What bears more the more it is pressed has tests of its own.
@@ -22,10 +22,12 @@ def test_the_return_mapping_is_right(token):
     assert faults(token) == []
 
 
-growth, multiplier, slope = von_mises.growth, crushable.multiplier, crushable.slope
+growth, multiplier = von_mises.growth, crushable.multiplier
+cap, slope = crushable.cap, crushable.slope
 excess, dissipated, bearable = crushable.excess, crushable.dissipated, von_mises.bearable
-growth_over, near_stress = radial_flow.growth, radial_flow.near_stress
-principal_stress, shrinking = radial_flow.principal_stress, radial_flow.shrinking
+growth_over, exponents = radial_flow.growth, radial_flow.exponents
+invariants, shrinking = radial_flow.invariants, radial_flow.shrinking
+principal_stress = radial_flow.principal_stress
 
 
 @ti.func
@@ -56,8 +58,13 @@ def strain_without_its_cube(Z):
 
 
 @ti.func
-def half_of_the_slope(q):
-    return 0.5 * slope(q)
+def half_of_the_slope(q, pressure):
+    return 0.5 * slope(q, pressure)
+
+
+@ti.func
+def as_strong_in_tension(q, pressure):
+    return cap(q, -1.0 + 0.0 * pressure)
 
 
 @ti.func
@@ -82,34 +89,49 @@ def negative_dissipation(q, m, stress, pressure):
 
 
 @ti.func
-def less_growth_over(pk1: ti.template(), law: ti.template(), q, a, trial, n, most, y, dt, done):
-    g, work = growth_over(pk1, law, q, a, trial, n, most, y, dt, done)
+def less_growth_over(law: ti.template(), c, q, a, trial, n, most, y, dt, done):
+    g, work = growth_over(law, c, q, a, trial, n, most, y, dt, done)
     return 0.999 * g, 0.999 * work
 
 
 @ti.func
-def growth_of_the_trial(pk1: ti.template(), law: ti.template(), q, a, trial, n, most, y, dt, done):
+def growth_of_the_trial(law: ti.template(), c, q, a, trial, n, most, y, dt, done):
     g = ti.max(y, 0.0) / (3.0 * q[0] + 0.2)  # of Hencky's law without saturation
-    return g, g * law(pk1, trial, n, g, q, done)[1]
+    return g, g * law(c, trial, n, g)[1]
 
 
 @ti.func
-def work_of_the_trial(pk1: ti.template(), law: ti.template(), q, a, trial, n, most, y, dt, done):
-    g, _ = growth_over(pk1, law, q, a, trial, n, most, y, dt, done)
-    return g, g * law(pk1, trial, n, 0.0 * g, q, done)[1]
+def work_of_the_trial(law: ti.template(), c, q, a, trial, n, most, y, dt, done):
+    g, _ = growth_over(law, c, q, a, trial, n, most, y, dt, done)
+    return g, g * law(c, trial, n, 0.0 * g)[1]
+
+
+@unrolled
+def without_the_square(k, h, w):
+    A, B = exponents(k, h, w)
+    return [A, 0.0 * B]
+
+
+@unrolled
+def determinant_of_the_other_sign(X, D):
+    h, w, j = invariants(X, D)
+    return [h, let(0.0 - w), j]
+
+
+@unrolled
+def never(c, D, Z):
+    return 0.0 * Z[0]
 
 
 @ti.func
-def more_of_the_shear(pk1: ti.template(), F, n, g, q, converged):
-    stress, along = near_stress(pk1, F, n, g, q, converged)
-    m = [n[0], n[1], n[2], 0.5 * n[3], 0.5 * n[4], 0.5 * n[5]]
-    return stress, along - near_stress(pk1, F, m, g, q, converged)[1] + along
-
-
-@ti.func
-def stress_off_by_a_thousandth(pk1: ti.template(), s, n, g, q, converged):
-    stress, along = principal_stress(pk1, s, n, g, q, converged)
+def stress_off_by_a_thousandth(c, s, n, g):
+    stress, along = principal_stress(c, s, n, g)
     return stress * 1.001, along
+
+
+@ti.func
+def less_of_the_square(q):
+    return [0.0 * q[0], 0.999 * q[0]]
 
 
 @ti.func
@@ -127,6 +149,7 @@ MUTATIONS: dict[str, tuple[str, Any, str, Any]] = {
     "skewed strain": ("vonMises", von_mises, "deviator_of_series", strain_without_its_cube),
     "half of the pressure's slope": ("crushable", crushable, "slope", half_of_the_slope),
     "more lost than flowed": ("crushable", crushable, "multiplier", more_multiplier),
+    "as strong in tension": ("crushable", crushable, "cap", as_strong_in_tension),
     "forgets what was lost": ("crushable", crushable, "excess", forgets_what_was_lost),
     "no work of pressure": ("crushable", crushable, "dissipated", dissipation_without_pressure),
     "work of the wrong sign": ("crushable", crushable, "dissipated", negative_dissipation),
@@ -135,7 +158,15 @@ MUTATIONS: dict[str, tuple[str, Any, str, Any]] = {
     "growth of Hencky's law": (*NEO_HOOKEAN, "growth", growth_of_the_trial),
     "work of the trial stress": (*NEO_HOOKEAN, "growth", work_of_the_trial),
     "no hardening over another": (*NEO_HOOKEAN, "bearable", without_hardening),
-    "shear counted otherwise": (*NEO_HOOKEAN, "near_stress", more_of_the_shear),
+    "exponential without its square": (*NEO_HOOKEAN, "exponents", without_the_square),
+    "determinant of the other sign": (*NEO_HOOKEAN, "invariants", determinant_of_the_other_sign),
+    "bound too low": (*NEO_HOOKEAN, "bound", never),
+    "less of the law's stress": (
+        "vonMisesNeoHookean",
+        von_mises_neo_hookean,
+        "powers",
+        less_of_the_square,
+    ),
     "more stress than there is": (*NEO_HOOKEAN, "principal_stress", stress_off_by_a_thousandth),
     "flow that is not isochoric": (*NEO_HOOKEAN, "shrinking", shrinking_along_one),
     "exponential over another": (*NEO_HOOKEAN, "exponential", first_order_only),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -132,23 +133,75 @@ def test_internal_friction_of_a_metal_is_named(tmp_path: Path) -> None:
     assert "but not newton:mpm:internalFriction" in said[0]
 
 
-@pytest.mark.parametrize("name", ["dry-sand", "wet-sand"])
-def test_grains_come_back_by_newtons_words_alone(tmp_path: Path, name: str) -> None:
+def in_newtons_words(material: Material) -> list[str]:
+    """What a bake writes of a material's flow in Newton's namespace, as lines of a stage."""
     stage = Usd.Stage.CreateInMemory()
     units = StageUnits(meters_per_unit=0.01)
-    (path,) = write_materials(
-        stage, Sdf.Path("/Materials"), [PHYSICAL[name].material(1.0)], name, units
-    )
-    prim = stage.GetPrimAtPath(path)
-    lines = [
+    (path,) = write_materials(stage, Sdf.Path("/Materials"), [material], "one", units)
+    return [
         f"float {one.GetName()} = {one.Get()}"
-        for one in prim.GetAttributes()
-        if one.GetName().startswith("newton:mpm:")
+        for one in stage.GetPrimAtPath(path).GetAttributes()
+        if one.GetName().startswith("newton:mpm:") and "Modulus" not in one.GetName()
     ]
-    made, _ = read(tmp_path, *[line for line in lines if "Modulus" not in line])
+
+
+@pytest.mark.parametrize("name", ["dry-sand", "wet-sand"])
+def test_grains_come_back_by_newtons_words_alone(tmp_path: Path, name: str) -> None:
+    made, _ = read(tmp_path, *in_newtons_words(PHYSICAL[name].material(1.0)))
     assert made.law == "druckerPrager"
     own = {name: value for name, value in PHYSICAL[name].parameters.items() if value}
     assert made.parameters == {name: pytest.approx(value, rel=REL) for name, value in own.items()}
+
+
+@pytest.mark.parametrize("tension", [1.0, 0.3])
+def test_foam_comes_back_by_newtons_words_alone(tmp_path: Path, tension: float) -> None:
+    foam = PHYSICAL["polyurethane-foam"].material(1.0)
+    foam = replace(foam, parameters={**foam.parameters, "tensile_yield_ratio": tension})
+    made, _ = read(tmp_path, *in_newtons_words(foam))
+    assert made.law == "crushable"
+    assert made.parameters == {
+        name: pytest.approx(value, rel=REL) for name, value in foam.parameters.items()
+    }
+
+
+def test_a_yield_pressure_of_newtons_makes_a_crushable_material(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:yieldPressure = 40",
+        "float newton:mpm:tensileYieldRatio = 0.2",
+        "float newton:mpm:viscosity = 3",
+    )
+    alpha = 3**0.5 * 20 / 40
+    assert made.law == "crushable"
+    assert made.parameters == {
+        "yield_stress": pytest.approx(3**0.5 * 2000.0 / (1.0 + alpha**2 / 9.0) ** 0.5, rel=REL),
+        "cap_shape": pytest.approx(alpha, rel=REL),
+        "tensile_yield_ratio": pytest.approx(0.2, rel=REL),
+    }
+    assert any("but not newton:mpm:viscosity:" in line for line in said)
+
+
+@pytest.mark.parametrize("pressure", [2000.0, 5.0])
+def test_a_yield_pressure_beyond_the_cap_is_named(tmp_path: Path, pressure: float) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        f"float newton:mpm:yieldPressure = {pressure}",
+    )
+    assert made.law == "vonMises"
+    assert "but not newton:mpm:yieldPressure:" in said[0]
+
+
+def test_a_tensile_yield_ratio_of_nothing_is_named(tmp_path: Path) -> None:
+    made, said = read(
+        tmp_path,
+        "float newton:mpm:yieldStress = 20",
+        "float newton:mpm:yieldPressure = 40",
+        "float newton:mpm:tensileYieldRatio = 0",
+    )
+    assert "tensile_yield_ratio" not in made.parameters
+    assert any("but not newton:mpm:tensileYieldRatio:" in line for line in said)
 
 
 def test_newtons_hardening_is_that_of_lost_volume(tmp_path: Path) -> None:
