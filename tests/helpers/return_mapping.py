@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from lane_kernels import flow_with_loss
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 
 from gf_usd.core.arrays import Floats
 
@@ -51,7 +51,7 @@ class Returned:
 
 def turns(seed: int) -> Floats:
     """(N, 3, 3) rotations."""
-    return special_ortho_group.rvs(3, N, random_state=seed)
+    return random_turns(N, seed)
 
 
 def flow(token: str, F: Floats, a: Floats, yields: float) -> Returned:

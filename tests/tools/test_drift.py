@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 
 from gf_usd.core.errors import InputError
 from tools.paper.drift import density, distances, drift, isosurface, kernel_axes
@@ -26,7 +26,7 @@ def test_one_gaussian_is_an_ellipsoid() -> None:
 
 
 def test_density_adds_up_and_turns_with_its_axes() -> None:
-    R = special_ortho_group.rvs(3, random_state=1)
+    R = random_turns(1, 1)[0]
     axes = np.stack([R @ np.diag([0.1, 0.2, 0.3]), np.eye(3)])
     at = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     X = np.array([R @ [0.1, 0.0, 0.0], [1.0, 1.0, 0.0]])
@@ -78,7 +78,7 @@ def test_distances_are_exact_and_drift_is_their_mean() -> None:
     X = np.array([[0.3, 0.6, 0.25], [2.0, 0.5, 0.0], [0.5, 0.5, 0.0]]) + 1e4
     np.testing.assert_allclose(distances(X, square, triangles), [0.25, 1.0, 0.0], atol=1e-6)
     ball = np.zeros((1, 3))
-    mesh = SHELL * 0.2 * special_ortho_group.rvs(3, 50, random_state=0)[:, 0]
+    mesh = SHELL * 0.2 * random_turns(50, 0)[:, 0]
     spacing = 0.2 / 0.612
     seen = drift(1.5 * mesh, ball, np.eye(3)[None], np.eye(3)[None], spacing, level=LEVEL)
     # across it is a shell of .2, along axis 0 half as far: the gap is half a shell at least

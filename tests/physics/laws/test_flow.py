@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flowing import ROW, registered
 from lane_kernels import evaluate, flow, flow_with_loss
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 from von_mises_law import HARDENING
 
 from gf_usd.core.materials.laws import LAWS, YIELD_STRESS
@@ -50,7 +50,7 @@ def _with_a_law_that_flows():
 
 
 def turns(n: int, seed: int) -> np.ndarray:
-    return special_ortho_group.rvs(3, n, random_state=seed)
+    return random_turns(n, seed)
 
 
 def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lane_kernels import evaluate, flow_with_loss
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 
 from gf_usd.physics.laws.flowing import drucker_prager
 
@@ -17,7 +17,7 @@ TIP = COHESION / (FRICTION * BULK)  # tr e at the tip of the cone
 
 
 def turns(n: int, seed: int) -> np.ndarray:
-    return special_ortho_group.rvs(3, n, random_state=seed)
+    return random_turns(n, seed)
 
 
 def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lane_kernels import compile_anew, evaluate, flow_with_loss
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 
 from gf_usd.core.materials.dimensionless import DIMENSIONLESS, G0
 from gf_usd.physics.laws.flowing import fluid
@@ -18,7 +18,7 @@ TIP = -np.log(1.0 - 7.0 * TENSION / BULK) / 7.0  # tr e where p = -TENSION
 
 
 def turns(n: int, seed: int) -> np.ndarray:
-    return special_ortho_group.rvs(3, n, random_state=seed)
+    return random_turns(n, seed)
 
 
 def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import taichi as ti
 from lane_kernels import compile_anew, flow_with_loss
+from random_turns import random_turns
 from scipy.optimize import brentq
-from scipy.stats import special_ortho_group
 
 from gf_usd.core.materials.physical import PHYSICAL
 from gf_usd.physics.laws.flowing import paste
@@ -22,7 +22,7 @@ EXPONENTS = (0.1, 1.0 / 3.0, 0.5, 1.0)
 
 def gradients(n: int, size: float, seed: int = 0) -> np.ndarray:
     s = np.exp(np.random.default_rng(seed).uniform(-size, size, (n, 3)))
-    U, V = (special_ortho_group.rvs(3, n, random_state=k) for k in (seed + 1, seed + 2))
+    U, V = (random_turns(n, k) for k in (seed + 1, seed + 2))
     return (U * s[:, None, :]) @ V.swapaxes(1, 2)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lane_kernels import compile_anew, evaluate, flow_with_loss
-from scipy.stats import special_ortho_group
+from random_turns import random_turns
 
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.physics.laws.flowing import snow
@@ -18,7 +18,7 @@ PRESSED, TORN = -0.3, 0.3  # logarithmic stretches, at most
 
 
 def turns(n: int, seed: int) -> np.ndarray:
-    return special_ortho_group.rvs(3, n, random_state=seed)
+    return random_turns(n, seed)
 
 
 def gradients(n: int, low: float, high: float, seed: int = 0) -> np.ndarray:
