@@ -84,6 +84,7 @@ def fill(
     spec: StageSpec,
     repair: bool,
     known: Sequence[Diagnosis] = (),
+    built: Solid | None = None,
     more_pins: Callable[[Solid], Sequence[Pin]] | None = None,
 ) -> tuple[Plan, Solid]:
     """A plan for an asset that was read.  Raises InputError where it is refused.
@@ -91,6 +92,7 @@ def fill(
     file : its USD form; None: it has none, and spec has the motion of its obstacles.
     spec : what its stage says.
     known : what `diagnose` said of its surfaces, if it was asked already.
+    built : its solid, if it was built already, and told; never one of `repair`.
     more_pins : of the solid, besides those that are asked for.
     """
     from gf_usd.core.mesh import signed_volume
@@ -111,8 +113,8 @@ def fill(
         asset, filled, repairs = mend(asset, request, spec)
         mended = notes(repairs)
         follows = any(one.thickened for one in repairs)
-    solid = build_solid(filled, repaired=repair)
-    if not repair:
+    solid = built or build_solid(filled, repaired=repair)
+    if not (repair or built):
         by_path = {seen.path: seen for seen in known}
         all_seen = (by_path.get(s.path) or diagnose(s) for s in solid.surfaces)
         mended = tuple(line for seen in all_seen if (line := tolerated(seen)))

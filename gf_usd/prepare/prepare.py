@@ -100,7 +100,7 @@ def prepare(
     targets = targets or _targets(source, found.presets, target, request, **again)
     files, seen_source = _with_layer(targets, found.converted)
     asset = found.asset
-    plan, _ = fill(
+    plan, solid = fill(
         asset, request, found.presets, law, files, found.file, spec=found.spec, repair=repair
     )
     if once_filled:
@@ -109,7 +109,7 @@ def prepare(
             coarse = replace(request, particles=None, spacing=spacing / asset.facts.units.length)
             return fill(
                 asset, coarse, found.presets, law, files, found.file, spec=found.spec,
-                repair=repair,
+                repair=repair, built=None if repair else solid,
             )[0]  # fmt: skip
 
         once_filled(refill)
