@@ -248,9 +248,14 @@ class Health:
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None
-    # Bodies below every obstacle where there is no floor, and [J] of their motion; None: not so
+    # Bodies below every obstacle where there is no floor, and [J] of their motion and of that of
+    # flowing particles there; None: not so
     fallen: int | None = None
     fallen_kinetic: float | None = None
+    # Flowing particles below the floor or every obstacle; volume of the others over that at rest;
+    # None: nothing flows without end
+    lost: int | None = None
+    flow_volume: float | None = None
     inside_share: float | None = None  # of the surface, deep in a body; None: not looked at
     inside_depth: float | None = None  # [m] of the deepest of it
 

@@ -298,6 +298,19 @@ class ContactSetup:
         ends = [c for c in self.colliders if c.shape != "plane"]
         return min((float((c.positions(0) @ normal).min()) for c in ends), default=float("inf"))
 
+    def bottom(self, up: Floats) -> float | None:
+        """[m] of the lowest point along a direction that any obstacle comes to in any frame.
+
+        None where there is no obstacle, or one without an end.
+        """
+        if not self.colliders or any(one.shape == "plane" for one in self.colliders):
+            return None
+        return min(
+            float((one.positions(f) @ up).min())
+            for one in self.colliders
+            for f in range(one.frames)
+        )
+
     @property
     def any(self) -> bool:
         """Whether there is anything to meet."""

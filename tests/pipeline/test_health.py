@@ -316,7 +316,7 @@ def test_every_frame_is_kept_as_plain_values() -> None:
     # no law flows, nothing settles, and no frame is looked at for what is inside
     told = set(Health.__dataclass_fields__) - {
         "plastic_dissipation", "settling_dissipation", "inside_share", "inside_depth",
-        "fallen", "fallen_kinetic",
+        "fallen", "fallen_kinetic", "lost", "flow_volume",
     }  # fmt: skip
     assert set(rows[0]) == {"time_code", *told, "centre", "energy", "energy_gain"}
     assert [row["centre"] for row in rows] == [f.center for f in frames], "until 1.0"

@@ -116,6 +116,16 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         summary(Health(fallen=0), Health(fallen=1), Health(fallen=1)),
         "1 of 1 bodies fell past every obstacle, the first by frame 2, and nothing is below them",
     ),
+    "lost": (
+        summary(Health(lost=0, flow_volume=1.0)),
+        summary(Health(lost=0), Health(lost=3, flow_volume=1.0)),
+        "are below the floor or every obstacle in the last frame, the first from frame 2 on",
+    ),
+    "flow-volume": (
+        summary(Health(lost=0, flow_volume=0.951)),
+        summary(Health(lost=0, flow_volume=0.94), Health(lost=0, flow_volume=1.01)),
+        "flowing material has 94 % of its volume at rest",
+    ),
     "loop": (
         summary(loop_cycles=4, loop_difference_m=0.005, loop_difference_share=0.01),
         summary(loop_cycles=16, loop_difference_m=0.006, loop_difference_share=0.012),

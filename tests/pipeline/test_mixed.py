@@ -109,3 +109,19 @@ def test_a_tray_moves_sand_and_rubber_and_the_result_is_checked(tmp_path: Path) 
     top = -0.02 + 0.1 / 23.0 * 15.0
     near = np.abs(grains[:, [0, 2]]).max(1) < 0.45
     assert grains[near, 1].min() > top - 0.5 * 0.03
+
+
+@pytest.mark.slow
+def test_sand_that_misses_the_tray_is_counted_and_warned_of(tmp_path: Path) -> None:
+    sand, rubber = ("Sand", "dry-sand", "0.47, 0.12, 0"), ("Block", "rubber", "-0.2, 0.12, 0")
+    path = scene(tmp_path, TRAY, body(*sand), body(*rubber))
+    done = gf_usd.bake(
+        path, output=tmp_path / "out.usda", frames=24, floor=False, **SMALL
+    )  # fmt: skip
+    (bake,) = done.bakes
+    (about,) = [w.message for _, w in done.warnings if "below" in w.message]
+    assert about.startswith(f"{bake.health['lost_particles']} flowing particles")
+    # Half of the block is beyond the edge and is 3 m deep after 23 frames; a heap slides after it.
+    assert 0.1 < bake.health["lost_share"] < 0.5
+    assert bake.health["first_lost_frame"] > 8, "not before it has fallen past the tray"
+    assert bake.health["flow_volume_min"] == pytest.approx(1.0, abs=0.02)

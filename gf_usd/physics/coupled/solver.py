@@ -231,8 +231,8 @@ def merged_health(solid: Health, flow: Health) -> Health:
             out[field.name] = tuple(x + y for x, y in zip(a, b, strict=True))
         else:
             out[field.name] = _sum(a, b)
-    # what fell past everything is not told of bodies that flow
-    return Health(**{**out, "fallen": None, "fallen_kinetic": None})
+    # bodies that fell past everything are not counted here, flowing particles are
+    return Health(**{**out, "fallen": None, "fallen_kinetic": flow.fallen_kinetic})
 
 
 def _sum(a: float | None, b: float | None) -> float | None:

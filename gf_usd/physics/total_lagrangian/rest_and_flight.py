@@ -156,15 +156,9 @@ class Fallen:
         self._body = body
         self._count = bodies_of(body.particles, body.per["density"]).count
         self._level: float | None = None  # [m] along -g
-        colliders = setup.colliders if setup is not None else ()
-        if s.floor is None and colliders and presses(s.gravity) and not body.in_place:
+        if s.floor is None and setup and presses(s.gravity) and not body.in_place:
             self._up = -np.asarray(s.gravity, float) / np.linalg.norm(s.gravity)
-            if all(one.shape != "plane" for one in colliders):
-                self._level = min(
-                    float((one.positions(f) @ self._up).min())
-                    for one in colliders
-                    for f in range(one.frames)
-                )
+            self._level = setup.bottom(self._up)
 
     def measured(self, now: StateView) -> dict[str, Any]:
         """`fallen` and `fallen_kinetic` of `Health`; nothing where nothing can fall past."""

@@ -13,12 +13,14 @@ rho of the rest body.  So stretch shortens the step here, and in the Total Lagra
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Health, Pose, Settings
+from gf_usd.core.stage import ContactSetup
 from gf_usd.physics.time_step import wave_speed
 
 if TYPE_CHECKING:
@@ -72,6 +74,38 @@ def measure(
         inverted=int((J <= 0.0).sum()),
         plastic_dissipation=0.0 if flows else None,
     )
+
+
+class Losses:
+    """What becomes of particles that flow without end.
+
+    A particle is lost where it lies deeper, along the normal of the floor, than a cell below it,
+    or without a floor below the lowest point that any obstacle comes to.
+    setup : what they meet; h : [m] edge of a cell; flowing : (N,) which particles flow.
+    """
+
+    def __init__(
+        self, settings: Settings, setup: ContactSetup | None, h: float, flowing: NDArray[np.bool_]
+    ) -> None:
+        self._flowing = flowing
+        self._up = settings.normal
+        self._level = None if settings.floor is None else settings.floor - h
+        if settings.floor is None and setup and any(settings.gravity):
+            gravity = np.asarray(settings.gravity, float)
+            self._up = -gravity / np.linalg.norm(gravity)
+            self._level = setup.bottom(self._up)
+
+    def measured(self, pose: Pose, m: Floats, V0: Floats, J: Floats) -> dict[str, Any]:
+        """`lost`, `fallen_kinetic` and `flow_volume` of `Health`; J (N,) of F_e."""
+        if not self._flowing.any():
+            return {}
+        lost = np.zeros(len(pose.x), bool)
+        if self._level is not None:
+            lost = self._flowing & (pose.x @ self._up < self._level)
+        kept = self._flowing & ~lost
+        volume = float(V0[kept] @ J[kept] / V0[kept].sum()) if kept.any() else None
+        kinetic = float(0.5 * m[lost] @ (pose.v[lost] ** 2).sum(1))
+        return {"lost": int(lost.sum()), "fallen_kinetic": kinetic, "flow_volume": volume}
 
 
 def _triple(a: Floats) -> tuple[float, float, float]:

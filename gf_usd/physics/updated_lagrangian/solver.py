@@ -28,7 +28,12 @@ from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
 from gf_usd.physics.taichi_arrays import Launcher
 from gf_usd.physics.time_step import per_cell, strained_step
 from gf_usd.physics.total_lagrangian.setup import floor_height
-from gf_usd.physics.updated_lagrangian.energies import measure, strained_speed, world_stiffness
+from gf_usd.physics.updated_lagrangian.energies import (
+    Losses,
+    measure,
+    strained_speed,
+    world_stiffness,
+)
 from gf_usd.physics.updated_lagrangian.planes import FlowPlanes, Solids
 from gf_usd.physics.updated_lagrangian.setup import build_body, refuse
 from gf_usd.physics.updated_lagrangian.state import State
@@ -76,6 +81,7 @@ class UpdatedLagrangian(Solver):
         extent = np.inf if flows else float(np.linalg.norm(np.ptp(particles.X, axis=0)))
         self.guard = Guard(float(body.m.sum()) * G0 * particles.radius, extent)
         self.state = State(body)
+        self.losses = Losses(settings, contact_setup, body.h, body.law.unbounded)
         self.planes: FlowPlanes | None = None
         self._softer = 1.0  # springs of planes over those of the floor, at most
         if (contact := body.contact) is not None:
@@ -257,9 +263,12 @@ class UpdatedLagrangian(Solver):
             )
             if s.internal and flows
             else {},
-            health=measure(
-                pose, (stretch, J), C, body.m, body.h, s,
-                elastic=elastic, contact=state.contact_energy() + self._plane_energy(), flows=flows,
+            health=replace(
+                measure(
+                    pose, (stretch, J), C, body.m, body.h, s, elastic=elastic, flows=flows,
+                    contact=state.contact_energy() + self._plane_energy(),
+                ),
+                **self.losses.measured(pose, body.m, self.particles.V0, elastic_strains[1]),
             ),
         )  # fmt: skip
 

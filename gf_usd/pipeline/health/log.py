@@ -94,6 +94,7 @@ class HealthLog:
             "penetration_at_end_spacings": h[-1].penetration / self._spacing,
             **self._resting(),
             **self._fallen(),
+            **self._flow(),
             "deepest_overlap_m": max(f.overlap for f in h),
             "deepest_overlap_spacings": max(f.overlap for f in h) / self._spacing,
             "released_max": max(f.let_go for f in h),
@@ -178,6 +179,20 @@ class HealthLog:
             return {} if last.fallen is None else {"fallen_bodies": 0}
         first = next(i for i, f in enumerate(self.frames) if f.fallen)
         return {"fallen_bodies": last.fallen, "fallen_of": count, "first_fallen_frame": first}
+
+    def _flow(self) -> dict[str, Any]:
+        """Of particles that flow without end: how many were lost, and the range of their volume."""
+        last = self.frames[-1].lost
+        if last is None:
+            return {}
+        volumes = [f.flow_volume for f in self.frames if f.flow_volume is not None]
+        return {
+            "lost_particles": last,
+            "lost_share": last / self._particles,
+            "first_lost_frame": next((i for i, f in enumerate(self.frames) if f.lost), None),
+            "flow_volume_min": min(volumes, default=None),
+            "flow_volume_max": max(volumes, default=None),
+        }
 
     def _resting(self) -> dict[str, float | None]:
         """Depth in the last frame, where the body has come to rest on the floor."""

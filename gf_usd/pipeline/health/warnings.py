@@ -32,6 +32,8 @@ RESTING = (
 DRIFT = 0.01
 STILL = 1e-9  # of the energy scale: a body that never had more motion than this did not move
 NOT_PERIODIC = 0.01  # of the radius: a step from the end of a cycle to its start that is seen
+# Off the volume at rest, of all that flows: weakly compressible laws are off by 1 % by design.
+FLOW_VOLUME = 0.05
 ALTERED = 0.01  # of the particle-frames: the material is no longer the one that was asked for
 
 
@@ -248,6 +250,28 @@ def _fallen(h: HealthSummary) -> Said:
     )
 
 
+def _lost(h: HealthSummary) -> Said:
+    count = h.get("lost_particles", 0)
+    if not count:
+        return None
+    return (
+        f"{count} flowing particles, {100.0 * h['lost_share']:.2g} % of all, are below the floor or"
+        f" every obstacle in the last frame, the first from frame {h['first_lost_frame']} on",
+        "add a floor (--floor HEIGHT), make obstacles larger or thicker, or take more --particles",
+    )
+
+
+def _flow_volume(h: HealthSummary) -> Said:
+    low, high = h.get("flow_volume_min"), h.get("flow_volume_max")
+    if low is None or high is None or max(1.0 - low, high - 1.0) <= FLOW_VOLUME:
+        return None
+    worst = low if 1.0 - low > high - 1.0 else high
+    return (
+        f"flowing material has {100.0 * worst:.3g} % of its volume at rest in some frame",
+        "a larger Young's modulus makes it less compressible, more --particles resolve it better",
+    )
+
+
 def _loop(h: HealthSummary) -> Said:
     share = h.get("loop_difference_share", 0.0)
     if share <= NOT_PERIODIC:
@@ -265,6 +289,8 @@ RULES: dict[str, Callable[[HealthSummary], Said]] = {
     "untouched": _untouched,
     "still": _still,
     "fallen": _fallen,
+    "lost": _lost,
+    "flow-volume": _flow_volume,
     "energy": _energy,
     "inside-out": _inverted,
     "redone": _rollbacks,
