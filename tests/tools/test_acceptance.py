@@ -134,6 +134,21 @@ def test_the_section_of_plastic_flow_has_cases_that_there_are() -> None:
     assert [word for word in SECTIONS[PLASTIC].command if word in FLOWS] == list(FLOWS)
 
 
+def test_the_longest_tests_are_read_one_by_one() -> None:
+    from tools.acceptance.sections import read_tests
+
+    said = (
+        "..F\nPASSED tests/a.py::one\nPASSED tests/a.py::two[x - y]\n"
+        "FAILED tests/b.py::three - assert 1 == 2\nPASSED of nothing\n"
+    )
+    outcome = read_tests(subprocess.CompletedProcess([], 1, said))
+    assert not outcome.passed
+    assert outcome.summary == "2 of 3 tests passed; not `tests/b.py::three`"
+    assert outcome.table[-1] == ("`tests/b.py::three`", "**FAIL**")
+    assert read_tests(subprocess.CompletedProcess([], 0, "PASSED tests/a.py::one\n")).passed
+    assert not read_tests(subprocess.CompletedProcess([], 5, "")).passed, "no test ran"
+
+
 def test_bakes_with_limbs_are_read_one_by_one() -> None:
     from tools.acceptance.sections import read_limbs
 

@@ -273,7 +273,31 @@ def read_assets(done: subprocess.CompletedProcess[str]) -> Outcome:
     )
 
 
+def read_tests(done: subprocess.CompletedProcess[str]) -> Outcome:
+    """The summary of `pytest -rA`."""
+    verdicts = ("PASSED", "FAILED", "ERROR")
+    lines = [line.split(" ", 1) for line in done.stdout.splitlines()]
+    rows = [
+        (f"`{line[1].partition(' - ')[0]}`", "pass" if line[0] == "PASSED" else "**FAIL**")
+        for line in lines
+        if line[0] in verdicts and len(line) == 2 and "::" in line[1]
+    ]
+    bad = [name for name, verdict in rows if verdict != "pass"]
+    return Outcome(
+        passed=done.returncode == 0 and not bad and bool(rows),
+        summary=f"{len(rows) - len(bad)} of {len(rows)} tests passed"
+        + (f"; not {', '.join(bad)}" if bad else ""),
+        table=(("test", "verdict"), *sorted(rows)),
+        data={"tests": dict(rows)},
+    )
+
+
 SECTIONS: dict[str, Section] = {
+    "tests": Section(
+        title="The longest tests",
+        command=("python", "-m", "pytest", "-m", "acceptance", "-rA"),
+        read=read_tests,
+    ),
     "batch": Section(
         title="A batch with injected failures",
         command=("python", "-m", "tools.acceptance.batch", "--json"),
