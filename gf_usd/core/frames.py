@@ -95,6 +95,16 @@ class TetLattice:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TetAttachment:
+    """Points of a body's tetrahedra that a pin holds."""
+
+    pin: str  # name of the pin, as asked for
+    body: int  # as in Particles
+    points: Ints  # (n,) into TetLattice.X
+    path: Floats  # (F, k, 3) [m] places known of the pin at each sample; F = 1: they stay
+
+
+@dataclass(frozen=True, kw_only=True)
 class SurfaceSamples:
     """Points that feel contact, spread over the surfaces about one spacing apart."""
 
