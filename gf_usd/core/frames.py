@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials.keys import StiffnessKeys
+from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
@@ -58,7 +58,7 @@ class Particles:
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
-    stiffness: StiffnessKeys | None = None  # None: no modulus changes with time
+    keys: ValueKeys | None = None  # None: no value of a material changes with time
 
     def __len__(self) -> int:
         return len(self.X)

@@ -85,6 +85,10 @@ def attachments_of(
         if prim.GetTypeName() == OMNI:
             kinds = ["point", "xform"]
         stiffness, _ = (_constant(file, prim, name, time) for name in (STIFFNESS, DAMPING))
+        for name in (STIFFNESS, DAMPING):
+            attribute = prim.GetAttribute(_name(prim, name))
+            if attribute and attribute.GetNumTimeSamples() > 1:
+                notes.add(f"{name} has time samples, and keeps the value of the rest pose", path)
         if kinds != ["point", "xform"] or sources[0] not in bodies:
             notes.add("attaches other than points of a mesh to an xform: not read", path)
         elif stiffness is None or stiffness == np.inf:
@@ -170,7 +174,7 @@ def read_written_pins(
                 raise refuse(facts.path, prim, PIN, region, "author a region as --pin names it")
             if region.startswith("/") and not stage.GetPrimAtPath(region):
                 raise refuse(facts.path, prim, PIN, region, "author a path where there is a prim")
-            said = prim.GetAttribute(ANCHORS).HasAuthoredValue()
+            said = authored(prim, ANCHORS, time) is not None
             places = _Places(prim, readings, ANCHORS if said else "")
             if not places.at(time).size:
                 raise refuse(
