@@ -188,7 +188,9 @@ class Attachments:
         self._moving: list[tuple[str, TetAttachment, Usd.Attribute, Usd.Attribute]] = []
         every, root = sampled(settings), path.GetPrefixes()[0]
         self._times = [every.time_code(index) for index in range(every.frames)]
-        meshes = [p for s in asset.surfaces if (p := Sdf.Path(s.path)).HasPrefix(root)]
+        meshes = [Sdf.Path(s.path) for s in asset.surfaces]
+        if not all(mesh.HasPrefix(root) for mesh in meshes):
+            meshes = []  # a payload may not point outside of its root prim
         self._lift = lift = np.asarray(settings.lift, float)
         for one in attachments:
             lattice, mesh = tets[one.body]
