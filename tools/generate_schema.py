@@ -39,7 +39,7 @@ INTRODUCTION = """\
 
 # The schema library `gaussianFlesh`
 
-Five API schemas, applied to prims of standard types, hold data that USD's own schemas do not cover.
+Six API schemas, applied to prims of standard types, hold data that USD's own schemas do not cover.
 A file that uses them opens in every USD program: without the library its attributes stay readable,
 only the names of the APIs are unknown. `gf-usd schema-path` prints the folder to add to
 `PXR_PLUGINPATH_NAME`, which makes the library known to other programs.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gf_usd.core.arrays import Floats, Ints
-from gf_usd.core.materials.keys import StiffnessKeys
+from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.units import Precision
 
@@ -58,7 +58,7 @@ class Particles:
     body: Ints | None = None  # (N,) which of the bodies, from 0; None: all are one
     own: Mapping[str, Floats] | None = None  # (N,) in place of the material's, see own_values
     copies: CellCopies | None = None  # None: no limbs are near each other, every cell is one
-    stiffness: StiffnessKeys | None = None  # None: no modulus changes with time
+    keys: ValueKeys | None = None  # None: no value of a material changes with time
 
     def __len__(self) -> int:
         return len(self.X)
@@ -92,6 +92,16 @@ class TetLattice:
     def key(self) -> str:
         """Its name among the embedded points."""
         return f"tets:{self.body}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TetAttachment:
+    """Points of a body's tetrahedra that a pin holds."""
+
+    pin: str  # name of the pin, as asked for
+    body: int  # as in Particles
+    points: Ints  # (n,) into TetLattice.X
+    path: Floats  # (F, k, 3) [m] places known of the pin at each sample; F = 1: they stay
 
 
 @dataclass(frozen=True, kw_only=True)

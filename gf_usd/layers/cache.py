@@ -21,7 +21,14 @@ from pxr import Sdf, Usd
 from gf_usd.core.arrays import Floats
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import BakeError
-from gf_usd.core.frames import BakedFrame, BakeInfo, Choices, Particles, TetLattice
+from gf_usd.core.frames import (
+    BakedFrame,
+    BakeInfo,
+    Choices,
+    Particles,
+    TetAttachment,
+    TetLattice,
+)
 from gf_usd.core.materials.laws import LAWS
 from gf_usd.layers.clips import ClipStore, moving_layer
 from gf_usd.layers.stage import (
@@ -86,6 +93,7 @@ class CacheWriter:
     source : the USD file to lie over; default the asset's own.
     choices : which shapes are written, and whether in clips; default all in one file.
     tets : tetrahedra that are written; none: no TetMesh.
+    attachments : of their points.
     since : the `state` of a writer of the same bake, to go on from; its clips stay as they are.
     save_every : samples between two saves; default about SAVE bytes, 24 at most.
 
@@ -104,6 +112,7 @@ class CacheWriter:
         source: Path | None = None,
         choices: Choices | None = None,
         tets: Sequence[TetLattice] = (),
+        attachments: Sequence[TetAttachment] = (),
         save_every: int | None = None,
         since: Mapping[str, Any] | None = None,
     ) -> None:
@@ -164,8 +173,11 @@ class CacheWriter:
         if choices.particles:
             self._particles = ParticleTrack(
                 self._stage, root, home, asset, particles, info, time, choices, tets,
-                self._rounding(),
+                self._rounding(), attachments,
             )  # fmt: skip
+        if tets:
+            for track in self._meshes.values():
+                track.write_bind_pose(time.start)
         moving = [*self._meshes.values(), *self._splats.values()]
         tracks = [*moving, *([self._particles] if self._particles else [])]
         block_hints(self._stage, stage, tracks)

@@ -290,6 +290,24 @@ def xyzw(wxyz: Floats) -> np.ndarray:
     return np.asarray(wxyz)[:, [1, 2, 3, 0]]
 
 
+POSE = "bind"  # instance of the API
+
+
+def author_bind_pose(prim: Usd.Prim, points: np.ndarray) -> None:
+    """Author the pose in which meshes of a deformable body are bound to each other, by the AOUSD
+    proposal (OpenUSD-proposals 111).
+
+    points : (V, 3) single precision, in the prim's own space.
+    """
+    prim.AddAppliedSchema(f"PhysicsDeformablePoseAPI:{POSE}")
+    name, types = f"physics:deformablePose:{POSE}", Sdf.ValueTypeNames
+    uniform = Sdf.VariabilityUniform
+    purposes = prim.CreateAttribute(f"{name}:purposes", types.TokenArray, False, uniform)
+    purposes.Set(["bindPose"])
+    made = prim.CreateAttribute(f"{name}:points", types.Point3fArray, False)
+    made.Set(Vt.Vec3fArray.FromNumpy(points))
+
+
 def box(low: Floats, high: Floats) -> Vt.Vec3fArray:
     """The extent with these corners (3,)."""
     return Vt.Vec3fArray.FromNumpy(f32(np.stack([low, high])))

@@ -30,6 +30,7 @@ from gf_usd.pipeline.cost.forecast import (
 )
 from gf_usd.pipeline.deliver import Delivery, output_lock, sweep
 from gf_usd.pipeline.failure import leave, place
+from gf_usd.pipeline.frames.attachments import tet_attachments
 from gf_usd.pipeline.frames.builder import FrameBuilder, with_held
 from gf_usd.pipeline.frames.captured import SplatDeformer
 from gf_usd.pipeline.frames.flows import FlowSurfaces
@@ -276,6 +277,7 @@ def _run_variant(
         source=plan.source,
         choices=plan.choices,
         tets=plan.tets,
+        attachments=tet_attachments(plan.pins, plan.tets, plan.particles),
         since=since.cache if since else None,
     ) as cache:
         try:

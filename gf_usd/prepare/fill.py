@@ -42,7 +42,7 @@ from gf_usd.prepare.bodies.velocities import start_velocities
 from gf_usd.prepare.materials.assign import Assigned, assign_materials
 from gf_usd.prepare.materials.checks import require_standing
 from gf_usd.prepare.materials.flowing import dispatch, require_outside, require_whole
-from gf_usd.prepare.materials.over_time import with_stiffness_keys
+from gf_usd.prepare.materials.over_time import with_value_keys
 from gf_usd.prepare.materials.table import Authored
 from gf_usd.prepare.options.choices import chosen, require_stored
 from gf_usd.prepare.options.implied import stated_values, with_flow, with_stage
@@ -231,7 +231,7 @@ def fill(
 
     materials = assigned(spec)
     if changes is not None and file is not None:
-        materials = with_stiffness_keys(
+        materials = with_value_keys(
             materials, changes, asset, file, spec, settings, assigned, repeats=bool(cycle)
         )
     particles, made = materials.particles, materials.main

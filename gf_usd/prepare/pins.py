@@ -92,12 +92,25 @@ def attachment_pins(
     if not paths:
         return (), ()
     from gf_usd.geometry.regions import make_pin
-    from gf_usd.readers.usd_physics.attachments import read_attachments
+    from gf_usd.readers.usd_physics.attachments import read_attachments, read_written_pins
 
     times = [settings.time_code(i) for i in range(settings.frames)]
-    regions, notes = read_attachments(file, paths, asset.facts, rest=rest, times=times)
+    written = read_written_pins(file, paths, asset.facts, rest=rest, times=times)
+    ours = {one.name for one in written}
+    others = [path for path in paths if path not in ours]
+    regions, notes = read_attachments(file, others, asset.facts, rest=rest, times=times)
     held = f"attachments hold parts of the body: {', '.join(paths)}"
-    return tuple(make_pin(region, solid, "attachment") for region in regions), (held, *notes)
+    pins = [make_pin(region, solid, "attachment") for region in regions]
+    for region in dict.fromkeys(one.region for one in written):
+        mine = [one for one in written if one.region == region]  # one of each body
+        name, length = mine[0].name, max(len(one.path) for one in mine)
+        each = [np.broadcast_to(one.path, (length, *one.path.shape[1:])) for one in mine]
+        path = np.concatenate(each, axis=1)
+        option = f"<{name}>: the region"
+        made = make_pins([region], asset, solid, settings, file, rest=rest, option=option)
+        # where it is, the places say, however the surface of the stage moves
+        pins += [replace(pin, name=name, anchors=path[0], path=path) for pin in made]
+    return tuple(pins), (held, *notes)
 
 
 def soft_attachment_goals(

@@ -27,7 +27,7 @@ from gf_usd.core.asset import Surface
 from gf_usd.core.errors import BakeError
 from gf_usd.core.frames import MeshPose
 from gf_usd.layers.space import Space
-from gf_usd.layers.stage import Clock, f32
+from gf_usd.layers.stage import Clock, author_bind_pose, f32
 from gf_usd.layers.tracks.sparse import Saved
 
 Types = Sdf.ValueTypeNames
@@ -90,7 +90,15 @@ class MeshTrack:
             over.CreateAttribute("accelerations", Types.Vector3fArray, False).Block()
         if surface.skinned:
             _unskin(over, prim)
-        self._prim = prim
+        self._prim, self._over = prim, over
+
+    def write_bind_pose(self, time_code: float) -> None:
+        """Author the rest pose as the one in which the mesh is bound to a simulation mesh.
+
+        time_code : at which the prim's transform counts.
+        """
+        points = self.space.points(self._surface.points[self._own], time_code)
+        author_bind_pose(self._over, f32(points))
 
     def write(self, pose: MeshPose, time_code: float) -> None:
         """Author the pose at a time code: points, extent, velocities, normals.

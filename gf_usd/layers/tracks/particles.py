@@ -24,6 +24,7 @@ from gf_usd.core.frames import (
     MeshPose,
     Particles,
     SurfacePose,
+    TetAttachment,
     TetLattice,
 )
 from gf_usd.core.materials.laws import law_parameters
@@ -36,7 +37,7 @@ from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
 from gf_usd.layers.tracks.sparse import Saved
-from gf_usd.layers.tracks.tets import TetTrack
+from gf_usd.layers.tracks.tets import Attachments, TetTrack, unknown_to
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
 Types = Sdf.ValueTypeNames
@@ -56,6 +57,7 @@ class ParticleTrack:
     root : the home's root prim in the source.
     home, asset, particles, info, clock, choices, tets : of the bake.
     shape : (N,) [stage units] that rounding may move the shape of each; None: none is rounded.
+    attachments : of points of the tets.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class ParticleTrack:
         choices: Choices,
         tets: Sequence[TetLattice] = (),
         shape: Floats | None = None,
+        attachments: Sequence[TetAttachment] = (),
     ) -> None:
         self._count = len(particles)
         self._unit = asset.facts.units.length
@@ -127,6 +130,13 @@ class ParticleTrack:
             )
             for one in tets
         }  # fmt: skip
+        self._attachments = None
+        if new := unknown_to(root.GetStage(), attachments):
+            self._attachments = Attachments(
+                cache, home.scope.AppendChild("Attachments"), root.GetStage(), new,
+                {one.body: (one, self._tets[one.key].path) for one in tets},
+                asset, info.settings, clock, self._origin,
+            )  # fmt: skip
         meshes = [Sdf.Path(s.path) for s in asset.surfaces]
         for prim in prims:
             _describe(prim, asset, particles, info, self._origin)
@@ -143,6 +153,7 @@ class ParticleTrack:
         self.space = Space(root, clock, self._unit) if home.inside else None
         prims += [self._flow.prim] if self._flow else []
         prims += [track.prim for track in (*self._tets.values(), *self._flows.values())]
+        prims += [self._attachments.prim] if self._attachments else []
         self._transforms = self._place(prims, clock.start)
 
     def write(
@@ -174,6 +185,8 @@ class ParticleTrack:
             self._flow.write(positions[self._grains], rates, time_code)
         for key, track in self._tets.items():
             track.write((tets or {})[key], time_code)
+        if self._attachments:
+            self._attachments.write(tets or {}, time_code)
         for body, track in self._flows.items():
             track.write((flows or {})[body], time_code)
         every = [

@@ -4,24 +4,41 @@ The API schemas are those of the AOUSD proposal for deformables and of Omniverse
 only: usd-core defines neither.  The rest shape is `restShapePoints`, with the connectivity of the
 mesh; the masses of the points add up to that of the body, m_i = M sum of V_tet / 4 over the
 tetrahedra at i, over their whole volume.
+
+What pins hold of it are PhysicsAttachment prims of the same proposal: points of the TetMesh (src0)
+at places in the frame of a prim (src1).  Where a pin moves as the prim does that it is named after,
+or one above that, this prim is src1 and the places stay; else they are in the frame of the
+attachments' own prim, with time samples.  Where a region ends between points the proposal cannot
+say: GaussianFleshAttachmentAPI has the region itself, and where its own points go.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from gf_usd.core.arrays import Floats, corners
-from gf_usd.core.frames import BakeInfo, MeshPose, Particles, TetLattice
+from gf_usd.core.asset import Asset
+from gf_usd.core.frames import (
+    BakeInfo,
+    MeshPose,
+    Particles,
+    Settings,
+    TetAttachment,
+    TetLattice,
+    sampled,
+)
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.mesh import tet_surface
 from gf_usd.core.units import StageUnits
 from gf_usd.layers.materials import bind
-from gf_usd.layers.stage import box, f32
+from gf_usd.layers.space import Space
+from gf_usd.layers.stage import Clock, author_bind_pose, box, f32
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.sparse import Saved
+from gf_usd.system.usd_schema import ATTACHMENT_API
 
 Types = Sdf.ValueTypeNames
 BODY_APIS = ("PhysicsDeformableBodyAPI", "OmniPhysicsDeformableBodyAPI")
@@ -75,6 +92,7 @@ class TetTrack:
         for name in ("physics", "omniphysics"):
             shape = f"{name}:restShapePoints"
             self.prim.CreateAttribute(shape, Types.Point3fArray, False).Set(rest)
+        author_bind_pose(self.prim, f32(self._local(tets.X)))
         of = particles.body_of
         mine = of == tets.body
         weight = np.asarray(particles.V0, float) * spread(particles, info.materials)["density"]
@@ -118,3 +136,131 @@ def point_shares(tets: TetLattice) -> Floats:
     a, b, c, d = np.moveaxis(np.asarray(tets.X, float)[tets.tets], 1, 0)
     volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
     return np.bincount(tets.tets.ravel(), np.repeat(volume, 4), len(tets.X)) / (4 * volume.sum())
+
+
+ATTACHMENTS = ("PhysicsAttachment", "OmniPhysicsVtxXformAttachment")
+SAME = 1e-5  # of the region: places are single precision
+
+
+def unknown_to(
+    source: Usd.Stage, attachments: Sequence[TetAttachment]
+) -> tuple[TetAttachment, ...]:
+    """Those that a stage does not have as attachments itself."""
+    return tuple(
+        one
+        for one in attachments
+        if not (prim := _named(source, one)) or str(prim.GetTypeName()) not in ATTACHMENTS
+    )
+
+
+def _named(source: Usd.Stage, one: TetAttachment) -> Usd.Prim:
+    """The prim that a pin is named after; an invalid one where it is named otherwise."""
+    return source.GetPrimAtPath(one.pin) if one.pin.startswith("/") else Usd.Prim()
+
+
+class Attachments:
+    """Writes the attachments of the tetrahedra of a bake, under a prim of their own.
+
+    Parameters
+    ----------
+    cache, path : stage and prim path of the prim that holds them.
+    source : stage that is baked.
+    attachments : one for each pin and body.
+    tets : by body, with the path of its TetMesh.
+    asset, settings, clock : of the bake.
+    origin : (3,) [stage units] what positions are counted from.
+    """
+
+    def __init__(
+        self,
+        cache: Usd.Stage,
+        path: Sdf.Path,
+        source: Usd.Stage,
+        attachments: Sequence[TetAttachment],
+        tets: Mapping[int, tuple[TetLattice, Sdf.Path]],
+        asset: Asset,
+        settings: Settings,
+        clock: Clock,
+        origin: Floats,
+    ) -> None:
+        self.prim = UsdGeom.Xform.Define(cache, path).GetPrim()
+        self._unit, self._origin = asset.facts.units.length, origin
+        self._moving: list[tuple[str, TetAttachment, Usd.Attribute, Usd.Attribute]] = []
+        every, root = sampled(settings), path.GetPrefixes()[0]
+        self._times = [every.time_code(index) for index in range(every.frames)]
+        meshes = [Sdf.Path(s.path) for s in asset.surfaces]
+        if not all(mesh.HasPrefix(root) for mesh in meshes):
+            meshes = []  # a payload may not point outside of its root prim
+        self._lift = lift = np.asarray(settings.lift, float)
+        for one in attachments:
+            lattice, mesh = tets[one.body]
+            prim = cache.DefinePrim(self._free(cache, path, one.pin), ATTACHMENTS[0])
+            carrier = self._carrier(_named(source, one), root, one, clock)
+            still = lattice.X[one.points] + lift
+            prim.CreateRelationship("physics:src0", False).SetTargets([mesh])
+            onto = path if carrier is None else carrier[0]
+            prim.CreateRelationship("physics:src1", False).SetTargets([onto])
+            uniform = Sdf.VariabilityUniform
+            for name, kind in (("type0", "point"), ("type1", "xform")):
+                prim.CreateAttribute(f"physics:{name}", Types.Token, False, uniform).Set(kind)
+            indices = Vt.IntArray.FromNumpy(np.ascontiguousarray(one.points, np.int32))
+            prim.CreateAttribute("physics:indices0", Types.IntArray, False).Set(indices)
+            prim.CreateAttribute("physics:stiffness", Types.Float, False).Set(np.inf)
+            coords = prim.CreateAttribute("physics:coords1", Types.Vector3fArray, False)
+            if carrier is not None:
+                coords.Set(_vectors(carrier[1].points(still, self._times[0])))
+            elif len(one.path) == 1:
+                coords.Set(_vectors(self._local(still)))
+            else:
+                anchors = prim.CreateAttribute("gaussianFlesh:anchors", Types.Point3fArray, False)
+                self._moving.append((lattice.key, one, coords, anchors))
+            prim.ApplyAPI(ATTACHMENT_API)
+            prim.CreateAttribute("gaussianFlesh:pin", Types.String, False, uniform).Set(one.pin)
+            prim.CreateRelationship("gaussianFlesh:sourceMeshes", False).SetTargets(meshes)
+
+    def write(self, poses: Mapping[str, MeshPose], time_code: float) -> None:
+        """Author the places that move at a time code; poses : by `TetLattice.key`."""
+        frame = int(np.searchsorted(self._times, time_code - 1e-9))
+        for key, one, coords, anchors in self._moving:
+            coords.Set(_vectors(self._local(poses[key].points[one.points])), time_code)
+            now = one.path[min(frame, len(one.path) - 1)] + self._lift
+            anchors.Set(_vectors(self._local(now)), time_code)
+
+    def _local(self, x: Floats) -> np.ndarray:
+        return np.asarray(x, np.float64) / self._unit - self._origin
+
+    def _carrier(
+        self, named: Usd.Prim, root: Sdf.Path, one: TetAttachment, clock: Clock
+    ) -> tuple[Sdf.Path, Space] | None:
+        """The prim in whose frame the places stay; None where none is known.
+
+        root : a payload may not point outside of its root prim.
+        """
+        while named and not named.IsA(UsdGeom.Xformable):
+            named = named.GetParent()
+        if not named or named.IsPseudoRoot() or not named.GetPath().HasPrefix(root):
+            return None
+        space = Space(named, clock, self._unit)
+        if len(one.path) == 1 and not space.animated:
+            return named.GetPath(), space
+        first = space.points(one.path[0], self._times[0])
+        most = SAME * float(np.ptp(first, axis=0).max())
+        for index, code in enumerate(self._times):
+            x = one.path[min(index, len(one.path) - 1)]
+            if np.abs(space.points(x, code) - first).max() > most:
+                return None
+        return named.GetPath(), space
+
+    def _free(self, cache: Usd.Stage, path: Sdf.Path, pin: str) -> Sdf.Path:
+        """A path for the attachment of a pin, after the last part of its name, or its kind."""
+        word = pin.rpartition("/")[2] if pin.startswith("/") else pin.partition(":")[0]
+        stem = Tf.MakeValidIdentifier(word)
+        found, count = path.AppendChild(stem), 0
+        while cache.GetPrimAtPath(found):
+            count += 1
+            found = path.AppendChild(f"{stem}_{count}")
+        return found
+
+
+def _vectors(values: Floats) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(f32(values))

@@ -22,7 +22,7 @@ from gf_usd.physics.contact import narrow_phase
 from gf_usd.physics.contact.broad_phase import Box, schedule
 from gf_usd.physics.contact.continuity import EASE, Stored, continued
 from gf_usd.physics.contact.distance import Closest, closest
-from gf_usd.physics.contact.floor import HARD, damping_coefficient
+from gf_usd.physics.contact.floor import HARD, FloorContact, damping_coefficient
 from gf_usd.physics.contact.narrow_phase import (
     ARRAYS,
     CLOSER,
@@ -257,6 +257,10 @@ class BodyContact:
             c, c_rate = now.constants
             x, rate = x + constants @ c, rate + constants @ c_rate
         return x, rate
+
+    def rub(self, contact: FloorContact) -> None:
+        """Take the friction of the samples from here on; all else of them stays."""
+        self.contact = contact
 
     def detect(
         self, state: State, index: int, dt: float, done: int, left: int, *, shorter: float = 1.0

@@ -56,7 +56,7 @@ class Shortcuts:
         bodies = bodies_of(body.particles, body.per["density"])
         held = body.in_place
         asked = s.shortcuts and not acts(s) and body.regions is None and not s.fields
-        asked = asked and body.particles.stiffness is None
+        asked = asked and body.particles.keys is None
         self._body = body
         self._g = np.asarray(s.gravity, float)
         self._free = asked and not held and s.drag == 0.0

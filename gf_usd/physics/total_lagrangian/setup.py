@@ -12,7 +12,7 @@ from scipy import sparse
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.errors import InputError
 from gf_usd.core.frames import LUMPED, CellCopies, Particles, Pose, Settings, SurfaceSamples
-from gf_usd.core.materials.keys import StiffnessKeys
+from gf_usd.core.materials.keys import ValueKeys
 from gf_usd.core.materials.material import Material
 from gf_usd.core.materials.per_particle import spread, with_derived
 from gf_usd.core.neighbors import kd_tree
@@ -90,12 +90,18 @@ class Body:
 
     def law_at(self, index: int) -> ParticleLaws:
         """The laws on the way to frame `index`, with the moduli of the middle of that way."""
-        keys = self.particles.stiffness
-        if keys is None:
+        if self.particles.keys is None:
             return self.law
-        q = np.array(self.law.q)
-        q[:MODULI] *= keys.at(self.settings.time_code(max(index - 0.5, 0.0)))
+        values, q = self.values_at(index), np.array(self.law.q)
+        q[:MODULI] = values["mu"], values["lam"]
         return replace(self.law, q=q)
+
+    def values_at(self, index: int) -> Mapping[str, Floats]:
+        """`per`, with what has keys as it is in the middle of the way to frame `index`."""
+        keys = self.particles.keys
+        if keys is None:
+            return self.per
+        return {**self.per, **keys.at(self.settings.time_code(max(index - 0.5, 0.0)))}
 
     @property
     def internal(self) -> tuple[str, ...]:
@@ -145,7 +151,7 @@ def build_body(
     per = per_particle(
         particles, materials, pin_constraint.particles.pin if pin_constraint else None
     )
-    stiffest = at_stiffest(per, particles.stiffness, settings)
+    stiffest = at_stiffest(per, particles.keys, settings)
     m = per["density"] * per["V0"]
     h = h or settings.cell or CELL_PER_LATTICE * particles.lattice
     copies = _copies(particles, h)
@@ -195,7 +201,7 @@ def build_body(
     )  # fmt: skip
     step = largest_step(particles, h, contact, settings, stiffest, frequency)
     law = particle_laws(materials, particles.material, per)
-    damped = bool((per["damping_time"] > 0).any())
+    damped = bool((stiffest["damping_time"] > 0).any())
     kind = ti.f64 if real is np.float64 else ti.f32
     return Body(
         particles=particles,
@@ -270,13 +276,17 @@ def per_particle(
 
 
 def at_stiffest(
-    per: dict[str, Floats], keys: StiffnessKeys | None, settings: Settings
+    per: dict[str, Floats], keys: ValueKeys | None, settings: Settings
 ) -> dict[str, Floats]:
-    """Material values of the particles, with moduli as high as they get in any frame."""
+    """Material values of the particles, with moduli and damping as high as they get in any frame.
+
+    The damping rate of the stiffest vibration goes with mu tau, so that the largest of each bound
+    it at all times.
+    """
     if keys is None:
         return per
     most = keys.most(settings.time_code(max(k - 0.5, 0.0)) for k in range(settings.frames))
-    return with_derived({**per, "mu": per["mu"] * most, "lam": per["lam"] * most})
+    return with_derived({**per, **{name: most[name] for name in ("mu", "lam", "damping_time")}})
 
 
 def as_flesh(
@@ -303,12 +313,12 @@ def as_flesh(
     of[stone] = nearest
     own = {name: values[of] for name, values in (particles.own or {}).items()}
     own["density"] = spread(particles, materials)["density"]
-    keys = particles.stiffness
+    keys = particles.keys
     return replace(
         particles,
         material=np.asarray(particles.material)[of],
         own=own,
-        stiffness=replace(keys, of=keys.of[of]) if keys else None,
+        keys=replace(keys, of=keys.of[of]) if keys else None,
     )
 
 
@@ -457,16 +467,15 @@ def highest_frequency(
     return float(np.sqrt(w2) * h / per["wave_speed"].max())
 
 
-def viscosities(per: Mapping[str, Floats], h: float, mu: Floats | None = None) -> Floats:
+def viscosities(per: Mapping[str, Floats], h: float) -> Floats:
     """(N, 2) 2 mu tau [Pa s] of Kelvin-Voigt and c2 rho0 h^2 [Pa s^2] of the shock viscosity.
 
-    A material without damping has neither: it keeps its energy.  h : [m] edge of a cell; mu : (N,)
-    [Pa] in place of that at rest.
+    A material without damping has neither: it keeps its energy.  per : of `Body.values_at`; h : [m]
+    edge of a cell.
     """
     from gf_usd.physics.laws.stress import SHOCK
 
-    tau = per["damping_time"]
-    mu = per["mu"] if mu is None else mu
+    tau, mu = per["damping_time"], per["mu"]
     return np.column_stack([2.0 * mu * tau, (tau > 0.0) * SHOCK * per["density"] * h * h])
 
 
@@ -489,7 +498,7 @@ def arrays(body: Body, acceleration: Floats) -> dict[str, Floats]:
         "m": layout.lanes(batches, per["density"] * per["V0"]),
         "constants": layout.law_lanes(batches, law.constants),
         "history": layout.law_lanes(batches, body.law.history),
-        "viscosity": layout.lanes(batches, viscosities(per, body.h, law.q[0])),
+        "viscosity": layout.lanes(batches, viscosities(body.values_at(0), body.h)),
         "u": np.zeros(3 * stencil.node_count),
         "v": body.start.ravel(),
         "acceleration": acceleration.ravel(),

@@ -18,11 +18,13 @@ import numpy as np
 from gf_usd.core.arrays import Floats, Ints
 from gf_usd.core.frames import Frame, Particles, Settings, SurfaceSamples
 from gf_usd.core.materials.dimensionless import G0
+from gf_usd.core.materials.keys import KEYED
 from gf_usd.core.materials.material import Material
 from gf_usd.core.stage import ContactSetup, Goals, Pin
 from gf_usd.physics.contact.active import ActiveSamples
 from gf_usd.physics.contact.pairs import BodyContact
 from gf_usd.physics.frame_loop import FrameStats, Guard, Solver
+from gf_usd.physics.grid.bodies import bodies_of
 from gf_usd.physics.grid.embedding import pose
 from gf_usd.physics.grid.fields import Fields
 from gf_usd.physics.total_lagrangian.energies import measure, strain_energy, von_mises
@@ -126,6 +128,8 @@ class TotalLagrangian(Solver):
         self.launches = Launches(body, self.state)
         self.fields = Fields(settings)
         self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
+        keys = particles.keys
+        self._rubbing = _particle_of_samples(body) if keys and keys.changes("friction") else None
         self.partner: Partner | None = None  # what moves beside the body, and pushes it
 
     def not_finite(self) -> tuple[int, str]:
@@ -136,7 +140,7 @@ class TotalLagrangian(Solver):
         """Move by a frame; `index` is the frame that this leads to."""
         state, pairs, partner = self.state, self.pairs, self.partner
         state.prescribe(index)
-        stiffened = self._stiffen(index)
+        changed = self._follow_keys(index)
         self._push(index)
         state.clear("touched")
         near = self.active.near_floor(state, everywhere=partner is not None)
@@ -175,7 +179,7 @@ class TotalLagrangian(Solver):
         settled = self.settling.frame(state)
         stats = self._stats(index, active)
         stats = replace(
-            stats, work=stats.work + stiffened, substeps=taken, settling_dissipation=settled
+            stats, work=stats.work + changed, substeps=taken, settling_dissipation=settled
         )
         self.shortcuts.note(state, stats)
         return stats
@@ -224,20 +228,28 @@ class TotalLagrangian(Solver):
             penetration=float(state.get("sample_depth").max()),
         )
 
-    def _stiffen(self, index: int) -> float:
-        """Set the moduli of the way to a frame; [J] that this does to what is strained.
+    def _follow_keys(self, index: int) -> float:
+        """Set the material values of the way to a frame; [J] that this does to what is strained.
 
-        They are constant on the way between two frames, so that all their work is done here: the
-        strain energy at the new moduli less that at the old ones.
+        They are constant on the way between two frames, so that all work of the moduli is done
+        here: the strain energy at the new ones less that at the old ones.  Damping and friction
+        do none.
         """
         body, state = self.body, self.state
-        if body.particles.stiffness is None:
+        if body.particles.keys is None:
             return 0.0
+        state.put_values(index)
+        before, now = body.values_at(index - 1), body.values_at(index)
+        if self._rubbing is not None and body.contact is not None:
+            contact = replace(body.contact, friction=now["friction"][self._rubbing])
+            state.put("sample_constants", contact.law.ravel())
+            if self.pairs:
+                self.pairs.rub(contact)
+        if any((before[name] != now[name]).any() for name in KEYED):
+            self.settling.wake()
         old, new = body.law_at(index - 1), body.law_at(index)
-        state.put_moduli(new)
         if np.array_equal(old.q, new.q):
             return 0.0
-        self.settling.wake()
         strains = state.view().elastic_strains(index - 1)
         return strain_energy(body, new, *strains) - strain_energy(body, old, *strains)
 
@@ -297,3 +309,12 @@ class TotalLagrangian(Solver):
                 **self.fallen.measured(now),
             ),
         )  # fmt: skip
+
+
+def _particle_of_samples(body: Body) -> Ints | None:
+    """(n,) the particle that each contact sample has its material of; None without contact."""
+    if body.contact is None:
+        return None
+    samples, particles = body.contact.samples, body.particles
+    of = np.zeros(len(samples.X), np.int64) if samples.body is None else samples.body
+    return bodies_of(particles, body.per["density"]).nearest(samples.X, particles.X, of)

@@ -20,7 +20,7 @@ from gf_usd.physics.grid.bodies import node_sums
 from gf_usd.physics.grid.embedding import gradient, placed
 from gf_usd.physics.grid.goals import work_of
 from gf_usd.physics.grid.rigid import ROW, D, Q, RigidMotion
-from gf_usd.physics.laws.registry import GRADIENT, ParticleLaws, take_dissipated
+from gf_usd.physics.laws.registry import GRADIENT, take_dissipated
 from gf_usd.physics.taichi_arrays import DeviceState
 from gf_usd.physics.total_lagrangian import layout
 from gf_usd.physics.total_lagrangian.layout import ANCHOR, PIN_RATE, PIN_WORK
@@ -88,11 +88,11 @@ class State(DeviceState):
         """Fill an internal array with what belongs to each particle, (N, k)."""
         self.put(name, layout.law_lanes(self._body.layout, values))
 
-    def put_moduli(self, law: ParticleLaws) -> None:
-        """Set the values of the laws of all particles, and the viscosities that go with them."""
+    def put_values(self, index: int) -> None:
+        """Set what has keys on the way to frame `index`: the moduli, and the viscosities."""
         body = self._body
-        self.put_particles("constants", law.constants)
-        viscosity = viscosities(body.per, body.h, law.q[0])
+        self.put_particles("constants", body.law_at(index).constants)
+        viscosity = viscosities(body.values_at(index), body.h)
         self.put("viscosity", layout.lanes(body.layout, viscosity))
 
     def take_dissipated(self) -> float | None:

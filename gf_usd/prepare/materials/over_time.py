@@ -1,4 +1,4 @@
-"""Young's modulus over time, where the stage has time samples of it."""
+"""Material values over time, where the stage has time samples of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from gf_usd.core.asset import Asset
 from gf_usd.core.errors import UsageError
 from gf_usd.core.frames import MIXED, Settings
-from gf_usd.core.materials.keys import StiffnessKeys
+from gf_usd.core.materials.keys import KEYED, ValueKeys
 from gf_usd.core.materials.per_particle import spread
 from gf_usd.core.stage import StageSpec
 from gf_usd.prepare.materials.assign import Assigned
@@ -21,9 +21,16 @@ if TYPE_CHECKING:
     from gf_usd.readers.usd_bake.keys import MaterialKeys
 
 SAME = 1e-6  # relative: float32 holds no finer difference
+# what a note calls each value, and its unit
+WORDS = {
+    "youngs_modulus": ("Young's modulus", " Pa; the step is that of the stiffest"),
+    "poissons_ratio": ("Poisson's ratio", ""),
+    "damping_time": ("the damping time", " s"),
+    "friction": ("friction", ""),
+}
 
 
-def with_stiffness_keys(
+def with_value_keys(
     assigned: Assigned,
     keys: MaterialKeys,
     asset: Asset,
@@ -34,48 +41,63 @@ def with_stiffness_keys(
     *,
     repeats: bool,
 ) -> Assigned:
-    """The particles with what their moduli are multiplied by over time, and notes on that.
+    """The particles with the values that change over time, and notes on that.
 
-    The factors are those of Young's modulus, as materials and paint have it at each time code; all
-    else stays as it is at rest.
+    They are those of materials and paint at each time code; all else stays as it is at rest.
     keys : of `material_keys`; again : assigns the materials of another time code; repeats : of
     --loop.
 
     Raises InputError for values out of range, and UsageError for a solver that cannot follow them.
     """
-    from gf_usd.readers.usd_bake.keys import spec_at
+    from gf_usd.readers.usd_bake.keys import FOLLOWED, spec_at
 
     notes = [
         f"{name} has time samples, and keeps the value of the rest pose: of materials only"
-        " youngsModulus changes"
+        f" {', '.join(FOLLOWED)} change"
         for name in keys.others
     ]
     codes = _needed(keys.codes, settings)
     if not codes:
         return replace(assigned, notes=(*assigned.notes, *notes))
-    rest = spread(assigned.particles, assigned.tables[0])["youngs_modulus"]
+    rest = spread(assigned.particles, assigned.tables[0])
     found = [again(spec_at(asset, file, spec, code)) for code in codes]
-    young = [spread(one.particles, one.tables[0])["youngs_modulus"] for one in found]
-    factors, of = np.unique(np.stack(young) / rest, axis=1, return_inverse=True)
-    if np.allclose(factors, 1.0, rtol=SAME, atol=0.0):
+    spreads = [spread(one.particles, one.tables[0]) for one in found]
+    values = {name: np.stack([one[name] for one in spreads]) for name in KEYED}
+    changing = [n for n in KEYED if not np.allclose(values[n], rest[n], rtol=SAME, atol=0.0)]
+    notes += [
+        f"{', '.join(names)} has time samples, with which {WORDS[what][0]} does not change"
+        for what, names in keys.by.items()
+        if what not in changing
+    ]
+    if not changing:
         return replace(assigned, notes=(*assigned.notes, *notes))
+    every = [name for names in keys.by.values() for name in names]
     if settings.solver in ("ul", MIXED):
         raise UsageError(
-            f"{asset.facts.path}: {keys.by[0]} has time samples, which --solver ul and bakes with"
+            f"{asset.facts.path}: {every[0]} has time samples, which --solver ul and bakes with"
             " bodies that flow without end do not know",
             "use --solver tl, or author one value",
         )
-    low, high = float(np.min(young)), float(np.max(young))
-    notes.append(
-        f"Young's modulus changes with {len(codes)} time samples of {', '.join(keys.by)}: from"
-        f" {low:.4g} to {high:.4g} Pa; the step is that of the stiffest"
-    )
+    for name in KEYED:
+        if name not in changing:  # to the bit
+            values[name] = np.repeat(rest[name][None], len(codes), axis=0)
+            continue
+        word, unit = WORDS[name]
+        low, high = float(values[name].min()), float(values[name].max())
+        by = ", ".join(keys.by.get(name, every))
+        notes.append(
+            f"{word} changes with {len(codes)} time samples of {by}: from {low:.4g} to"
+            f" {high:.4g}{unit}"
+        )
     if repeats:
         notes.append("--loop does not repeat the time samples of materials: the first one holds")
-    stiffness = StiffnessKeys(times=np.array(codes), factors=factors, of=of.reshape(-1))
+    whole = np.concatenate([values[name] for name in KEYED])
+    groups, of = np.unique(whole, axis=1, return_inverse=True)
+    each = dict(zip(KEYED, np.split(groups, len(KEYED)), strict=True))
+    made = ValueKeys(times=np.array(codes), values=each, of=of.reshape(-1))
     return replace(
         assigned,
-        particles=replace(assigned.particles, stiffness=stiffness),
+        particles=replace(assigned.particles, keys=made),
         notes=(*assigned.notes, *notes),
     )
 

@@ -1,9 +1,9 @@
-"""Material values with time samples: where Young's modulus changes, and what changes besides."""
+"""Material values with time samples: what changes and is followed, and what changes besides."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdShade
@@ -15,18 +15,28 @@ from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_bake.settings import KNOWN, read_painted
 from gf_usd.readers.usd_bake.spec import read_motion
+from gf_usd.readers.usd_physics.attributes import require_constant
 from gf_usd.readers.usd_physics.bodies import PURPOSE
 from gf_usd.readers.usd_physics.materials import OURS, PREFIXES
 
-KEYED = "youngsModulus"
+# what attributes of these names change: see `core.materials.keys`
+FOLLOWED = {
+    "youngsModulus": "youngs_modulus",
+    "poissonsRatio": "poissons_ratio",
+    "dampingTime": "damping_time",
+    "elasticDamping": "damping_time",
+    "dynamicFriction": "friction",
+}
+STATIC, CONSERVED = "staticFriction", "density"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialKeys:
     """When the materials of a stage change."""
 
-    codes: tuple[float, ...] = ()  # time codes of the samples of Young's modulus, ascending
-    by: tuple[str, ...] = ()  # the attributes that have them, e.g. "/M.physics:youngsModulus"
+    codes: tuple[float, ...] = ()  # time codes of the samples that are followed, ascending
+    # the attributes that have them, e.g. "/M.physics:youngsModulus", by one of FOLLOWED's values
+    by: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     others: tuple[str, ...] = ()  # attributes of materials that change and are not followed
 
 
@@ -34,9 +44,11 @@ def material_keys(file: Path, facts: StageFacts, paths: Sequence[str]) -> Materi
     """The time samples of the physics materials bound to prims, and of what is painted on them.
 
     file : the USD file; facts.path is what messages call it; paths : of the surfaces.
+
+    Raises InputError for a density that changes.
     """
     codes: set[float] = set()
-    by: dict[str, None] = {}
+    by: dict[str, dict[str, None]] = {}
     others: dict[str, None] = {}
     with reading(file):
         stage = open_stage(file)
@@ -46,12 +58,28 @@ def material_keys(file: Path, facts: StageFacts, paths: Sequence[str]) -> Materi
                 if len(samples) < 2:
                     continue
                 name = str(attribute.GetPath())
-                if attribute.GetBaseName() == KEYED:
+                followed = _followed(attribute)
+                if followed:
                     codes.update(samples)
-                    by[name] = None
+                    by.setdefault(followed, {})[name] = None
+                elif attribute.GetBaseName() == CONSERVED:
+                    require_constant(facts.path, attribute)
                 else:
                     others[name] = None
-    return MaterialKeys(codes=tuple(sorted(codes)), by=tuple(by), others=tuple(others))
+    return MaterialKeys(
+        codes=tuple(sorted(codes)),
+        by={what: tuple(names) for what, names in by.items()},
+        others=tuple(others),
+    )
+
+
+def _followed(attribute: Usd.Attribute) -> str | None:
+    """Which value changes with an attribute; None where none does."""
+    name = attribute.GetName()
+    if name.endswith(STATIC):  # what counts where there is no other
+        dynamic = attribute.GetPrim().GetAttribute(name.replace(STATIC, "dynamicFriction"))
+        return None if dynamic and dynamic.HasAuthoredValue() else "friction"
+    return FOLLOWED.get(attribute.GetBaseName())
 
 
 def _attributes(prim: Usd.Prim) -> Iterator[Usd.Attribute]:

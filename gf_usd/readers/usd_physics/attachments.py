@@ -14,6 +14,10 @@ its place y, k (y - p) + c (dy/dt - dp/dt).  These are the units of Omniverse's 
 proposal (OpenUSD-proposals 111, June 2026) has the same damping, and a stiffness of force / area,
 which no constraint of two points has: it is read as force / length.  As there, damping counts where
 the stiffness is finite only.  What attaches other things is left alone with a note.
+
+Places may have time samples.  A bake with `--tets` writes attachments of its tetrahedra, which
+other simulators read; gaussianFlesh:pin is then the region of the mesh that they stand for, held by
+the bake of a stage that has them.
 """
 
 from __future__ import annotations
@@ -44,6 +48,8 @@ KINDS = {
     OMNI: ("omniphysics:", "vtxIndicesSrc0", "localPositionsSrc1"),
 }
 ENABLED, STIFFNESS, DAMPING = "attachmentEnabled", "stiffness", "damping"
+PIN, ANCHORS = "gaussianFlesh:pin", "gaussianFlesh:anchors"
+MESHES = "gaussianFlesh:sourceMeshes"
 APART = 1e-3  # of the body: farther apart than this, attached points are not where they are held
 
 
@@ -67,6 +73,10 @@ def attachments_of(
             continue
         if not switch(prim, _name(prim, ENABLED), time, otherwise=True):
             continue
+        if authored(prim, PIN, time) is not None:
+            if _concerns(prim, bodies):
+                found.append(str(prim.GetPath()))
+            continue
         sources = [_source(prim, name) for name in ("src0", "src1")]
         if not set(sources) & set(bodies):
             continue
@@ -75,6 +85,10 @@ def attachments_of(
         if prim.GetTypeName() == OMNI:
             kinds = ["point", "xform"]
         stiffness, _ = (_constant(file, prim, name, time) for name in (STIFFNESS, DAMPING))
+        for name in (STIFFNESS, DAMPING):
+            attribute = prim.GetAttribute(_name(prim, name))
+            if attribute and attribute.GetNumTimeSamples() > 1:
+                notes.add(f"{name} has time samples, and keeps the value of the rest pose", path)
         if kinds != ["point", "xform"] or sources[0] not in bodies:
             notes.add("attaches other than points of a mesh to an xform: not read", path)
         elif stiffness is None or stiffness == np.inf:
@@ -84,6 +98,13 @@ def attachments_of(
         else:
             soft.append(path)
     return tuple(found), tuple(soft)
+
+
+def _concerns(prim: Usd.Prim, bodies: Sequence[str]) -> bool:
+    """Whether what a bake wrote is about one of the bodies."""
+    relation = prim.GetRelationship(MESHES)
+    meshes = {str(path) for path in relation.GetForwardedTargets()} if relation else set()
+    return not meshes or bool(meshes & set(bodies))
 
 
 def _constant(file: Path, prim: Usd.Prim, name: str, time: Usd.TimeCode) -> float | None:
@@ -105,7 +126,7 @@ def read_attachments(
     rest: float | None,
     times: Sequence[float],
 ) -> tuple[tuple[Region, ...], tuple[str, ...]]:
-    """The regions that attachments hold, and notes; arguments as of `read_physics`.
+    """The regions that attachments of points hold, and notes; arguments as of `read_physics`.
 
     Raises InputError for arrays that do not fit each other or the mesh, and for a source that is
     not there.
@@ -118,6 +139,50 @@ def read_attachments(
             for path in paths
         ]
     return tuple(regions), notes.lines()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenPin:
+    """A pin that an earlier bake wrote as an attachment."""
+
+    name: str  # prim path of the attachment
+    region: str  # as --pin names it
+    path: Floats  # (F, n, 3) [m] places in the region at each frame; F = 1: they stay
+
+
+def read_written_pins(
+    file: Path,
+    paths: Sequence[str],
+    facts: StageFacts,
+    *,
+    rest: float | None,
+    times: Sequence[float],
+) -> tuple[WrittenPin, ...]:
+    """Those of the attachments that say which pin they stand for; arguments and errors as of
+    `read_attachments`.
+    """
+    out = []
+    with reading(file):
+        stage, readings = open_stage(file), Readings(facts)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        for path in paths:
+            prim = named_prim(stage, facts.path, path)
+            region = authored(prim, PIN, time)
+            if region is None:
+                continue
+            if not isinstance(region, str) or not region:
+                raise refuse(facts.path, prim, PIN, region, "author a region as --pin names it")
+            if region.startswith("/") and not stage.GetPrimAtPath(region):
+                raise refuse(facts.path, prim, PIN, region, "author a path where there is a prim")
+            said = authored(prim, ANCHORS, time) is not None
+            places = _Places(prim, readings, ANCHORS if said else "")
+            if not places.at(time).size:
+                raise refuse(
+                    facts.path, prim, places.name, [], "author the places that are held, or bake"
+                    " the asset again with --pin and --tets",
+                )  # fmt: skip
+            out.append(WrittenPin(name=path, region=region, path=places.over(time, times)))
+    return tuple(out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,16 +212,14 @@ def read_soft_attachments(
         time = Usd.TimeCode(first_time_code(facts, rest))
         for path in paths:
             prim = named_prim(stage, facts.path, path)
-            carrier = named_prim(stage, facts.path, _source(prim, "src1"))
-            surface, indices, coords = _attached(prim, readings, time)
-            moves = times if transform_varies(carrier) else times[:1]
+            surface, indices, places = _attached(prim, readings, time)
             each = [_constant(facts.path, prim, name, time) or 0.0 for name in (STIFFNESS, DAMPING)]
             out.append(
                 SoftAttachment(
                     body=surface.path,
                     points=indices,
                     X=surface.points[indices],
-                    path=_carried(carrier, readings, coords, moves),
+                    path=places.over(time, times),
                     stiffness=each[0] * facts.units.mass,
                     damping=each[1] * facts.units.mass,
                 )
@@ -179,10 +242,8 @@ def _source(prim: Usd.Prim, name: str) -> str:
 def _region(
     prim: Usd.Prim, readings: Readings, time: Usd.TimeCode, times: Sequence[float], notes: Notes
 ) -> Region:
-    facts, stage = readings.facts, prim.GetStage()
-    where = f"{facts.path}: <{prim.GetPath()}>"
-    carrier = named_prim(stage, facts.path, _source(prim, "src1"))
-    surface, indices, coords = _attached(prim, readings, time)
+    where = f"{readings.facts.path}: <{prim.GetPath()}>"
+    surface, indices, places = _attached(prim, readings, time)
     chosen = surface.triangles[np.isin(surface.triangles, indices).all(1)]
     if not len(chosen):
         raise InputError(
@@ -190,9 +251,8 @@ def _region(
             "attach all corners of the faces that are to be held",
         )
     used, renumbered = np.unique(chosen, return_inverse=True)
-    places = coords[_rows(indices, used)]
     points = surface.points[used]
-    path = _carried(carrier, readings, places, times if transform_varies(carrier) else times[:1])
+    path = places.over(time, times)[:, _rows(indices, used)]
     apart = float(np.linalg.norm(path[0] - points, axis=1).max())
     if apart > APART * float(np.linalg.norm(np.ptp(surface.points, axis=0))):
         notes.add(
@@ -210,10 +270,52 @@ def _region(
     )
 
 
+class _Places:
+    """The places of an attachment, in the frame of its other prim, over time.
+
+    name : of the attribute; "": that of the attachment's type.
+    Raises InputError where there is no such prim.
+    """
+
+    def __init__(self, prim: Usd.Prim, readings: Readings, name: str = "") -> None:
+        self._prim, self._readings = prim, readings
+        facts = readings.facts
+        self._carrier = named_prim(prim.GetStage(), facts.path, _source(prim, "src1"))
+        self.name = name or _name(prim, KINDS[str(prim.GetTypeName())][2])
+        self._where = f"{facts.path}: <{prim.GetPath()}>"
+
+    def at(self, time: Usd.TimeCode) -> NDArray[np.float64]:
+        """(n, 3) in the frame of the other prim, stage units."""
+        value = authored(self._prim, self.name, time)
+        return np.asarray([] if value is None else value, np.float64).reshape(-1, 3)
+
+    def over(self, rest: Usd.TimeCode, times: Sequence[float]) -> NDArray[np.float64]:
+        """(F, n, 3) [m] world at time codes; F = 1 where they stay.
+
+        Raises InputError for a number of places that changes from that at rest.
+        """
+        attribute = self._prim.GetAttribute(self.name)
+        moves = transform_varies(self._carrier) or attribute.ValueMightBeTimeVarying()
+        still = self.at(rest)
+        rows = [self._world(still, Usd.TimeCode(code)) for code in (times if moves else times[:1])]
+        return np.stack(rows)
+
+    def _world(self, still: Floats, time: Usd.TimeCode) -> NDArray[np.float64]:
+        places = self.at(time)
+        if places.shape != still.shape:
+            raise InputError(
+                f"{self._where}: {self.name} has {len(places)} places at time code"
+                f" {time.GetValue():g}, and {len(still)} at rest",
+                "author as many places at all times",
+            )
+        M = matrix(self._carrier, self._readings.at(time))
+        return (places @ M[:3, :3] + M[3, :3]) * self._readings.facts.units.length
+
+
 def _attached(
     prim: Usd.Prim, readings: Readings, time: Usd.TimeCode
-) -> tuple[Surface, Ints, NDArray[np.float64]]:
-    """The mesh, its attached points (n,), and their places (n, 3) in the frame of the other prim.
+) -> tuple[Surface, Ints, _Places]:
+    """The mesh, its attached points (n,), and their places.
 
     Raises InputError where they do not fit each other.
     """
@@ -221,12 +323,13 @@ def _attached(
     where = f"{facts.path}: <{prim.GetPath()}>"
     body = named_prim(stage, facts.path, _source(prim, "src0"))
     surface = read_surface(body, readings.at(time))
-    _, of, places = KINDS[str(prim.GetTypeName())]
+    _, of, name = KINDS[str(prim.GetTypeName())]
+    places = _Places(prim, readings)
     indices = np.asarray(_array(prim, of, time), np.int64).reshape(-1)
-    coords = np.asarray(_array(prim, places, time), np.float64).reshape(-1, 3)
+    coords = places.at(time)
     if len(coords) != len(indices) or not len(indices):
         raise InputError(
-            f"{where} has {len(indices)} {of} and {len(coords)} {places}",
+            f"{where} has {len(indices)} {of} and {len(coords)} {name}",
             "author one place for each attached point",
         )
     if indices.min() < 0 or indices.max() >= len(surface.points):
@@ -235,7 +338,7 @@ def _attached(
             f" <{body.GetPath()}> has {len(surface.points)} points",
             "attach points of the mesh",
         )
-    return surface, indices, coords
+    return surface, indices, places
 
 
 def _array(prim: Usd.Prim, name: str, time: Usd.TimeCode) -> Floats:
@@ -247,12 +350,3 @@ def _rows(indices: Ints, used: Ints) -> Ints:
     """Where each used point stands among the indices; the first of several."""
     order = np.argsort(indices, kind="stable")
     return order[np.searchsorted(indices[order], used)]
-
-
-def _carried(
-    carrier: Usd.Prim, readings: Readings, places: Floats, times: Sequence[float]
-) -> NDArray[np.float64]:
-    """(F, n, 3) [m] world of places (n, 3) in the frame of a prim."""
-    rows = [matrix(carrier, readings.at(Usd.TimeCode(code))) for code in times]
-    unit = readings.facts.units.length
-    return np.stack([(places @ M[:3, :3] + M[3, :3]) * unit for M in rows])

@@ -94,6 +94,25 @@ def vector(
     return made
 
 
+def require_constant(path: Path, attribute: Usd.Attribute) -> None:
+    """Raise InputError where the time samples of a mass or a density differ.
+
+    path : the file, for messages.
+    """
+    codes = attribute.GetTimeSamples() if attribute else []
+    if len(codes) < 2:
+        return
+    values = [np.atleast_1d(np.asarray(attribute.Get(code), np.float64)) for code in codes]
+    if all(np.array_equal(one, values[0]) for one in values):
+        return
+    low, high = (float(end(np.concatenate(values))) for end in (np.min, np.max))
+    raise InputError(
+        f"{path}: <{attribute.GetPrim().GetPath()}>: {attribute.GetName()} has {len(codes)} time"
+        f" samples, from {low:g} to {high:g}: the mass of a body does not change",
+        "author one value: youngsModulus, poissonsRatio, dampingTime, dynamicFriction may change",
+    )
+
+
 def refuse(path: Path, prim: Usd.Prim, name: str, value: object, hint: str) -> InputError:
     """The error for a value that makes no sense."""
     shown = f"{value:g}" if isinstance(value, float) else repr(value)

@@ -35,6 +35,7 @@ from gf_usd.readers.usd_physics.attributes import (
     body_of,
     is_collider,
     number,
+    require_constant,
     role,
     switch,
     vector,
@@ -119,6 +120,7 @@ def _mass(
     for one in _chain(prim, owner, here.time):
         for name in MASSES:
             value = number(here.path, one, name, here.time)
+            require_constant(here.path, one.GetAttribute(name))
             if value:
                 return value * units.mass, str(one.GetPath())
     above = prim.GetParent() if owner is None else None
@@ -135,6 +137,7 @@ def _density(
     """[kg/m^3]; the prim nearest to the mesh goes first."""
     for one in reversed(_chain(prim, owner, here.time)):
         value = number(here.path, one, DENSITY, here.time)
+        require_constant(here.path, one.GetAttribute(DENSITY))
         if value:
             return value * units.density
     return None
@@ -178,6 +181,7 @@ def _moving(values: Floats) -> Triple | None:
 
 
 PURPOSE = "physics"
+RUBS = ("staticFriction", "dynamicFriction", "restitution")  # what counts of an obstacle
 # Materials that have moduli: of the AOUSD proposal by its earlier and later name, and Omniverse's.
 DEFORMABLE = {
     "PhysicsDeformableMaterialAPI",
@@ -224,6 +228,17 @@ class PhysicsMaterials:
         if spec.elastic and spec.density is None and density is None:
             self._notes.add(f"no density is stated: {WATER:g} kg/m^3 is assumed", spec.path)
         return spec.whole()
+
+    def note_keys(self, spec: PhysicsMaterialSpec, stage: Usd.Stage) -> None:
+        """Note what of an obstacle's material has time samples: it is not followed."""
+        prim = stage.GetPrimAtPath(spec.path) if spec.path else None
+        for attribute in prim.GetAuthoredAttributes() if prim else ():
+            if attribute.GetBaseName() in RUBS and attribute.GetNumTimeSamples() > 1:
+                self._notes.add(
+                    f"{attribute.GetName()} has time samples: obstacles keep the value of the rest"
+                    " pose",
+                    spec.path,
+                )
 
     def _read(self, prim: Usd.Prim) -> PhysicsMaterialSpec:
         def value(name: str) -> Any:

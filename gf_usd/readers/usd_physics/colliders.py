@@ -83,6 +83,8 @@ def read_colliders(
                 "is a rigid body, which is not simulated: only its animation moves it",
                 _name(shape.prim),
             )
+        spec = materials.bound(shape.prim)
+        materials.note_keys(spec, shape.prim.GetStage())
         made.append(
             Collider(
                 path=_name(shape.prim),
@@ -92,7 +94,7 @@ def read_colliders(
                 linear=linear,
                 offset=offset,
                 deformed=deformed,
-                spec=materials.bound(shape.prim),
+                spec=spec,
                 approximation=shape.approximation,
                 role=what,
             )

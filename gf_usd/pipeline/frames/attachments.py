@@ -1,0 +1,42 @@
+"""What pins hold of the tetrahedra that are written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gf_usd.core.frames import Particles, TetAttachment, TetLattice
+from gf_usd.core.stage import Pin
+
+
+def tet_attachments(
+    pins: Sequence[Pin], tets: Sequence[TetLattice], particles: Particles
+) -> tuple[TetAttachment, ...]:
+    """The points of each body that each pin holds along all axes: the nodes whose motion the
+    solver is given.
+
+    A region that moves by the forces on it holds nothing, nor does the core of a bone, which is
+    part of `--flesh` and no region that `--pin` could name.
+    """
+    from gf_usd.physics.grid.pins import given_nearby, pinned_by
+
+    found: list[TetAttachment] = []
+    for one in tets:
+        held = pinned_by(pins, one.X)
+        axes = given_nearby(pins, held, one.X, 2.0 * particles.lattice).axes
+        names = dict.fromkeys(pin.name for pin in pins if pin.sharp and not pin.rigid)
+        for name in names:
+            mine = [k for k, pin in enumerate(pins) if pin.name == name and all(pin.axes)]
+            points = np.flatnonzero(np.isin(axes, mine).all(1))
+            if not len(points):
+                continue
+            paths = [pins[k].path for k in mine]
+            length = max(len(path) for path in paths)
+            whole = [np.broadcast_to(path, (length, *path.shape[1:])) for path in paths]
+            found.append(
+                TetAttachment(
+                    pin=name, body=one.body, points=points, path=np.concatenate(whole, axis=1)
+                )
+            )
+    return tuple(found)
