@@ -258,7 +258,7 @@ class BodyContact:
             x, rate = x + constants @ c, rate + constants @ c_rate
         return x, rate
 
-    def rub(self, contact: FloorContact) -> None:
+    def set_friction(self, contact: FloorContact) -> None:
         """Take the friction of the samples from here on; all else of them stays."""
         self.contact = contact
 

@@ -129,7 +129,9 @@ class TotalLagrangian(Solver):
         self.fields = Fields(settings)
         self._pushed = np.zeros((2, body.stencil.free_count, 3))  # [N] of fields, and [m] where
         keys = particles.keys
-        self._rubbing = _particle_of_samples(body) if keys and keys.changes("friction") else None
+        self._sample_particle = (
+            _particle_of_samples(body) if keys and keys.changes("friction") else None
+        )
         self.partner: Partner | None = None  # what moves beside the body, and pushes it
 
     def not_finite(self) -> tuple[int, str]:
@@ -240,11 +242,11 @@ class TotalLagrangian(Solver):
             return 0.0
         state.put_values(index)
         before, now = body.values_at(index - 1), body.values_at(index)
-        if self._rubbing is not None and body.contact is not None:
-            contact = replace(body.contact, friction=now["friction"][self._rubbing])
+        if self._sample_particle is not None and body.contact is not None:
+            contact = replace(body.contact, friction=now["friction"][self._sample_particle])
             state.put("sample_constants", contact.law.ravel())
             if self.pairs:
-                self.pairs.rub(contact)
+                self.pairs.set_friction(contact)
         if any((before[name] != now[name]).any() for name in KEYED):
             self.settling.wake()
         old, new = body.law_at(index - 1), body.law_at(index)

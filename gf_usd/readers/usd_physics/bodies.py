@@ -181,7 +181,7 @@ def _moving(values: Floats) -> Triple | None:
 
 
 PURPOSE = "physics"
-RUBS = ("staticFriction", "dynamicFriction", "restitution")  # what counts of an obstacle
+CONTACT_VALUES = ("staticFriction", "dynamicFriction", "restitution")  # what counts of an obstacle
 # Materials that have moduli: of the AOUSD proposal by its earlier and later name, and Omniverse's.
 DEFORMABLE = {
     "PhysicsDeformableMaterialAPI",
@@ -233,7 +233,7 @@ class PhysicsMaterials:
         """Note what of an obstacle's material has time samples: it is not followed."""
         prim = stage.GetPrimAtPath(spec.path) if spec.path else None
         for attribute in prim.GetAuthoredAttributes() if prim else ():
-            if attribute.GetBaseName() in RUBS and attribute.GetNumTimeSamples() > 1:
+            if attribute.GetBaseName() in CONTACT_VALUES and attribute.GetNumTimeSamples() > 1:
                 self._notes.add(
                     f"{attribute.GetName()} has time samples: obstacles keep the value of the rest"
                     " pose",
