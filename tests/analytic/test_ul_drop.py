@@ -35,14 +35,8 @@ def drop(kind: type, name: str, frames: int = 75, radius: float = 1.0):
 # metal and rubber then agree within 1 % and jelly, crushed to a third, within 5 %.  What is left:
 # one grid is fixed in the world and the other in the body, so that cells hold more particles where
 # UL is crushed, and light nodes follow the others in TL only.
-@pytest.mark.parametrize(
-    ("name", "apart"),
-    [
-        ("rubber", 0.02),
-        pytest.param("metal", 0.02, marks=pytest.mark.slow),
-        pytest.param("jelly", 0.05, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "apart"), [("rubber", 0.02), ("metal", 0.02), ("jelly", 0.05)])
 def test_peak_squash_is_that_of_the_total_lagrangian_solver(name, apart):
     ul, tl = (min(drop(kind, name)[0]) for kind in (UpdatedLagrangian, TotalLagrangian))
     assert ul == pytest.approx(tl, abs=apart)

@@ -109,7 +109,11 @@ def test_bodies_in_contact_go_on_alike(gf_usd, here: Path, tmp_path: Path) -> No
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(
-    ("kills", "frames"), [(1, 26), pytest.param(20, 61, marks=pytest.mark.slow)]
+    ("kills", "frames"),
+    [
+        pytest.param(1, 26, marks=pytest.mark.slow),
+        pytest.param(20, 61, marks=pytest.mark.acceptance),
+    ],
 )
 def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(
     gf_usd, here: Path, block: Path, kills: int, frames: int

@@ -17,9 +17,12 @@ from recordings import FRAMES, FallingBox, MeltingBox, report_of
 from gf_usd.view.report.report import Limits, build_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium"
+    ),
+]
 NASTY = "<script>document.title='owned'</script>"
 
 

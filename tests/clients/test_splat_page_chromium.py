@@ -19,9 +19,12 @@ from gf_usd.core.radiance import basis
 from gf_usd.view.report.splats import Limits, build_splat_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no Chromium is installed: apt-get install chromium"
+    ),
+]
 UPS = [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
 # draws now, and reads the color (premultiplied by its alpha) at a place of the page's frame
 PIXEL = """([place]) => {

@@ -60,6 +60,7 @@ TEXT: dict[str, bytes] = {
 }
 
 
+@pytest.mark.slow
 def test_hostile_files_are_read_or_refused(tmp_path: Path) -> None:
     files = [tmp_path / str(number) / name for number, name in enumerate(TEXT)]
     for file in files:
