@@ -178,15 +178,27 @@ JUMP = 2.0  # times the longest way between two frames: a cycle whose end is far
 def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
     """The animation of the skeletons that pose an asset; start : its first time code, as asked for.
 
-    Where no skeleton poses any of it, that of its points.  Raises InputError where there is none,
-    and for a broken skeleton.
+    Where no skeleton poses any of it, that of its points, or else of the only skeleton of the
+    stage.  Raises InputError where there is none, and for a broken skeleton.
     """
-    from gf_usd.readers.usd.bones import animation_range, has_skeleton, read_skeleton
-    from gf_usd.readers.usd_bake.caches import cache_range, read_cache
+    from gf_usd.readers.usd.bones import (
+        animation_range,
+        has_skeleton,
+        lone_skeleton,
+        read_skeleton,
+    )
+    from gf_usd.readers.usd_bake.caches import cache_range, has_animated_points, read_cache
 
     paths = [s.path for s in asset.surfaces]
-    cached = not has_skeleton(file, paths, asset.facts)
-    first, last = (cache_range if cached else animation_range)(file, paths, asset.facts)
+    posed, nearest = has_skeleton(file, paths, asset.facts), ""
+    if not (posed or has_animated_points(file, paths, asset.facts)):
+        nearest = lone_skeleton(file)
+    cached = not (posed or nearest)
+    loose = _loose(asset) if nearest else None
+    if cached:
+        first, last = cache_range(file, paths, asset.facts)
+    else:
+        first, last = animation_range(file, paths, asset.facts, loose)
     if start is not None:
         first, last = first_time_code(asset.facts, start), max(start, last)
     if cached:
@@ -196,12 +208,18 @@ def read_animation(asset: Asset, file: Path, start: float | None) -> Animation:
         away = float(np.linalg.norm(end_points - start_points, axis=1).max())
         closed = last > first and away < SAME_POSE * extent
         return Animation(first=first, last=last, reach=0.0, closed=closed, cached=True)
-    bones = read_skeleton(file, paths, asset.facts, first=first, times=[first, last]).bones
+    ends = {"first": first, "times": [first, last], "loose": loose}
+    bones = read_skeleton(file, paths, asset.facts, **ends).bones
     reach = max(float(np.linalg.norm(b.path[0] - b.anchors, axis=1).max()) for b in bones)
     steps = [float(np.linalg.norm(b.path[1] - b.path[0], axis=1).max()) for b in bones]
     size = float(np.linalg.norm(bones[0].anchors[1] - bones[0].anchors[0]))
     closed = last > first and max(steps) < SAME_POSE * size
-    return Animation(first=first, last=last, reach=reach, closed=closed)
+    return Animation(first=first, last=last, reach=reach, closed=closed, nearest=nearest)
+
+
+def _loose(asset: Asset) -> dict[str, Floats]:
+    """The points of the surfaces, (V, 3) [m] in the world, by prim path."""
+    return {s.path: s.points for s in asset.surfaces}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,13 +287,20 @@ def flesh_of(
             " animated points as bones",
         )
     else:
-        skeleton = read_skeleton(file, paths, asset.facts, **when)
+        loose = _loose(asset) if animation.nearest else None
+        skeleton = read_skeleton(file, paths, asset.facts, **when, loose=loose)
     skeleton = _at_frames(skeleton, again.tolist())
     bones = skeleton.bones
     if cycle and repeats:
         _require_closed(asset, skeleton, lead, cycle)
     if cores is None:
         cores, notes = bone_cores(bones, solid, share or BONE_RADIUS, 2.0 * lattice)
+    if animation.nearest:
+        notes = (
+            f"{', '.join(paths)} without joint weights: each point follows the nearest bones of"
+            f" {animation.nearest}",
+            *notes,
+        )
     pins = bone_pins(bones, cores)
     if not pins:
         raise InputError(

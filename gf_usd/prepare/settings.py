@@ -171,6 +171,7 @@ class Animation:
     reach: float  # [m] from the bind pose to the first pose, of the part that goes the farthest
     closed: bool = False  # whether the last pose is the first one
     cached: bool = False  # of points; False: of a skeleton
+    nearest: str = ""  # the Skeleton whose nearest bones points without joint weights follow
 
     def cycle(self, frames: int) -> int:
         """Frames of a period, of so many from the first to the last."""

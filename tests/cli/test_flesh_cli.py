@@ -7,7 +7,19 @@ from pathlib import Path
 import gltf_arm
 import numpy as np
 import pytest
-from arm import FIRST, LAST, WIDTH, arm, cached, drawn, points, skinned, swinging, write
+from arm import (
+    FIRST,
+    LAST,
+    WIDTH,
+    arm,
+    cached,
+    captured,
+    drawn,
+    points,
+    skinned,
+    swinging,
+    write,
+)
 from pxr import Usd
 from small_bakes import BLOCK
 
@@ -329,3 +341,24 @@ def test_an_animation_that_does_not_close_is_no_cycle(tmp_path: Path) -> None:
     with pytest.raises(gf_usd.InputError, match="is no cycle") as caught:
         gf_usd.bake(path, flesh=True, output=tmp_path / "out.usda", loop=2, **FEW)
     assert caught.value.hint
+
+
+@pytest.mark.slow
+def test_a_capture_beside_a_skeleton_follows_its_bones(tmp_path: Path) -> None:
+    path = captured(tmp_path)
+    out = tmp_path / "out.usda"
+    result = gf_usd.bake(path, flesh=True, output=out, material="rubber", **FEW)
+    assert (result.frames, result.health["rollbacks"]) == (LAST - FIRST + 1, 0)
+    assert not result.findings
+    assert any("each point follows the nearest bones of /Arm/Skel" in n for n in result.notes)
+    stage = Usd.Stage.Open(str(out))
+    positions = stage.GetPrimAtPath("/Arm/Person").GetAttribute("positions")
+    rest = np.asarray(Usd.Stage.Open(str(path)).GetPrimAtPath("/Arm/Person")
+                      .GetAttribute("positions").Get())  # fmt: skip
+    # B turns by 60 degrees about (1, 0, 0): its flesh goes there, as that of the skinned arm does.
+    turn = np.deg2rad(60.0)
+    R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    far = rest[:, 0] > 1.4
+    wanted = (rest[far] - [1.0, 0.0, 0.0]) @ R.T + [1.0, 0.0, 0.0]
+    away = np.asarray(positions.Get(LAST))[far] - wanted
+    assert np.sqrt((away**2).sum(1).mean()) < 0.1 * WIDTH

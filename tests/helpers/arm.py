@@ -167,3 +167,31 @@ def drawn(stage: Usd.Stage, code: float, path: str = "/Arm/Skin") -> NDArray[np.
     prim = stage.GetPrimAtPath(path)
     M = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code))
     return np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code)) @ M[:3, :3] + M[3, :3]
+
+
+def captured(folder: Path) -> Path:
+    """The arm as captured Gaussians without joint weights, beside its skeleton: person.usda."""
+    import trimesh
+    from captures import define, facing
+
+    from gf_usd.core.asset import Splats
+
+    box = trimesh.creation.box((2.0, WIDTH, WIDTH))
+    at, face = trimesh.sample.sample_surface_even(box, 3000, seed=1)
+    at = at + [1.0, 0.0, 0.0]
+    normals = box.face_normals[face]
+    wide = np.sqrt(box.area / len(at))
+    rig = folder / "rig.usda"
+    rig.write_text(arm(), encoding="utf-8")
+    stage = Usd.Stage.CreateNew(str(folder / "person.usda"))
+    stage.GetRootLayer().TransferContent(Usd.Stage.Open(str(rig)).GetRootLayer())
+    stage.RemovePrim("/Arm/Skin")
+    splats = Splats(
+        positions=at.astype(np.float32), orientations=facing(normals),
+        scales=np.tile(np.float32([0.7, 0.6, 0.1]) * np.float32(wide), (len(at), 1)),
+        opacities=np.ones(len(at), np.float32), harmonics=np.zeros((len(at), 1, 3), np.float32),
+        path="/Arm/Person",
+    )  # fmt: skip
+    define(stage, "/Arm/Person", splats)
+    stage.Save()
+    return folder / "person.usda"

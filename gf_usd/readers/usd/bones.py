@@ -11,6 +11,11 @@ with B_j the joint's bind transform, J_j its animated transform, both in the ske
 the skeleton's local-to-world, W0 that of the first frame.  The bind pose as a whole is moved
 rigidly so that the topmost joint with flesh is where it is in the first frame.
 
+Points without joint weights, such as captured Gaussians, follow the nearest segments of the only
+skeleton of the stage, by weights w_j ~ (d_j + e)^-4 with d_j the distance to those of joint j and e
+a share of the skeleton's size.  A last joint's segment is as long as that of the joint above, and
+goes on in its direction.
+
 Times before the first frame lead from the bind pose into the animation.  Each joint's transform
 relative to the next joint above that carries flesh goes from the bind pose to where the animation
 would have been, by rotation, stretch and translation apart, with weights s = 3 r^2 - 2 r^3.
@@ -19,7 +24,7 @@ Position and velocity agree with the animation at the first frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,6 +50,8 @@ INTO_FLESH = 1.5  # times the way from a joint to the middle of its flesh: most 
 AWAY = 0.5  # of a joint's longest segment: flesh that is farther from all of them needs its own
 MEMORY = 4.0  # [frames] that the pre-roll follows the animation back before its first frame
 SHORT = 1e-6  # of the skeleton's size: a segment below it is a point
+SOFT = 0.01  # of the skeleton's size: e of the weights of points without joint weights
+LEAST = 0.02  # smaller ones of these weights are left out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +69,10 @@ class Rig:
     weights: dict[str, Floats] = field(default_factory=dict)  # (V, J) of each mesh, by path
 
 
-def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
-    """First and last time code of the animation that poses some meshes.
+def animation_range(
+    file: Path, paths: Sequence[str], facts: StageFacts, loose: Mapping[str, Floats] | None = None
+) -> tuple[float, float]:
+    """First and last time code of the animation that poses some meshes; loose : of `read_skeleton`.
 
     Where the stage says both, they are its own, else those of the time samples.  Raises InputError
     as `read_skeleton`.
@@ -71,7 +80,7 @@ def animation_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tupl
     with reading(file):
         stage = open_stage(file)
         codes: set[float] = set()
-        for rig in _rigs(stage, paths, facts, 0.0):
+        for rig in _rigs(stage, paths, facts, 0.0, loose):
             animation = rig.query.GetAnimQuery()
             if animation:
                 codes.update(animation.GetJointTransformTimeSamples())
@@ -98,21 +107,37 @@ def has_skeleton(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
         return any(one is not None and one[1].HasJointInfluences() for one in found)
 
 
+def lone_skeleton(file: Path) -> str:
+    """Prim path of the only skeleton of a stage under a SkelRoot; "" where there is no such."""
+    with reading(file):
+        time = Usd.TimeCode.EarliestTime()
+        found = Skins(time, UsdGeom.XformCache(time), Notes()).lone(open_stage(file))
+        return "" if found is None else str(found.GetPath())
+
+
 def read_skeleton(
-    file: Path, paths: Sequence[str], facts: StageFacts, *, first: float, times: Sequence[float]
+    file: Path,
+    paths: Sequence[str],
+    facts: StageFacts,
+    *,
+    first: float,
+    times: Sequence[float],
+    loose: Mapping[str, Floats] | None = None,
 ) -> Skeleton:
     """The bones of the skeletons that pose some meshes, in the bind pose, and their motion.
 
     file : the USD file; facts.path is what messages call it.  paths : prim paths of the meshes.
     first : time code of the first frame of the animation; times : time codes (F,), which begin with
     the bind pose where they begin before it.
+    loose : world points (V, 3) [m] of prims that follow the nearest bones of the only skeleton,
+    where no skeleton poses any of them.
 
     Raises InputError where no skeleton poses any of the meshes, and for a broken skeleton.
     """
     with reading(file):
         stage = open_stage(file)
         bones, weights = [], {}
-        for rig in _rigs(stage, paths, facts, first):
+        for rig in _rigs(stage, paths, facts, first, loose):
             found = _bones(rig, facts, first, np.asarray(times, float))
             weights |= {path: (len(bones), w[:, list(found)]) for path, w in rig.weights.items()}
             bones += found.values()
@@ -131,7 +156,13 @@ def _placed(weights: Floats, before: int, count: int) -> csr_matrix:
     return csr_matrix(out)
 
 
-def _rigs(stage: Usd.Stage, paths: Sequence[str], facts: StageFacts, first: float) -> list[Rig]:
+def _rigs(
+    stage: Usd.Stage,
+    paths: Sequence[str],
+    facts: StageFacts,
+    first: float,
+    loose: Mapping[str, Floats] | None,
+) -> list[Rig]:
     time, notes = Usd.TimeCode(first), Notes()
     skins = Skins(time, UsdGeom.XformCache(time), notes, bind=True)
     rigs: dict[str, Rig] = {}
@@ -148,6 +179,12 @@ def _rigs(stage: Usd.Stage, paths: Sequence[str], facts: StageFacts, first: floa
         _add_flesh(rigs[where], prim, skin, skins, facts)
     if rigs:
         return list(rigs.values())
+    lone = skins.lone(stage) if loose else None
+    if loose and lone:
+        rig = _rig(lone, skins.query(lone), facts)
+        for path, points in loose.items():
+            _add_loose(rig, path, points, facts, first)
+        return [rig]
     here = f"<{paths[0]}>" + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")
     raise InputError(
         f"{facts.path}: --flesh: no skeleton poses {here}",
@@ -219,6 +256,33 @@ def _add_flesh(
     rig.owner.append(owner)
 
 
+def _add_loose(rig: Rig, path: str, points: Floats, facts: StageFacts, first: float) -> None:
+    """Add points (V, 3) [m] in the world, each with the weights of the nearest bones."""
+    at = _through(rig.bind[:, 3, :3], _world(rig, first, facts)) * facts.units.length
+    size = float(np.linalg.norm(np.ptp(np.concatenate([at, points]), axis=0)))
+    away = np.empty((len(points), len(at)))
+    for j, start in enumerate(at):
+        ends = [at[c] for c in np.flatnonzero(rig.parents == j)]
+        if not ends and rig.parents[j] >= 0:
+            ends = [2.0 * start - at[rig.parents[j]]]
+        ends = [end for end in ends if np.linalg.norm(end - start) > SHORT * size]
+        each = [_to_segment(points, start, end) for end in ends]
+        away[:, j] = np.min(each or [np.linalg.norm(points - start, axis=1)], axis=0)
+    weights = (away + SOFT * size) ** -4.0
+    weights /= weights.sum(1, keepdims=True)
+    weights[weights < LEAST] = 0.0
+    rig.weights[path] = weights / weights.sum(1, keepdims=True)
+    rig.points.append(np.asarray(points, np.float64))
+    rig.owner.append(weights.argmax(1))
+
+
+def _to_segment(points: Floats, start: Floats, end: Floats) -> NDArray[np.float64]:
+    """(n,) [m] from points (n, 3) to a segment."""
+    way = end - start
+    t = np.clip((points - start) @ way / (way @ way), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - start - t[:, None] * way, axis=1))
+
+
 def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int, Bone]:
     """One bone for each joint with a weight; one that is the main joint of no flesh is empty."""
     unit = facts.units.length
@@ -259,12 +323,7 @@ def _bones(rig: Rig, facts: StageFacts, first: float, times: Floats) -> dict[int
 
 def _distance(point: Floats, start: Floats, ends: Sequence[Floats]) -> float:
     """[m] from a point to the nearest of the segments that begin at `start`."""
-    best = np.inf
-    for end in ends:
-        way = end - start
-        t = float(np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
-        best = min(best, float(np.linalg.norm(point - start - t * way)))
-    return best
+    return min((float(_to_segment(point[None], start, end)[0]) for end in ends), default=np.inf)
 
 
 def _through(points: Floats, matrix: Floats) -> Floats:

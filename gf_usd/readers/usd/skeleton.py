@@ -255,6 +255,15 @@ class Skins:
         joints = query.ComputeSkinningTransforms(self._time)
         return bool(skin.ComputeSkinnedPoints(joints, points, self._time))
 
+    def lone(self, stage: Usd.Stage) -> Usd.Prim | None:
+        """The only Skeleton of a stage, if it is under a SkelRoot, so that USD animates it."""
+        every = Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+        found = [prim for prim in every if prim.IsA(UsdSkel.Skeleton)]
+        if len(found) != 1 or not UsdSkel.Root.Find(found[0]):
+            return None
+        self._populate(found[0])
+        return found[0]
+
     def _populate(self, prim: Usd.Prim) -> None:
         """Resolve the bindings under the outermost SkelRoot above `prim`, once."""
         above, root = prim, None

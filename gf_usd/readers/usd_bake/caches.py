@@ -22,6 +22,14 @@ from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.motion import bare_reading
 
 
+def has_animated_points(file: Path, paths: Sequence[str], facts: StageFacts) -> bool:
+    """Whether the points of any of some meshes have time samples of their own."""
+    with reading(file):
+        stage = open_stage(file)
+        every = (UsdGeom.PointBased(named_prim(stage, facts.path, path)) for path in paths)
+        return any(one and one.GetPointsAttr().GetNumTimeSamples() > 1 for one in every)
+
+
 def cache_range(file: Path, paths: Sequence[str], facts: StageFacts) -> tuple[float, float]:
     """First and last time code of the animation of some meshes that no skeleton poses.
 

@@ -7,13 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm import FIRST, LAST, arm, points, skinned, write
+from arm import FIRST, LAST, arm, captured, points, skinned, write
 
 from gf_usd.core.errors import InputError
 from gf_usd.core.stage import Bone
 from gf_usd.physics.grid.pins import Motion
 from gf_usd.readers import read_asset
-from gf_usd.readers.usd.bones import animation_range, read_skeleton
+from gf_usd.readers.usd.bones import (
+    animation_range,
+    has_skeleton,
+    lone_skeleton,
+    read_skeleton,
+)
 
 EPS = 2e-6  # float32 points and quaternions of order 1
 
@@ -102,3 +107,23 @@ def test_a_broken_skeleton_is_refused_in_words(tmp_path: Path, fault: str) -> No
     assert words in caught.value.message
     assert str(path) in caught.value.message
     assert caught.value.hint
+
+
+def test_points_without_weights_follow_the_nearest_bones_of_the_only_skeleton(
+    tmp_path: Path,
+) -> None:
+    path = captured(tmp_path)
+    facts = read_asset(path).facts
+    at = np.array([[0.3, 0.1, 0.0], [1.0, 0.15, 0.0], [1.6, 0.0, -0.1], [-0.1, 0.0, 0.0]])
+    assert lone_skeleton(path) == "/Arm/Skel"
+    assert not has_skeleton(path, ["/Arm/Person"], facts)
+    loose = {"/Arm/Person": at}
+    assert animation_range(path, ["/Arm/Person"], facts, loose) == (FIRST, LAST)
+    found = read_skeleton(
+        path, ["/Arm/Person"], facts, first=FIRST, times=[FIRST, LAST], loose=loose
+    )
+    weights = found.weights["/Arm/Person"].toarray()
+    np.testing.assert_allclose(weights.sum(1), 1.0)
+    # A's segment is [0, 1] along x, B's goes on as far: both are as near where they meet.
+    np.testing.assert_allclose(weights[:, 0], [1.0, 0.5, 0.0, 1.0])
+    assert [bone.name for bone in found.bones] == ["/Arm/Skel:A", "/Arm/Skel:A/B"]
