@@ -28,8 +28,8 @@ def fit(
             metavar="FILE|NAME=VALUE",
             help="Observed motion or measurement; repeatable. A USD file with the motion of the"
             " asset's meshes or of tracked points, or a number: rebound=0.6, height=0.15@12 (at a"
-            " time code), deflection=0.02:at=1,0,0 (of a point [stage units]). +-0.01 or +-2% after a"
-            " value or a file gives its standard deviation.",
+            " time code), deflection=0.02:at=1,0,0 (of a point [stage units]). +-0.01 or +-2% after"
+            " a value or a file gives its standard deviation.",
         ),
     ] = None,
     unknowns: Annotated[
