@@ -21,18 +21,21 @@ from gf_usd.core.errors import UsageError
 
 
 def bake(
-    asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
+    asset: Annotated[Path, typer.Argument(help="The asset file; it is never modified.")],
     *,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show what would be done and what it would cost.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Show what the bake would do and what it would cost, without baking."
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     events: Annotated[
         str | None,
         typer.Option(
             metavar="FILE|-|N",
-            help="Write what happens to this file, one JSON object per line; - is stdout, a"
-            " number an open file descriptor.",
+            help="Write events to this file, one JSON object per line; - is stdout, a number is"
+            " an open file descriptor.",
             show_default="none",
         ),
     ] = None,
@@ -43,7 +46,11 @@ def bake(
         bool, typer.Option("--verbose", "-v", help="Print the plan before baking.")
     ] = False,
     serve: Annotated[
-        bool, typer.Option("--serve", help="Bake in a warm process of a running gf-usd serve.")
+        bool,
+        typer.Option(
+            "--serve",
+            help="Bake in a warm process of a running gf-usd serve, which saves start-up time.",
+        ),
     ] = False,
     help_all: Annotated[
         bool,
@@ -51,24 +58,23 @@ def bake(
             "--help-all",
             is_eager=True,
             callback=show_all,
-            help="Show this page with the expert options explained, and exit.",
+            help="Show this page with the expert options, and exit.",
         ),
     ] = False,
     **options: Any,
 ) -> None:
-    """Turn an asset into a soft body: fill it with particles, simulate it, write layers over it.
+    """Turn an asset into a soft body: fill it with particles, simulate it, and write USD layers.
 
     Writes NAME.MATERIAL.usda (open this one), NAME.MATERIAL.cache.usdc and
-    NAME.MATERIAL.report.json; the asset itself does not change.  A mesh file (obj, ply, stl, off,
-    glb, gltf, fbx) is also converted to NAME.source.usdc, its packed textures to NAME.textures/.
+    NAME.MATERIAL.report.json; the asset file does not change.  A mesh file (obj, ply, stl, off,
+    glb, gltf, fbx) is also converted to NAME.source.usdc, and its packed textures are written to
+    NAME.textures/.
     """
     if as_json and events == STDOUT:
-        raise UsageError("--json and --events - both want stdout", "give --events a file")
+        raise UsageError("--json and --events - would both write to stdout", "give --events a file")
     if serve:
         if dry_run or verbose:
-            raise UsageError(
-                "--serve bakes, and shows no plan", "leave out --dry-run and --verbose"
-            )
+            raise UsageError("--serve cannot show a plan", "leave out --dry-run and --verbose")
         from gf_usd.cli.serve import bake_by_server
 
         bake_by_server(asset, options, as_json=as_json, quiet=quiet, events=events)

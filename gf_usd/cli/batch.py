@@ -20,22 +20,22 @@ def batch(
     material: Annotated[
         str | None,
         typer.Option("--material", "-m", metavar="PRESET|FILE|auto",
-                     help="Materials, separated by commas; each makes a job.",
+                     help="Materials, separated by commas; one job for each.",
                      show_default="the manifest's, else rubber"),
     ] = None,
     seed: Annotated[
         str | None,
-        typer.Option(metavar="N,...", help="Seeds, separated by commas; each makes a job."),
+        typer.Option(metavar="N,...", help="Seeds, separated by commas; one job for each."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help="Write the results into this folder.",
+        typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the results.",
                      show_default="the manifest's, else baked"),
     ] = None,
     name: Annotated[
         str | None,
         typer.Option(metavar="TEMPLATE",
-                     help="Name the results by this template, such as"
+                     help="Template for the names of the results, such as"
                      " {folder}/{asset}.{material}.", show_default="the manifest's"),
     ] = None,
     particles: Annotated[
@@ -53,30 +53,30 @@ def batch(
     ] = None,
     at_once: Annotated[
         int | None,
-        typer.Option("--jobs", "-j", min=1, help="Run this many processes at once.",
+        typer.Option("--jobs", "-j", min=1, help="Number of processes to run in parallel.",
                      show_default="by cores and memory"),
     ] = None,
     memory: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Memory that one job needs [GB]; it limits the processes.",
+        typer.Option(min=0.01, help="Memory that one job needs [GB]; limits parallel jobs.",
                      show_default="estimated"),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(min=0.1, help="End an attempt at a job after this time [s].")
+        float | None, typer.Option(min=0.1, help="End a job after this time [s].")
     ] = None,
     retries: Annotated[
         int | None,
-        typer.Option(min=0, help="Repeat a job this often if its process crashed or timed out.",
+        typer.Option(min=0, help="How often to repeat a job that crashed or timed out.",
                      show_default="1"),
     ] = None,
     select: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME|PATTERN",
-                     help="Run only jobs with this name or pattern; repeatable."),
+                     help="Run only jobs that match this name or pattern; repeatable."),
     ] = None,
     failed: Annotated[
         bool,
-        typer.Option("--failed", help="Run only jobs that did not succeed last time."),
+        typer.Option("--failed", help="Run only jobs that did not succeed in the last run."),
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Bake finished jobs again.")
@@ -94,12 +94,12 @@ def batch(
     resource: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=AMOUNT",
-                     help="Dask resource that each job takes; repeatable."),
+                     help="Dask resource that each job uses; repeatable."),
     ] = None,
     openjd: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER",
-                     help="Write an Open Job Description bundle here; bake nothing."),
+                     help="Write an Open Job Description bundle to this folder, without baking."),
     ] = None,
     chunk: Annotated[
         int | None,
@@ -109,24 +109,24 @@ def batch(
         int | None,
         typer.Option(
             min=1,
-            help="End each job after this many value clips (status 5 if frames are left), or"
+            help="End each job after this many value clips (status 5 if frames remain), or"
             " make bundle tasks of this size.",
             show_default="the whole job",
         ),
     ] = None,
     part: Annotated[
         str | None,
-        typer.Option(metavar="K/N", help="Slice of its jobs that a bundle task bakes: 2/5."),
+        typer.Option(metavar="K/N", help="Part of the jobs that a bundle task bakes: 2/5."),
     ] = None,
     program: Annotated[
         str | None,
-        typer.Option(metavar="COMMAND", help="Python with gf-usd on the workers of the bundle.",
+        typer.Option(metavar="COMMAND", help="Python with gf-usd on the bundle's workers.",
                      show_default="this one"),
     ] = None,
     tasks: Annotated[
         str | None,
         typer.Option(metavar="NUMBERS",
-                     help="Run only jobs with these numbers, from 0: 0,3-5."),
+                     help="Run only jobs with these numbers, counted from 0: 0,3-5."),
     ] = None,
     path_mapping: Annotated[
         Path | None,
@@ -140,10 +140,10 @@ def batch(
         bool, typer.Option("--no-report", help="Do not write the HTML page and its pictures.")
     ] = False,
     report_only: Annotated[
-        bool, typer.Option("--report-only", help="Write the HTML page again; bake nothing.")
+        bool, typer.Option("--report-only", help="Only write the HTML page again, without baking.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List the jobs; bake nothing.")
+        bool, typer.Option("--dry-run", help="List the jobs without baking.")
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per line for each event.")
@@ -152,9 +152,9 @@ def batch(
 ) -> None:  # fmt: skip
     """Bake many assets with many materials and settings, in parallel.
 
-    Finished jobs whose inputs have not changed are skipped. Exit status 1 if a job did not
-    succeed, 5 if slices are left, 143 if terminated, 130 if interrupted; the same command then
-    continues.
+    Finished jobs whose inputs have not changed are skipped. The exit status is 1 if a job did not
+    succeed, 5 if slices remain, 143 if terminated, 130 if interrupted; run the same command again
+    to continue.
     """
     from gf_usd.batch.slices import parse_part
     from gf_usd.cli.batch_run import (

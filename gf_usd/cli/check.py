@@ -17,10 +17,10 @@ def check(
     limits: LimitsOf = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
-    """Validate a USD file with UsdValidation and rules for bakes; each finding has a fix.
+    """Validate a USD file with UsdValidation and additional rules; each finding has a fix.
 
-    Exit status 1 if there is an error, else 0. Warnings do not count, nor do errors of the source
-    of a bake, which are listed separately.
+    The exit status is 1 if there is an error, else 0. Warnings do not count, and neither do errors
+    in the source of a bake, which are listed separately.
     """
     from gf_usd.system.sandbox import attempt, parse_limits
 

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 def compare(
     first: Annotated[
-        Path, typer.Argument(metavar="A", help="Root layer of a bake, or any moving USD file.")
+        Path, typer.Argument(metavar="A", help="Root layer of a bake, or any animated USD file.")
     ],
     second: Annotated[
         Path,
         typer.Argument(
             metavar="B",
-            help="Another one with the same meshes: a second bake, or a cache of another program.",
+            help="A second file with the same meshes: another bake, or another program's cache.",
         ),
     ],
     output: Annotated[
@@ -30,16 +30,16 @@ def compare(
             "--output",
             "-o",
             help="Write a page (.html), a film (.mp4, .gif) of A, B and their distance, or a"
-            " picture of the worst frame (.png); repeat it for several.",
+            " picture of the worst frame (.png); repeatable.",
         ),
     ] = None,
     tolerance: Annotated[
         str | None,
         typer.Option(
             metavar="LENGTH",
-            help="Largest distance that counts as the same: 2mm, 1cm, 0.01m, or 0.5% of the radius"
-            " of a sphere of A's volume.",
-            show_default="report the distances; exit with 0",
+            help="Largest distance at which A and B count as equal: 2mm, 1cm, 0.01m, or 0.5% of"
+            " the radius of a sphere of A's volume.",
+            show_default="only report the distances; exit status 0",
         ),
     ] = None,
     variant: Annotated[
@@ -73,7 +73,7 @@ def compare(
 ) -> None:
     """Compare two motions of the same meshes, point by point over time.
 
-    Meshes are paired by prim path, else by name.  With --tolerance, the exit status is 1 where a
+    Meshes are paired by prim path, else by name.  With --tolerance, the exit status is 1 if any
     point is ever farther apart, and 0 otherwise.
     """
     # pxr takes a second to import, which --help must not wait for

@@ -20,15 +20,15 @@ def deliver(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .usdz, .usda, .usdc or .glb; one of that name is replaced.",
+            help="File to write: .usdz, .usda, .usdc or .glb; an existing file is replaced.",
         ),
     ],
     error: Annotated[
         str,
         typer.Option(
             metavar="SHARE",
-            help="Largest distance to the bake over points and frames, of the radius of each body:"
-            " 0.5% or 0.005.",
+            help="Largest allowed distance from the bake over all points and frames, as a"
+            " fraction of the radius of each body: 0.5% or 0.005.",
         ),
     ] = "0.5%",
     variant: Annotated[
@@ -45,31 +45,33 @@ def deliver(
             "--as", metavar="KIND", help="joints, shapes (blend shapes), or auto: the smaller file."
         ),
     ] = "auto",
-    max_joints: Annotated[int, typer.Option(metavar="N", help="Joints of a body at most.")] = 400,
+    max_joints: Annotated[
+        int, typer.Option(metavar="N", help="Maximum number of joints per body.")
+    ] = 400,
     max_shapes: Annotated[
-        int, typer.Option(metavar="N", help="Blend shapes of a body at most.")
+        int, typer.Option(metavar="N", help="Maximum number of blend shapes per body.")
     ] = 64,
     splats: Annotated[
         str,
         typer.Option(
             metavar="WHICH",
-            help="Gaussians to write: captured; all (in .glb), those of the bake too; only (in"
-            " .glb), without the meshes; or none.",
+            help="Gaussians to write: captured; all (in .glb), also those of the bake; only (in"
+            " .glb), Gaussians without meshes; or none.",
         ),
     ] = "captured",
     bind_splats: Annotated[
         str,
         typer.Option(
             metavar="HOW",
-            help="In .glb, how Gaussians follow joints: skin, or nodes, one joint each, which more"
-            " viewers play and --error does not bound.",
+            help="How Gaussians follow joints in .glb: skin, or nodes (one joint each), which"
+            " more viewers support but which --error does not bound.",
         ),
     ] = "skin",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
     """Write a bake as joints or blend shapes, for game engines, web pages and phones.
 
-    The error is measured on the file that was written.
+    The error is measured on the written file.
     """
     # SciPy and pxr take a second to import, which --help must not wait for
     from gf_usd.api.deliver import read_share

@@ -18,7 +18,7 @@ EVERY = 10  # simulations between two lines where stderr is no terminal
 
 
 def fit(
-    asset: Annotated[Path, typer.Argument(help="The asset; it is never written to.")],
+    asset: Annotated[Path, typer.Argument(help="The asset file; it is never modified.")],
     *,
     target: Annotated[
         list[str] | None,
@@ -26,10 +26,10 @@ def fit(
             "--target",
             "-t",
             metavar="FILE|NAME=VALUE",
-            help="What was observed; repeatable. A USD file in which the asset's meshes move or in"
-            " which points were tracked, or a number: rebound=0.6, height=0.15@12 (at a time"
-            " code), deflection=0.02:at=1,0,0 (of a point [stage units]). +-0.01 or +-2% after a"
-            " value or a file is its standard deviation.",
+            help="Observed motion or measurement; repeatable. A USD file with the motion of the"
+            " asset's meshes or of tracked points, or a number: rebound=0.6, height=0.15@12 (at a"
+            " time code), deflection=0.02:at=1,0,0 (of a point [stage units]). +-0.01 or +-2% after"
+            " a value or a file gives its standard deviation.",
         ),
     ] = None,
     unknowns: Annotated[
@@ -38,15 +38,15 @@ def fit(
             metavar="NAMES",
             help="Values to find, separated by commas: E, nu, damping_time, density, friction,"
             " restitution, yield_stress, hardening.",
-            show_default="E,nu,damping_time, and yield_stress where the law flows",
+            show_default="E,nu,damping_time, and yield_stress for laws with plastic flow",
         ),
     ] = None,
     bounds: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=LOW:HIGH",
-            help="Look for a value between these [SI]; repeatable.",
-            show_default="1.5 decades of a modulus to either side of the material",
+            help="Search for a value between these bounds [SI]; repeatable.",
+            show_default="for a modulus, 1.5 decades on either side of the material's value",
         ),
     ] = None,
     output: Annotated[
@@ -70,12 +70,12 @@ def fit(
         str | None,
         typer.Option(
             metavar="FOLDER|none",
-            help="Keep the simulations in this folder, so that a repeated fit can reuse them.",
+            help="Folder that keeps the simulations, so that a repeated fit can reuse them.",
             show_default="NAME.fit.runs next to the layer",
         ),
     ] = None,
     max_minutes: Annotated[
-        float, typer.Option(min=0.0, help="End the search after this time [min].")
+        float, typer.Option(min=0.0, help="Stop the search after this time [min].")
     ] = 10.0,
     jobs: Annotated[
         int | None,
@@ -84,7 +84,7 @@ def fit(
             "-j",
             min=1,
             show_default="one for each core, 1 on a GPU",
-            help="Run this many simulations at once.",
+            help="Number of simulations to run in parallel.",
         ),
     ] = None,
     overwrite: Annotated[
@@ -96,10 +96,11 @@ def fit(
     ] = False,
     **options: Any,
 ) -> None:
-    """Find the material values with which an asset does what was observed.
+    """Find the material values with which an asset reproduces observations.
 
-    Simulates the asset with other values until the targets are met, by least squares, and writes
-    the values with their intervals as a layer. Values that the targets do not determine are named.
+    Varies the values until the simulated motion fits the targets, by least squares, and writes the
+    values with their intervals as a layer. The output names values that the targets do not
+    determine.
     """
     from gf_usd.api.materials import prepared_fit
     from gf_usd.fitting.fit import fit as run

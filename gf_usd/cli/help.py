@@ -45,19 +45,19 @@ GROUP_OF = {name: group for group, names in GROUPS.items() for name in names}
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "bake": (
         ("gf-usd bake duck.usda --material rubber", "drop a rubber duck"),
-        ("gf-usd bake duck.usda --material rubber,jelly", "both, as variants"),
-        ("gf-usd bake duck.usda --dry-run", "what it would cost"),
-        ("gf-usd bake duck.usda --drop 5r -o out/", "from higher up"),
-        ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "a scan in centimeters"),
+        ("gf-usd bake duck.usda --material rubber,jelly", "bake both, as variants"),
+        ("gf-usd bake duck.usda --dry-run", "estimate the cost"),
+        ("gf-usd bake duck.usda --drop 5r -o out/", "drop it from higher up"),
+        ("gf-usd bake scan.obj --meters-per-unit 0.01 --repair", "bake a scan in centimeters"),
     ),
     "fit": (
-        ("gf-usd fit ball.usda --target rebound=0.6", "from how high it bounces"),
-        ("gf-usd fit bar.usda --target film.usda --drop 0", "from tracked points"),
+        ("gf-usd fit ball.usda --target rebound=0.6", "fit the height of a rebound"),
+        ("gf-usd fit bar.usda --target film.usda --drop 0", "fit tracked points"),
         ("gf-usd bake ball.usda --material ball.fit.usda", "bake with the result"),
     ),
     "preview": (
-        ("gf-usd preview duck.rubber.usda -o duck.mp4", "a film"),
-        ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "nine frames"),
+        ("gf-usd preview duck.rubber.usda -o duck.mp4", "make a film"),
+        ("gf-usd preview duck.rubber.usda --sheet 9 -o sheet.png", "draw nine frames"),
     ),
 }
 # How a value is written, where a number is not enough said.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def materials(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
 ) -> None:
-    """Show the material presets.
+    """List the material presets.
 
     Dimensionless presets deform alike at any size: moduli are in units of rho g0 r and times in
     T = sqrt(r / g0), with r the radius of a ball of the body's volume and g0 = 9.81 m/s^2.
@@ -100,12 +100,12 @@ def inputs(
     assets: Annotated[list[Path], typer.Argument(help="Assets, or USD files with a material.")],
     limits: LimitsOf = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object on a line for each asset.")
+        bool, typer.Option("--json", help="Print one JSON object per line for each asset.")
     ] = False,
 ) -> None:
-    """List every file that an asset is made of, with its SHA-256: what a farm has to be sent.
+    """List every file of an asset with its SHA-256, for example to send them to a farm.
 
-    Exit status 3 if one of them cannot be read.
+    The exit status is 3 if an asset cannot be read.
     """
     from gf_usd.system.sandbox import attempt, parse_limits
 

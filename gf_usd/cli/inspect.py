@@ -12,7 +12,7 @@ from gf_usd.core.errors import InputError
 
 
 def inspect(
-    asset: Annotated[Path, typer.Argument(help="The asset; nothing is written.")],
+    asset: Annotated[Path, typer.Argument(help="The asset file; nothing is written.")],
     *,
     repair: Annotated[
         bool, typer.Option("--repair", help="Show what bake --repair would do.")
@@ -20,9 +20,10 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
     **options: Any,
 ) -> None:
-    """Report what a bake would find: meshes, holes, units, thin parts, time, memory, disk.
+    """Report on an asset before a bake: meshes, holes, units, thin parts, time, memory and disk.
 
-    Exit status 0 if the asset can be baked, 3 if bake would refuse it, with the same message.
+    The exit status is 0 if the asset can be baked, 3 if bake would refuse it, with the
+    same message.
     """
     from gf_usd.pipeline.inspect import inspect as inspect_asset
     from gf_usd.system.sandbox import parse_limits

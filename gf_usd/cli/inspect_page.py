@@ -200,7 +200,7 @@ def _part(part: Part, unit: float) -> Sequence[str]:
 
 def _said(seen: Inspection) -> list[str]:
     """Notes, less what the page says elsewhere, and harmless oddities of the meshes."""
-    left = {f"<{p}> is left as it is: {why}" for p, why in seen.asset.skipped}
+    left = {f"<{p}> is not baked: {why}" for p, why in seen.asset.skipped}
     left |= {one.note for one in (seen.plan.advice if seen.plan else ())}
     said = [note for note in seen.notes if note not in left]
     for mesh in seen.diagnoses:

@@ -46,16 +46,16 @@ STOPPED: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "termin
 COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "bake": (bake, {"short_help": "Turn an asset into a soft body and write its motion."}),
     "batch": (batch, {"short_help": "Bake many assets and materials, in parallel."}),
-    "serve": (serve, {"short_help": "Keep processes ready for bakes of other programs."}),
-    "inspect": (inspect, {"short_help": "Report what a bake would find, and what it would cost."}),
-    "inputs": (inputs, {"short_help": "List every file that an asset consists of."}),
+    "serve": (serve, {"short_help": "Keep warm processes for bakes from other programs."}),
+    "inspect": (inspect, {"short_help": "Report on an asset before a bake, with the cost."}),
+    "inputs": (inputs, {"short_help": "List every file of an asset."}),
     "preview": (preview, {"short_help": "Draw a picture, a contact sheet or a film."}),
     "report": (report, {"short_help": "Write an HTML page with the motion and its curves."}),
     "deliver": (deliver, {"short_help": "Write a bake as joints or blend shapes (usdz, glTF)."}),
     "retime": (retime, {"short_help": "Write a bake at another speed, without simulating."}),
     "view": (view, {"short_help": "Play the motion in a window."}),
     "check": (check, {"short_help": "Check a USD file; every finding says how to fix it."}),
-    "compare": (compare, {"short_help": "Measure how far two motions are apart."}),
+    "compare": (compare, {"short_help": "Measure the distance between two motions."}),
     "fit": (fit, {"short_help": "Find the material values that reproduce a motion."}),
     "verify": (verify, {"short_help": "Compare the solver with closed forms and references."}),
     "materials": (materials, {"short_help": "List the material presets."}),
@@ -74,7 +74,9 @@ def _show_version(wanted: bool) -> None:
 def _main(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Print and exit."),
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Print the version and exit."
+        ),
     ] = False,
 ) -> None:
     pass
@@ -86,7 +88,7 @@ def program(
     """The command line with these commands; defaults : of the options of each, by its name."""
     made = typer.Typer(
         name="gf-usd",
-        help="Turn USD and mesh assets into soft bodies; the files themselves stay as they are.",
+        help="Turn USD and mesh assets into soft bodies, without changing the files.",
         no_args_is_help=True,
         rich_markup_mode=None,  # units stand in square brackets, which the markup would swallow
         pretty_exceptions_enable=False,

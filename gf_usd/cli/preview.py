@@ -25,14 +25,15 @@ def preview(
         typer.Option(
             "--output",
             "-o",
-            help="Picture (.png) or film (.mp4, .gif); a file of that name is replaced.",
+            help="Picture (.png) or film (.mp4, .gif) to write; an existing file is replaced.",
             show_default="NAME.png in this folder",
         ),
     ] = None,
     frame: Annotated[
         float | None,
         typer.Option(
-            help="Draw a single picture at this time code.", show_default="the first of the stage"
+            help="Draw a single picture at this time code.",
+            show_default="the first time code of the stage",
         ),
     ] = None,
     frames: Annotated[
@@ -40,8 +41,8 @@ def preview(
         typer.Option(
             "--time-codes",
             metavar="A:B[:STEP]",
-            help="Draw a film or a sheet of these time codes, B included; either end may be left"
-            " out.",
+            help="Draw a film or a sheet of these time codes, including B; either end may be"
+            " omitted.",
             show_default="the whole motion, each frame of playback",
         ),
     ] = None,
@@ -51,7 +52,7 @@ def preview(
             metavar="mesh|splats|gaussians|ellipsoids|points|both",
             help="What to draw: splats are captured Gaussians, ellipsoids are Gaussians at one"
             " standard deviation, both are mesh and gaussians.",
-            show_default="the first of mesh, splats, gaussians, points that is there",
+            show_default="the first of mesh, splats, gaussians, points that exists",
         ),
     ] = None,
     size: Annotated[
@@ -66,8 +67,8 @@ def preview(
         int | None,
         typer.Option(
             metavar="N",
-            help="Draw a contact sheet of N frames as PNG: where it moves, or evenly over"
-            " --time-codes.",
+            help="Draw a contact sheet of N frames as PNG: spaced by the amount of motion, or"
+            " evenly over --time-codes.",
         ),
     ] = None,
     columns: Annotated[
@@ -77,7 +78,7 @@ def preview(
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second of the film; fewer play the same frames slower.",
+            help="Frames per second of the film; a lower rate plays the same frames slower.",
             show_default="real time",
         ),
     ] = None,
@@ -85,16 +86,16 @@ def preview(
         str | None,
         typer.Option(
             metavar="PRIM",
-            help="Look through this camera of the stage, which may move.",
-            show_default="one that is fitted to the whole motion",
+            help="Use this camera of the stage, which may be animated.",
+            show_default="fitted to the whole motion",
         ),
     ] = None,
     variant: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Draw this variant of a bake: one of its materials, or none, the asset itself.",
-            show_default="the one that the file selects",
+            help="Draw this variant of a bake: one of its materials, or none for the asset itself.",
+            show_default="the one selected in the file",
         ),
     ] = None,
     color: Annotated[
@@ -112,13 +113,13 @@ def preview(
         typer.Option(
             "--color-range",
             metavar="LOW:HIGH",
-            help="Values of the first and the last color: a pure number for strains, [Pa] for"
+            help="Values of the first and the last color: dimensionless for strains, [Pa] for"
             " stress.",
-            show_default="0 to what 99 % of the particles stay below in every frame",
+            show_default="from 0 to the value that 99 % of the particles stay below in every frame",
         ),
     ] = None,
 ) -> None:
-    """Draw a stage on the CPU and without a window: one frame, a contact sheet, or a film."""
+    """Draw a picture, a contact sheet or a film of a stage, on the CPU and without a window."""
     quantity = None if color == "none" else color
     options = read_options(
         output or Path(f"{stage.stem}.png"),

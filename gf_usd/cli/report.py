@@ -15,7 +15,7 @@ from gf_usd.api.report import default_page, write, write_splats
 
 def report(
     baked: Annotated[
-        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any moving USD file.")
+        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any animated USD file.")
     ],
     output: Annotated[
         Path | None,
@@ -31,28 +31,30 @@ def report(
         typer.Option(
             "--variant",
             metavar="NAME",
-            help="Show this variant only.",
+            help="Show only this variant.",
             show_default="all, with a switch between them",
         ),
     ] = None,
     max_vertices: Annotated[
-        int, typer.Option(min=100, help="Keep at most this many mesh vertices, and Gaussians.")
+        int,
+        typer.Option(min=100, help="Maximum number of mesh vertices to keep, and of Gaussians."),
     ] = 20_000,
-    max_frames: Annotated[int, typer.Option(min=2, help="Keep at most this many frames.")] = 240,
+    max_frames: Annotated[int, typer.Option(min=2, help="Maximum number of frames to keep.")] = 240,
     splats: Annotated[
         bool,
         typer.Option(
             "--splats",
-            help="Play the Gaussians as splats instead: the captured ones, or those of the bake.",
+            help="Write a page that plays Gaussian splats instead: the captured Gaussians, or"
+            " those of the bake.",
         ),
     ] = False,
     max_splats: Annotated[
-        int, typer.Option(min=100, help="With --splats: keep at most this many Gaussians.")
+        int, typer.Option(min=100, help="With --splats: maximum number of Gaussians to keep.")
     ] = 100_000,
 ) -> None:
-    """Write one HTML page with the motion, pictures and measurements, to view offline.
+    """Write an HTML page with the motion, pictures and measurements, for viewing offline.
 
-    The page is smaller than 20 MB, and says what was omitted for that.
+    The page is smaller than 20 MB, and lists what was omitted to keep it small.
     """
     target = output or default_page(baked, splats)
     if splats:
@@ -64,7 +66,7 @@ def report(
 
 def view(
     baked: Annotated[
-        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any moving USD file.")
+        Path, typer.Argument(metavar="BAKE", help="Root layer of a bake, or any animated USD file.")
     ],
     variant: Annotated[
         str | None,
@@ -76,9 +78,9 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Play the motion in a window, in real time, in a loop.
+    """Play the motion in a window, in real time and in a loop.
 
-    Space plays and pauses, the arrow keys step, G changes between mesh and Gaussians, R resets, Q
+    Space plays and pauses, the arrow keys step, G switches between mesh and Gaussians, R resets, Q
     quits. It needs the extra open3d: pip install open3d.
     """
     # what is missing is said before the file is read, which takes a second

@@ -16,15 +16,15 @@ def retime(
         typer.Option(
             "--output",
             "-o",
-            help="Root layer to write: .usda, .usdc or .usd, its cache next to it; files of these"
-            " names are replaced.",
+            help="Root layer to write: .usda, .usdc or .usd; its cache is written next to it."
+            " Existing files are replaced.",
         ),
     ],
     speed: Annotated[
         float | None,
         typer.Option(
             metavar="FACTOR",
-            help="Play this many times as fast; 0.5 is slow motion. The animation of the source"
+            help="Speed relative to the bake; 0.5 is slow motion. The animation of the source"
             " plays at the same speed.",
             show_default="none: give --speed or --keys",
         ),
@@ -34,8 +34,8 @@ def retime(
         typer.Option(
             metavar="NEW:OLD,...",
             help="Time codes of the result and of the bake: 1:1,48:24,60:48 plays the first second"
-            " at half the speed, the next at twice. Equal OLD hold a pose, falling ones play"
-            " backwards.",
+            " at half the speed, the next at twice. Equal OLD values hold a pose, decreasing"
+            " ones play backwards.",
             show_default="none",
         ),
     ] = None,

@@ -32,15 +32,22 @@ def serve(
     *,
     socket: Socket = None,
     at_once: Annotated[
-        int, typer.Option("--jobs", "-j", min=1, help="Run this many bakes at once; others wait.")
+        int,
+        typer.Option(
+            "--jobs", "-j", min=1, help="Number of bakes to run in parallel; others wait."
+        ),
     ] = 1,
     timeout: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Time limit of bakes that set none [s].", show_default="none"),
+        typer.Option(
+            min=0.1, help="Time limit for bakes without one of their own [s].", show_default="none"
+        ),
     ] = None,
     idle: Annotated[
         float | None,
-        typer.Option(min=0.1, help="End after this time without a bake [s].", show_default="never"),
+        typer.Option(
+            min=0.1, help="Stop after this time without a bake [s].", show_default="never"
+        ),
     ] = None,
     status: Annotated[
         bool, typer.Option("--status", help="Print the status of the running server as JSON.")
@@ -48,7 +55,7 @@ def serve(
     stop: Annotated[bool, typer.Option("--stop", help="Stop the running server.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")] = False,
 ) -> None:
-    """Run bakes of other programs in warm processes, over a local socket.
+    """Run bakes for other programs in warm processes, over a local socket.
 
     From the second bake on, imports, kernels and caches are already loaded. Programs send jobs as
     JSON (docs/farm.md); in a shell, use gf-usd bake --serve.

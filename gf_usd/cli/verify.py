@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 def verify(
     case: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Run this case only; repeatable.", show_default="all"),
+        typer.Option(metavar="NAME", help="Run only this case; repeatable.", show_default="all"),
     ] = None,
     full: Annotated[
         bool,
-        typer.Option("--full", help="Run at higher resolution: half an hour in place of a minute."),
+        typer.Option("--full", help="Run at higher resolution: half an hour instead of a minute."),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON on stdout.")] = False,
     device: Annotated[
@@ -33,15 +33,17 @@ def verify(
             "-j",
             min=1,
             show_default="one for each core, 1 on a GPU",
-            help="Run this many cases at once.",
+            help="Number of cases to run in parallel.",
         ),
     ] = None,
-    show: Annotated[bool, typer.Option("--list", help="List the cases, and run none.")] = False,
+    show: Annotated[
+        bool, typer.Option("--list", help="List the cases without running them.")
+    ] = False,
 ) -> None:
-    """Run the solver against closed forms and published numbers.
+    """Compare the solver with closed forms and published results.
 
-    Exit status 1 if any figure is further from its target than its bound.  Where bounds come from
-    is in the JSON, and in docs/verification.md.
+    The exit status is 1 if any result is farther from its target than its bound.  The JSON and
+    docs/verification.md give the reason for each bound.
     """
     from gf_usd.system.taichi_runtime import cores
     from gf_usd.verify.case import rows

@@ -283,7 +283,7 @@ def _open_complete(path: Path) -> Sdf.Layer:
     except Tf.ErrorException as error:
         raise BakeError(
             f"{path} cannot be read, which the bake goes on from.",
-            "bake without --resume, which begins anew",
+            "bake without --resume, which starts over",
         ) from error
 
 

@@ -122,7 +122,7 @@ def _part(arrays: Mapping[str, Any], part: str) -> dict[str, Any]:
 def _unreadable(path: Path, why: str) -> UsageError:
     return UsageError(
         f"{path} is no checkpoint that this program can read: {why}",
-        "bake without --resume, which begins anew",
+        "bake without --resume, which starts over",
     )
 
 
@@ -231,13 +231,13 @@ def find_resume(
         except UsageError as error:
             if not overwrite:
                 raise
-            return Resume(notes=(f"{error.message}; with --overwrite the bake begins anew",))
+            return Resume(notes=(f"{error.message}; with --overwrite the bake starts over",))
         found.append(checkpoint)
         frame = checkpoint.index // variant.settings.samples_per_frame
         notes.append(f"{variant.name} goes on after frame {frame}, from {variant.checkpoint}")
     if not any(found):
         none = "" if clips else ", and there will be none without --clip-frames"
-        notes.append(f"--resume: there is no {variants[0].checkpoint}{none}; it begins anew")
+        notes.append(f"--resume: there is no {variants[0].checkpoint}{none}; the bake starts over")
     return Resume(checkpoints=tuple(found), notes=tuple(notes))
 
 
@@ -248,15 +248,15 @@ def _fitting(now: Mapping[str, str], cache_path: Path, path: Path) -> Checkpoint
     if other:
         raise UsageError(
             f"{path} is of another bake: its {' and '.join(other)} differed",
-            "repeat the command that was interrupted, with the files as they were, or bake without"
-            " --resume, which begins anew",
+            "repeat the command that was interrupted, with unchanged files, or bake without"
+            " --resume, which starts over",
         )
     clips = [cache_path.parent / name for name in clip_files(checkpoint.cache)]
     missing = [clip for clip in clips if not clip.is_file()]
     if missing:
         raise UsageError(
             f"{missing[0]} is gone, which {path} goes on from",
-            "put it back, or bake without --resume, which begins anew",
+            "restore it, or bake without --resume, which starts over",
         )
     return checkpoint
 

@@ -101,7 +101,7 @@ def prepare(
     if resume and options.get("certify"):
         raise UsageError(
             "--certify does not go with --resume: it needs all frames of one run",
-            "bake anew with --overwrite, or leave --certify out",
+            "start over with --overwrite, or omit --certify",
         )
     stages.begin(READING, Path(path).name)
     refills: list[Refill] = []
@@ -142,7 +142,7 @@ def of_a_shot(prepared: Prepared) -> Prepared:
     note = (
         f"{frames} frames are simulated, and not until rest, which usually takes about {usual}"
         f" frames, and may take {plan.settings.frames} and about"
-        f" {duration(prepared.cost['estimated_seconds'])}; --frames rest asks for it"
+        f" {duration(prepared.cost['estimated_seconds'])}; use --frames rest for that"
     )
     shorter = replace(
         plan,

@@ -88,7 +88,7 @@ def plan_scene(spec: SceneSpec) -> Plan:
         raise UsageError(
             f"a body begins {spec.floor - lowest:.4g} m below the floor, which is at"
             f" {spec.floor:g} m",
-            "move it up, or the floor down",
+            "move the body up, or lower the floor",
         )
     settings = tuple(replace(one, floor=spec.floor) for one in plan.each)
     return replace(plan, settings=settings[0], each=settings)
@@ -117,7 +117,7 @@ def _pins(spec: SceneSpec, solid: Solid) -> Sequence[Pin]:
     for region, axes in spec.pins:
         if (region.points.max(0) < low).any() or (region.points.min(0) > high).any():
             raise InputError(
-                f"the pin {region.name} touches no body: they lie between"
+                f"the pin {region.name} touches no body: the bodies are between"
                 f" {np.round(low, 4).tolist()} and {np.round(high, 4).tolist()} m",
                 "give a box that overlaps one",
             )

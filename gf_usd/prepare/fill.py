@@ -261,7 +261,7 @@ def fill(
         choices = replace(choices, flowing=flow.paths)
     require_stored(choices.precision, particles, settings)
     unfilled = [f"<{p}> is not filled and moves with the body: {why}" for p, why in solid.embedded]
-    left = [f"<{p}> is left as it is: {why}" for p, why in asset.skipped]
+    left = [f"<{p}> is not baked: {why}" for p, why in asset.skipped]
     advice = tuple(spec.advice[s.path] for s in solid.surfaces) if spec.advice else ()
     skin = SKIN_NOTES.get(settings.skin, ())
     limbs = LimbPlan(
@@ -284,7 +284,7 @@ def fill(
             springs, asset, sampled(settings), file, request.start,
             body=bodies.embedded, copies=limbs.embedded_copies,
         )  # fmt: skip
-        stated += (f"attachments draw parts of the body by springs: {', '.join(springs)}",)
+        stated += (f"attachments pull parts of the body with springs: {', '.join(springs)}",)
     plan = Plan(
         asset=asset,
         particles=limbs.particles,
@@ -341,7 +341,7 @@ def _require_one_body(request: Request, count: int) -> None:
     for option, given in asked.items():
         if given and count > 1:
             raise UsageError(
-                f"{option} knows one body, and there are {count}", "add --combine, or leave it out"
+                f"{option} supports one body, but there are {count}", "add --combine, or omit it"
             )
 
 
@@ -362,7 +362,7 @@ def _nothing_remembered(materials: Sequence[Material], settings: Settings) -> tu
     if not settings.internal or any(LAWS[m.law].flows for m in materials):
         return ()
     laws = ", ".join(dict.fromkeys(m.law for m in materials))
-    return (f"--internal writes nothing: the law {laws} remembers nothing",)
+    return (f"--internal writes nothing: the law {laws} has no internal variables",)
 
 
 def _resolution(

@@ -99,7 +99,7 @@ def attachment_pins(
     ours = {one.name for one in written}
     others = [path for path in paths if path not in ours]
     regions, notes = read_attachments(file, others, asset.facts, rest=rest, times=times)
-    held = f"attachments hold parts of the body: {', '.join(paths)}"
+    held = f"attachments pin parts of the body: {', '.join(paths)}"
     pins = [make_pin(region, solid, "attachment") for region in regions]
     for region in dict.fromkeys(one.region for one in written):
         mine = [one for one in written if one.region == region]  # one of each body
@@ -283,8 +283,8 @@ def flesh_of(
             where=str(asset.facts.path),
         )  # fmt: skip
         notes = (
-            f"no skeleton poses it: {len(skeleton.bones)} pieces around its middle follow its"
-            " animated points as bones",
+            f"it has no skeleton: {len(skeleton.bones)} pieces along its medial axis follow its"
+            f" animated points as bones",
         )
     else:
         loose = _loose(asset) if animation.nearest else None
@@ -306,7 +306,7 @@ def flesh_of(
         raise InputError(
             f"{asset.facts.path}: --flesh: none of {len(bones)} bones lies inside the flesh, such"
             f" as {bones[0].name}",
-            "bind the mesh again: in the bind pose its skeleton lies inside of it",
+            "bind the mesh again, so that in the bind pose its skeleton is inside it",
         )
     painted = read_goals(file, asset.facts, asset.surfaces, rest=animation.first)
     limits = None
@@ -351,8 +351,9 @@ def _require_closed(asset: Asset, skeleton: Skeleton, first: int, cycle: int) ->
     size = float(np.linalg.norm(skeleton.bones[0].anchors[1] - skeleton.bones[0].anchors[0]))
     if ways[-1] > JUMP * ways[:-1].max(initial=0.0) + SAME_POSE * size:
         raise InputError(
-            f"{asset.facts.path}: --loop: the animation is no cycle: from its last frame to its"
-            f" first is {ways[-1]:.3g} m, and at most {ways[:-1].max(initial=0.0):.3g} m between"
+            f"{asset.facts.path}: --loop: the animation is not cyclic: the distance from its"
+            f" last frame to its first is {ways[-1]:.3g} m, and at most"
+            f" {ways[:-1].max(initial=0.0):.3g} m between"
             " others",
-            "give a stage whose time range is one cycle, in place, or leave --loop out",
+            "give a stage whose time range is one cycle, in place, or omit --loop",
         )

@@ -75,7 +75,7 @@ def test_on_stdout_there_is_nothing_else(gf_usd, here: Path, block: Path) -> Non
     assert kinds(events(planned.out)) == ["started", "plan"]
     both = gf_usd("bake", block, *SMALL, "--events", "-", "--json", "--overwrite")
     assert (both.status, both.out) == (2, "")
-    assert "--json and --events - both want stdout" in both.err
+    assert "--json and --events - would both write to stdout" in both.err
 
 
 def test_a_file_descriptor_takes_them(gf_usd, here: Path, block: Path) -> None:

@@ -171,7 +171,7 @@ def test_what_is_not_the_same_bake_is_refused(gf_usd, here: Path, block: Path) -
     assert gf_usd(*words, "--resume", "--overwrite").status == 0
     assert KEPT not in names(here)
     report = (here / f"{STEM}.report.json").read_text()
-    assert "its asset differed; with --overwrite the bake begins anew" in report
+    assert "its asset differed; with --overwrite the bake starts over" in report
 
 
 WALL = "v {x} 0 -50\nv {x} 0 50\nv {x} 300 0\nv -90 0 0\nf 1 2 3\nf 2 1 4\nf 3 2 4\nf 1 3 4\n"
@@ -189,7 +189,7 @@ def test_an_obstacle_that_has_changed_is_refused(gf_usd, here: Path, block: Path
     other = gf_usd(*words, "--resume")
     assert other.status == 2
     assert f"{KEPT} is of another bake: its obstacles differed" in other.err
-    assert "with the files as they were" in other.err
+    assert "with unchanged files" in other.err
 
 
 @pytest.mark.slow
@@ -214,7 +214,7 @@ def test_without_a_checkpoint_it_begins_anew_and_says_so(gf_usd, here: Path, blo
     done = gf_usd(*words, "--resume")
     assert done.status == 0
     assert f"--resume: there is no {KEPT}" in done.err
-    assert "there will be none without --clip-frames; it begins anew" in done.err
+    assert "there will be none without --clip-frames; the bake starts over" in done.err
     refused = gf_usd(*words, "--slice", "1", "--overwrite")
     assert refused.status == 2
     assert "--slice 1 counts value clips, and this bake has none" in refused.err

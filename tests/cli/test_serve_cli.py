@@ -54,7 +54,7 @@ def test_without_a_server_it_is_refused(gf_usd: Call, block: Path, path: Path) -
     assert "start one with: gf-usd serve" in done.err
     for option in ("--status", "--stop"):
         assert "no gf-usd serve listens" in gf_usd("serve", option).err
-    assert "shows no plan" in gf_usd("bake", block, "--serve", "--dry-run").err
+    assert "cannot show a plan" in gf_usd("bake", block, "--serve", "--dry-run").err
 
 
 def test_a_request_is_a_job_of_a_batch_or_the_arguments_of_a_bake() -> None:

@@ -67,7 +67,7 @@ def test_a_shrinking_step_is_told_with_its_reason_once() -> None:
     follow(made, clock, [100] * 10 + [400] * 90, 0.01)
     (line,) = made.take()
     assert told == [line]
-    assert "not 100 s: strained as it is, clay takes " in line
+    assert "not 100 s: in its current strain clay takes " in line
     assert line.endswith("substeps where it took 100 at rest")
     said = float(line.split("about ")[1].split(" minutes")[0]) * 60.0
     assert 200.0 <= said <= 380.0  # 10 of 100 substeps and 90 of 400, each of .01 s: 370 s
@@ -93,7 +93,7 @@ def test_a_slow_machine_is_told_from_a_small_step() -> None:
     made = Forecast(cost(100.0), 100, 1.0, clock=clock)
     follow(made, clock, [100] * 100, 0.05)
     (line,) = made.take()
-    assert "other programs may use this machine" in line
+    assert "other programs may be using this machine" in line
 
 
 def test_short_bakes_and_frames_without_substeps_say_nothing() -> None:

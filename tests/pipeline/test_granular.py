@@ -22,7 +22,7 @@ def test_granular_presets_choose_the_solver_and_what_is_written() -> None:
     plan = gf_usd.inspect(SPHERE, **SAND).plan
     assert plan.settings.solver == "ul"
     assert plan.choices.shapes == ("gaussians", "points")
-    assert len(plan.samples.X) == len(plan.particles), "every particle feels the floor"
+    assert len(plan.samples.X) == len(plan.particles), "contact at every particle"
     assert any("dry-sand: flows without end" in note and "hidden" in note for note in plan.notes)
     asked = gf_usd.inspect(SPHERE, only="mesh,points", **SAND).plan
     assert asked.choices.shapes == ("mesh", "points")
@@ -49,8 +49,8 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
         ({"surface": True, "only": "points"}, "which only points leaves out"),
         ({"certify": True}, "certify=True does not go with what flows"),
         ({"surface": True, "certify": True}, "certify=True does not go with what flows"),
-        ({"solver": "tl"}, "does not go with dry-sand"),
-        ({"material": ["rubber", "dry-sand"]}, "some of these flow without end"),
+        ({"solver": "tl"}, "cannot be combined with dry-sand"),
+        ({"material": ["rubber", "dry-sand"]}, "some of these materials flow without limit"),
         ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not know --pin|pins"),
     ],
 )

@@ -39,7 +39,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "untouched": (
         summary(*many(3), **FLYING, falls=True, first_contact_frame=3),
         summary(*many(3), **FLYING, falls=True, shift_max_m=0.25),
-        "nothing was touched in 4 frames: the body moved 0.25 m",
+        "the body touched nothing in 4 frames: it moved 0.25 m",
     ),
     "still": (
         summary(*many(3), **FLYING, kinetic_max_J=2e-8),
@@ -49,7 +49,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "energy": (
         summary(Health(elastic=10.009)),
         summary(Health(elastic=10.2)),
-        "0.2 J in one frame, 2 % of what",
+        "0.2 J in one frame, 2 % of the energy scale",
     ),
     "inside-out": (
         summary(Health(min_J=0.01)),
@@ -94,12 +94,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "let-go": (
         summary(Health(let_go=0)),
         summary(Health(let_go=3)),
-        "3 contact points at once seemed deeper",
+        "3 contact points at once were deeper",
     ),
     "inside": (
         summary(Health(inside_share=0.01, inside_depth=0.02)),
         summary(Health(inside_share=0.02, inside_depth=0.03)),
-        "lies half a spacing and more inside a body at the end, up to 30 mm deep",
+        "is half a spacing or more inside a body at the end, up to 30 mm deep",
     ),
     "resting-depth": (
         summary(Health(penetration=0.024)),

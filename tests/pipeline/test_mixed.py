@@ -29,7 +29,7 @@ def test_the_law_of_each_body_says_how_it_is_simulated(castle: Path) -> None:
     assert plan.choices.shapes == ("mesh", "gaussians", "points")
     assert plan.bodies.count == 2
     grains = int((np.asarray(plan.particles.body) == 0).sum())
-    assert int((np.asarray(plan.samples.body) == 0).sum()) == grains, "every particle feels contact"
+    assert int((np.asarray(plan.samples.body) == 0).sum()) == grains, "contact at every particle"
     assert any("</World/Sand>: flows without end (dry-sand" in note for note in plan.notes)
     assert set(plan.points) == {"/World/Block"}, "no mesh is drawn of what flows"
     alone = gf_usd.inspect(castle, solver="ul", **SMALL).plan
@@ -58,16 +58,19 @@ def test_sand_that_the_stage_asks_for_flows(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"solver": "tl"}, "does not go with dry-sand"),
-        ({"combine": True}, r"combine(=True)? does not go with bodies that flow .*</World/Sand>"),
-        ({"rigid": "box:-1,0.3,-1,1,1,1"}, "rigid does not go with bodies that flow"),
-        ({"fields": ["wind:1,0,0"]}, "fields? does not go with bodies that flow"),
-        ({"settle_only": True}, "settle.only(=True)? does not go with bodies that flow"),
-        ({"frames": "rest"}, "frames .*rest.* does not go with bodies that flow"),
-        ({"certify": True}, "certify(=True)? does not go with bodies that flow"),
-        ({"tets": True}, "tets(=True)? does not go with bodies that flow"),
-        ({"skin": "idw"}, "skin.*idw.* does not go with bodies that flow"),
-        ({"rolling_resistance": 0.1}, "rolling.resistance does not go with"),
+        ({"solver": "tl"}, "cannot be combined with dry-sand"),
+        (
+            {"combine": True},
+            r"combine(=True)? cannot be combined with flowing bodies .*</World/Sand>",
+        ),
+        ({"rigid": "box:-1,0.3,-1,1,1,1"}, "rigid cannot be combined with flowing bodies"),
+        ({"fields": ["wind:1,0,0"]}, "fields? cannot be combined with flowing bodies"),
+        ({"settle_only": True}, "settle.only(=True)? cannot be combined with flowing bodies"),
+        ({"frames": "rest"}, "frames .*rest.* cannot be combined with flowing bodies"),
+        ({"certify": True}, "certify(=True)? cannot be combined with flowing bodies"),
+        ({"tets": True}, "tets(=True)? cannot be combined with flowing bodies"),
+        ({"skin": "idw"}, "skin.*idw.* cannot be combined with flowing bodies"),
+        ({"rolling_resistance": 0.1}, "rolling.resistance cannot be combined with"),
     ],
 )
 def test_what_a_mixed_scene_does_not_go_with_is_refused_in_words(
@@ -84,7 +87,7 @@ def test_a_body_of_which_a_part_flows_is_refused_by_name(castle: Path) -> None:
 
 def test_what_flows_must_not_start_inside_a_solid_body(tmp_path: Path) -> None:
     water, ball = ("Water", "water", "0, 0.1, 0"), ("Block", "rubber", "0.1, 0.2, 0")
-    with pytest.raises(InputError, match="particles that flow start inside a solid body"):
+    with pytest.raises(InputError, match="flowing particles start inside a solid body"):
         gf_usd.bake(scene(tmp_path, body(*water), body(*ball)), **SMALL)
 
 

@@ -129,7 +129,9 @@ def test_fields_of_a_scene_count_where_no_option_is_given(tmp_path: Path) -> Non
     assert "fields are those of </Scene>: wind:3,0,0 noise:2:length=0.5" in plan.notes
     plan, _ = prepare(path, draw=None, fields=("radial:1:at=0,0,0",), **options)
     assert [field.kind for field in plan.settings.fields] == ["radial"]
-    with pytest.raises(UsageError, match="has fields, which --rigid and --solver ul do not know"):
+    with pytest.raises(
+        UsageError, match="has fields, which --rigid and --solver ul do not support"
+    ):
         prepare(path, draw=None, solver="ul", **options)
 
 

@@ -15,7 +15,7 @@ def test_the_tables_of_the_guide_are_up_to_date() -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("| Bake this prim and those below it; repeatable. |", "| Bake that prim. |"),
+        ("| Bake this prim and its descendants; repeatable. |", "| Bake that prim. |"),
         ("| `--seed` | the stage's, else 0 |", "| `--seed` | 0 |"),
         ("| `--repair` | off | Show what", "| `--repair` | on | Show what"),
     ],
@@ -24,7 +24,7 @@ def test_a_hand_edit_is_undone_and_the_last_column_is_kept(old: str, new: str) -
     text = generate_options.GUIDE.read_text("utf-8")
     assert text.count(old) == 1
     assert generate_options.renewed(text.replace(old, new)) == text
-    said = "the same seed gives the same particles |"
+    said = "equal seeds give equal particles and noise |"
     assert "by hand |" in generate_options.renewed(text.replace(said, "by hand |"))
 
 

@@ -267,7 +267,7 @@ def require_affordable(
         f" {settings.frames} frames",
         "take a softer or less damped material, fewer --particles or --frames, or a lower --drop;"
         + "".join(f" {line};" for line in shortcuts({**cost, "per_material": [row]}, materials))
-        + f" --max-hours {math.ceil(hours * 1.2)} lets it run",
+        + f" --max-hours {math.ceil(hours * 1.2)} allows it",
     )
 
 

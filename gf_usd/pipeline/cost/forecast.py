@@ -140,7 +140,7 @@ class Forecast:
             f"the bake has taken {duration(spent)}, and --max-hours {self._limit / 3600.0:g}"
             f" lets it take {duration(OVERRUN * self._limit)} at most; {left} of"
             f" {self._samples} frames are left",
-            f"give more --max-hours; {self._again}",
+            f"raise --max-hours; {self._again}",
             frame=min(self._index + 1, self._samples - 1),
         )
 
@@ -204,11 +204,11 @@ class Forecast:
         rest = float(row["substeps_per_sample"])
         if many > MORE * rest:
             why = (
-                f"strained as it is, {row['name']} takes {many:.0f} substeps where it took"
+                f"in its current strain {row['name']} takes {many:.0f} substeps where it took"
                 f" {rest:.0f} at rest"
             )
         else:
-            why = "substeps take longer than estimated: other programs may use this machine"
+            why = "substeps take longer than estimated: other programs may be using this machine"
         limit = ""
         if whole > OVERRUN * self._limit:
             limit = f"; it ends after {duration(OVERRUN * self._limit)}, twice --max-hours"

@@ -175,7 +175,7 @@ class SplatDeformer:
 
         return tuple(
             f"{path}: {track.clamped} times a Gaussian would have been stretched or flattened more"
-            f" than {STRETCH:g} times beyond its own axes, and was kept there"
+            f" than {STRETCH:g} times beyond its own axes, and was clamped"
             for path, track in self._tracks.items()
             if track.clamped
         )

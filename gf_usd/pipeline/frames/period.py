@@ -118,7 +118,7 @@ class Period:
                 f" simulates, and still differs from the one before by {each}; up to"
                 f" {100.0 * PERIODIC:g} % counts as periodic",
             )
-        more = "; a larger --loop brings it closer" if self.share > NOT_PERIODIC else ""
+        more = "; a larger --loop reduces the difference" if self.share > NOT_PERIODIC else ""
         return (
             f"the cycle that is written, number {self.cycles}, differs from the one before by"
             f" {each}{more}",

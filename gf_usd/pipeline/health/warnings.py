@@ -80,8 +80,8 @@ def _energy(h: HealthSummary) -> Said:
     if share <= ENERGY_GAIN:
         return None
     return (
-        f"energy was made out of nothing: {h['energy_gain_max_J']:.3g} J in one frame,"
-        f" {100.0 * share:.2g} % of what the body has to move and strain with",
+        f"energy rose without a cause: {h['energy_gain_max_J']:.3g} J in one frame,"
+        f" {100.0 * share:.2g} % of the energy scale of the body",
         "lower the impact (--drop), or take a softer material",
     )
 
@@ -93,7 +93,7 @@ def _inverted(h: HealthSummary) -> Said:
     left = h["inverted_at_end"]
     end = f"{left} still are at the end" if left else "none is at the end"
     return (
-        f"particles were turned inside out: up to {h['inverted_max']} at once, from frame"
+        f"particles turned inside out: up to {h['inverted_max']} at once, from frame"
         f" {h['first_inverted_frame']} on, down to J = {h['min_J']:.2g}; {end}",
         "lower the impact (--drop), use --law neoHookean, a stiffer material or more --particles",
     )
@@ -114,7 +114,7 @@ def _clamped(h: HealthSummary) -> Said:
         return None
     return (
         f"stretches were clamped in {100.0 * h['clamped_share']:.2g} % of all particles and frames:"
-        " there the body is not of the material asked for",
+        " there the material law does not hold",
         "widen the limits (--clamp), or lower the impact (--drop)",
     )
 
@@ -124,7 +124,7 @@ def _capped(h: HealthSummary) -> Said:
         return None
     return (
         f"stress was cut in {100.0 * h['stress_capped_share']:.2g} % of all particles and frames:"
-        " there the body is not of the material asked for",
+        " there the material law does not hold",
         "raise --stress-cap, or lower the impact (--drop)",
     )
 
@@ -136,8 +136,8 @@ def _injected(h: HealthSummary) -> Said:
         return None
     done = f"put {given:.3g} J into" if given > 0.0 else f"took {-given:.3g} J out of"
     return (
-        f"corrections of the shape {done} the body, {100.0 * share:.2g} % of what it has to move"
-        " and strain with",
+        f"corrections of the shape {done} the body, {100.0 * share:.2g} % of the energy scale of"
+        f" the body",
         "lower --procrustes, or use --no-wls",
     )
 
@@ -148,7 +148,7 @@ def _planes(h: HealthSummary) -> Said:
         return None
     return (
         f"contact between bodies put {share * h['energy_scale_J']:.3g} J into them,"
-        f" {100.0 * share:.2g} % of what they have to move and strain with",
+        f" {100.0 * share:.2g} % of their energy scale",
         "lower the impact (--drop), or take more --particles",
     )
 
@@ -169,8 +169,8 @@ def _overlap(h: HealthSummary) -> Said:
     return (
         f"bodies or obstacles overlapped by {h['deepest_overlap_spacings']:.2g} spacings"
         f" ({h['deepest_overlap_m']:.3g} m)",
-        "lower the impact (--drop), or take more --particles; bodies that overlap at the start are"
-        " moved apart in the asset",
+        "lower the impact (--drop), or take more --particles; if bodies overlap at the start,"
+        " move them apart in the asset",
     )
 
 
@@ -178,9 +178,9 @@ def _let_go(h: HealthSummary) -> Said:
     if not h["released_max"]:
         return None
     return (
-        f"{h['released_max']} contact points at once seemed deeper in another surface than they can"
-        " have come, where it was folded or turned inside out, and were let go: there the bodies"
-        " may stand in each other",
+        f"{h['released_max']} contact points at once were deeper in another surface than they"
+        f" can have moved, where it was folded or inverted, and were released: there the bodies"
+        f" may overlap",
         "lower the impact (--drop), take a stiffer material, or more --particles",
     )
 
@@ -190,10 +190,10 @@ def _inside(h: HealthSummary) -> Said:
     if share is None or share <= INSIDE:
         return None
     return (
-        f"{100.0 * share:.2g} % of the surface lies half a spacing and more inside a body at the"
+        f"{100.0 * share:.2g} % of the surface is half a spacing or more inside a body at the"
         f" end, up to {1000.0 * h['inside_at_end_m']:.3g} mm deep",
-        "take more --particles, a stiffer material or a lower impact (--drop), and leave"
-        " --no-self-contact out",
+        "take more --particles, a stiffer material or a lower impact (--drop), and do not use"
+        " --no-self-contact",
     )
 
 
@@ -203,7 +203,7 @@ def _resting(h: HealthSummary) -> Said:
         return None
     return (
         f"at rest the surface lies {depth:.2g} spacings deep in the floor",
-        "more --particles make a spacing smaller",
+        "use more --particles for a smaller spacing",
     )
 
 
@@ -215,7 +215,7 @@ def _drift(h: HealthSummary) -> Said:
         f"the free flight is off: by {100.0 * linear:.2g} % of the momentum and"
         f" {100.0 * spin:.2g} % of the angular momentum of the fastest motion; with"
         f" {h['substeps_max_per_frame']} substeps a frame single precision loses digits",
-        "a softer or less damped material takes longer steps",
+        "use a softer or less damped material, which allows longer time steps",
     )
 
 
@@ -224,7 +224,7 @@ def _untouched(h: HealthSummary) -> Said:
     if not h["falls"] or met or h["frames"] < 2 or _still(h) is not None:
         return None
     return (
-        f"nothing was touched in {h['frames']} frames: the body moved {h['shift_max_m']:.3g} m and"
+        f"the body touched nothing in {h['frames']} frames: it moved {h['shift_max_m']:.3g} m and"
         " is still in the air",
         "take more --frames, a lower --drop, or check the unit of the asset (--meters-per-unit)",
     )
@@ -235,7 +235,7 @@ def _still(h: HealthSummary) -> Said:
         return None
     return (
         f"nothing moves in {h['frames']} frames",
-        "give the body something to do: a height (--drop), gravity, pins or colliders that move",
+        "give the body a cause of motion: a height (--drop), gravity, moving pins or colliders",
     )
 
 
@@ -278,9 +278,9 @@ def _loop(h: HealthSummary) -> Said:
         return None
     return (
         f"after {h['loop_cycles']} times the cycle differs from the one before by"
-        f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: a step is seen"
-        " where it repeats",
-        "repeat it until it is periodic (--loop), or longer, and calm the flesh (--goal-frequency,"
+        f" {h['loop_difference_m']:.2g} m, {100.0 * share:.2g} % of the radius: the loop has a"
+        f" visible jump",
+        "repeat it until it is periodic (--loop), or longer, and damp the flesh (--goal-frequency,"
         " --damping-time)",
     )
 

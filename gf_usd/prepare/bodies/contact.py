@@ -161,7 +161,7 @@ def require_clear_start(
                 f"{path}: moved by {np.linalg.norm(way) / unit:.3g} units to its height over the"
                 f" floor, {buried.mean():.0%} of the particles start inside the obstacle"
                 f" <{one.path}>",
-                "give a --drop that clears it, or --floor none, which leaves everything in place",
+                "use a --drop that clears it, or --floor none, which does not move the body",
             )
 
 

@@ -68,13 +68,12 @@ def plan_bodies(
     paths = [s.path for s in solid.surfaces]
     names = tuple(tuple(p for p, k in zip(paths, of) if k == b) for b in range(int(of.max()) + 1))
     notes = [
-        f"<{paths[s]}> holds {n} particles of its own and is one body with <{paths[host]}>"
+        f"<{paths[s]}> holds {n} particles and is merged with <{paths[host]}>"
         for s, n, host in fused
     ]
     if len(names) > 1:
         notes.append(
-            f"{len(names)} bodies, which meet by contact: {_listed(names)}; --combine makes one of"
-            " them"
+            f"{len(names)} bodies, which collide: {_listed(names)}; --combine makes them one body"
         )
     several = len(names) > 1
     radius = np.cbrt(3.0 * volume / (4.0 * np.pi)) if several else np.array([particles.radius])

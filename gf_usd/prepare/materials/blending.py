@@ -50,7 +50,8 @@ def with_own_values(
     low, high = seen["youngs_modulus"]
     least, most = seen["density"]
     notes.append(
-        f"{seen['particles']} of {len(particles)} particles have material values of their own:"
+        f"{seen['particles']} of {len(particles)} particles have painted or blended material"
+        f" values:"
         f" Young's modulus {low:.4g} to {high:.4g} Pa, density {least:.4g} to {most:.4g} kg/m^3"
     )
     return particles, tuple(notes)

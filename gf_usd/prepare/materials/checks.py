@@ -43,8 +43,8 @@ def flow_notes(
         stated = own.parameters.keys() & FLOW if own else set()
         if not LAWS[material.law].flows and (painted or material.parameters.keys() & FLOW):
             notes.append(
-                f"<{path}>: a yield stress is stated and not used, because the law {material.law}"
-                " does not flow: --law vonMises does"
+                f"<{path}>: the yield stress is not used, because the law {material.law}"
+                " has no plastic flow: use --law vonMises"
             )
         elif law is None and stated and own and own.law is None:
             what = stated_flow(material.law)
@@ -78,11 +78,11 @@ def require_parameters(
             if len(found):
                 surface = solid.surfaces[int(particles.surface[found[0]])]
                 raise InputError(
-                    f"{path}: <{surface.path}>: the law {material.law} asks for a"
+                    f"{path}: <{surface.path}>: the law {material.law} needs a"
                     f" {p.label.lower()}, and {material.name} (Young's modulus"
-                    f" {material.youngs_modulus:.3g} Pa) states none",
+                    f" {material.youngs_modulus:.3g} Pa) has none",
                     f"author gaussianFlesh:{p.attribute} on a material or paint it as a primvar,"
-                    " or take a material that flows, such as clay or mild-steel",
+                    " or use a plastic material, such as clay or mild-steel",
                 )
 
 
@@ -112,7 +112,8 @@ def require_standing(
         if ratio < SPREADS:
             continue
         said = (
-            f"{material.name} cannot carry itself: {height:.3g} m of it weigh {weight:.3g} Pa,"
+            f"{material.name} cannot carry its own weight: {height:.3g} m of it weigh"
+            f" {weight:.3g} Pa,"
             f" {ratio:.3g} times its Young's modulus of {material.youngs_modulus:.3g} Pa"
         )
         change = f"a Young's modulus of {weight:.2g} Pa"
@@ -122,5 +123,5 @@ def require_standing(
                 f"take {change} or more, a preset such as jelly, whose stiffness grows with the"
                 " body, or check the unit (--meters-per-unit)",
             )
-        notes.append(f"{said}, so that it spreads on the floor; {change} would hold its shape")
+        notes.append(f"{said}, so it spreads on the floor; {change} would keep its shape")
     return tuple(notes)

@@ -64,8 +64,9 @@ def dispatch(
     if (flows != flows[0]).any():
         names = ", ".join(preset.name for preset in presets)
         raise UsageError(
-            f"{names}: some of these flow without end, and are simulated by another solver",
-            "bake them one by one",
+            f"{names}: some of these materials flow without limit, and need a different solver"
+            f" from the others",
+            "bake them separately",
         )
     mine = np.flatnonzero(flows[0])
     return Dispatch(
@@ -125,9 +126,9 @@ def require_whole(
                 names = [m.name for m in table if LAWS[m.law].unbounded]
                 raise InputError(
                     f"{path}: <{surface.path}>: {count} of its {len(mine)} particles are"
-                    f" {' or '.join(names)}, which flows without end, and the others are not: a"
-                    " body does one or the other",
-                    "make two meshes of it, one for each material",
+                    f" {' or '.join(names)}, which flows without limit, and the others are not:"
+                    f" a body must flow as a whole or not at all",
+                    "split it into two meshes, one for each material",
                 )
 
 
@@ -149,6 +150,6 @@ def require_outside(path: Path, particles: Particles, flows: Ints, skins: Sequen
         inside = int(winding_inside(points, triangles, X[near]).sum()) if near.any() else 0
         if inside > MOST_INSIDE * len(X):
             raise InputError(
-                f"{path}: {inside} of the {len(X)} particles that flow start inside a solid body",
-                "cut the solid out of the mesh that flows, or move one of the two",
+                f"{path}: {inside} of the {len(X)} flowing particles start inside a solid body",
+                "cut the solid out of the flowing mesh, or move one of the two",
             )

@@ -32,9 +32,9 @@ def mass_scaled(
     if not seen:
         laws = {m.name: m.law for table in tables for m in table}
         raise UsageError(
-            f"--mass-scaling {factor:g}: no material of the bake flows: "
+            f"--mass-scaling {factor:g}: the bake has no material with plastic flow: "
             + ", ".join(f"{name} is {law}" for name, law in laws.items()),
-            "leave it out: the shape of an elastic body is that of its stiffness",
+            "omit it: the shape of an elastic body depends on its stiffness",
         )
     own = particles.own
     if own is not None:
@@ -49,7 +49,7 @@ def mass_scaled(
             f" {100.0 * strain:.2g} %"
             if (strain := m.yield_strain) is not None else ""
         )
-        + "; mass, weight and yield stress stay"
+        + "; mass, weight and yield stress do not change"
         for m in seen.values()
     ]  # fmt: skip
     scaled = [

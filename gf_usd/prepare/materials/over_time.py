@@ -52,8 +52,8 @@ def with_value_keys(
     from gf_usd.readers.usd_bake.keys import FOLLOWED, spec_at
 
     notes = [
-        f"{name} has time samples, and keeps the value of the rest pose: of materials only"
-        f" {', '.join(FOLLOWED)} change"
+        f"{name} has time samples, and keeps the value of the rest pose: of material parameters"
+        f" only {', '.join(FOLLOWED)} can change over time"
         for name in keys.others
     ]
     codes = _needed(keys.codes, settings)
@@ -75,7 +75,7 @@ def with_value_keys(
     if settings.solver in ("ul", MIXED):
         raise UsageError(
             f"{asset.facts.path}: {every[0]} has time samples, which --solver ul and bakes with"
-            " bodies that flow without end do not know",
+            " flowing bodies do not support",
             "use --solver tl, or author one value",
         )
     for name in KEYED:

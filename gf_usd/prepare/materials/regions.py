@@ -80,11 +80,12 @@ def owners(
         if held[k]:
             continue
         if isinstance(region, MaterialBox):
-            why, hint = "later boxes take all of its particles", "name it after them"
+            why, hint = "later boxes override it for all of its particles", "name it after them"
         elif near[k]:
-            why, hint = "boxes take all of its particles", "make the boxes smaller"
+            why, hint = "boxes override it for all of its particles", "make the boxes smaller"
         else:
-            why = f"its Gaussians are the nearest of none of the {len(particles)} particles"
+            why = f"none of its Gaussians is the nearest one to any of the {len(particles)}"
+            " particles"
             hint = "use more --particles"
         raise InputError(f"{region.option} {region.text}: {why}", f"leave it out, or {hint}")
     return of, tuple(
@@ -134,7 +135,8 @@ def boxed(boxes: Sequence[MaterialBox], X: Floats, unit: float) -> Ints:
         if not mine.any():
             low, high = X.min(0) / unit, X.max(0) / unit
             raise InputError(
-                f"{BOX_OPTION} {box.text} holds none of the {len(X)} particles, which rest between"
+                f"{BOX_OPTION} {box.text} contains none of the {len(X)} particles, which are"
+                f" between"
                 f" {shown(low)} and {shown(high)}",
                 "give corners in the asset's units and axes, or use more --particles",
             )
@@ -161,7 +163,7 @@ def parse_labels(texts: Sequence[str]) -> tuple[MaterialLabel, ...]:
         first = found.setdefault((label.name, label.value), label)
         if first is not label:
             raise UsageError(
-                f"{LABEL_OPTION} {first.text} and {LABEL_OPTION} {text} name one value twice",
+                f"{LABEL_OPTION} {first.text} and {LABEL_OPTION} {text} name the same value twice",
                 "leave one out",
             )
     return tuple(found.values())
@@ -217,8 +219,8 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
     sets = [s.splats for s in surfaces if s.splats is not None]
     if not sets:
         raise InputError(
-            f"{LABEL_OPTION} {labels[0].text}: there are no captured Gaussians in what is baked",
-            "leave it out; --material-box works on any asset",
+            f"{LABEL_OPTION} {labels[0].text}: the bake has no captured Gaussians",
+            "omit it; --material-box works on any asset",
         )
     for label in labels:
         held = [s.labels[label.name] for s in sets if label.name in s.labels]
@@ -236,7 +238,7 @@ def _require(labels: Sequence[MaterialLabel], surfaces: Sequence[Surface]) -> No
             raise InputError(
                 f"{LABEL_OPTION} {label.text}: none of the {count.sum()} Gaussians has {label.name}"
                 f" {label.value}; they have {_listed(often)}",
-                "name a value that is there",
+                "name an existing value",
             )
 
 

@@ -22,7 +22,7 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
     path, physics = asset.facts.path, spec.physics
     more: dict[str, Any] = {}
     mixed = request.solver == MIXED
-    unaware = "bodies that flow without end" if mixed else "--rigid and --solver ul"
+    unaware = "bakes with flowing bodies" if mixed else "--rigid and --solver ul"
     if request.gravity is None and physics.gravity is not None:
         more["gravity"] = ",".join(repr(g) for g in physics.gravity)
         notes.append(
@@ -31,14 +31,15 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
         )
         if physics.gravity_keys and (request.rigid or request.solver in ("ul", MIXED)):
             raise UsageError(
-                f"{path}: gravity of <{physics.scene}> changes, which {unaware} do not know",
+                f"{path}: gravity of <{physics.scene}> changes over time, which {unaware} do not"
+                f" support",
                 "give one with --gravity",
             )
     if physics.fields and not request.fields:
         if request.rigid or request.solver in ("ul", MIXED):
             raise UsageError(
-                f"{path}: <{physics.scene}> has fields, which {unaware} do not know",
-                "remove the fields" if mixed else "leave --rigid or --solver ul out",
+                f"{path}: <{physics.scene}> has fields, which {unaware} do not support",
+                "remove the fields" if mixed else "omit --rigid or --solver ul",
             )
         notes.append(f"fields are those of <{physics.scene}>: {' '.join(physics.fields)}")
     if request.flesh and request.floor is None:
@@ -55,7 +56,7 @@ def with_stage(request: Request, spec: StageSpec, asset: Asset) -> tuple[Request
             said = one_said(name, [(p, getattr(b, name)) for p, b in spec.bakes.items()], path)
             if said is not None:
                 more[name] = said
-                notes.append(f"{name} is {said}, as the stage asks for")
+                notes.append(f"{name} is {said}, from the stage")
     return replace(request, **more), tuple(notes)
 
 
@@ -69,8 +70,8 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
     names, paths = ", ".join(flow.names), listed(flow.paths)
     if request.solver == "tl":
         raise UsageError(
-            f"--solver tl does not go with {names}, which flows without end",
-            "leave it out, or use --solver ul",
+            f"--solver tl cannot be combined with {names}, which flows without limit",
+            "omit it, or use --solver ul",
         )
     if flow.some and request.solver is None:
         for option, given in (
@@ -88,29 +89,29 @@ def with_flow(request: Request, flow: Dispatch) -> tuple[Request, tuple[str, ...
         ):
             if given:
                 raise UsageError(
-                    f"{option} does not go with bodies that flow without end beside others: {paths}"
-                    f" ({names})",
-                    f"leave {option} out, or bake the bodies apart with --prim",
+                    f"{option} cannot be combined with flowing bodies next to solid ones:"
+                    f" {paths} ({names})",
+                    f"leave {option} out, or bake the bodies separately with --prim",
                 )
         note = (
-            f"{paths}: flows without end ({names}; Updated Lagrangian solver, and every particle"
-            " feels contact); the other bodies are solid (Total Lagrangian solver); its meshes are"
-            " hidden, and "
+            f"{paths}: flows without end ({names}; Updated Lagrangian solver, with contact at"
+            f" every particle); the other bodies are solid (Total Lagrangian solver); the"
+            f" flowing meshes are hidden, and "
             + ("a surface around its particles is" if request.surface else "its particles are")
-            + " shown beside the other meshes"
+            + " shown with the other meshes"
         )
         return replace(request, solver=MIXED), (note,)
     if flow.some:
         return request, (f"{paths}: flows without end ({names}); all is one body (--solver ul)",)
     if request.only is None and not request.surface:
         request = replace(request, only="gaussians,points")
-    note = f"{names}: flows without end (Updated Lagrangian solver; every particle feels the floor)"
+    note = f"{names}: flows without end (Updated Lagrangian solver, with contact at every particle)"
     if request.surface:
         note += "; a surface around the particles is shown in place of the mesh"
     elif "mesh" in (request.parsed["only"] or ()):
-        note += "; the mesh is torn where particles part: --surface draws a surface around them"
+        note += "; the mesh tears where particles separate: --surface writes a surface around them"
     else:
-        note += "; the mesh is hidden, and --surface draws a surface around the particles"
+        note += "; the mesh is hidden; --surface writes a surface around the particles"
     return replace(request, solver="ul"), (note,)
 
 
@@ -143,6 +144,6 @@ def one_said(what: str, said: Sequence[tuple[str, object]], file: Path) -> objec
             raise InputError(
                 f"{file}: <{known[0][0]}> asks for {what} {known[0][1]}, <{path}> for {value}:"
                 " a bake has one",
-                f"give --{what}, or bake them apart with --prim",
+                f"give --{what}, or bake them separately with --prim",
             )
     return known[0][1] if known else None

@@ -46,37 +46,38 @@ class AssetOptions:
     """What is baked, of what, and into which file."""
 
     material: Annotated["Path | Material | Sequence[Path | Material] | None", Option(
-        ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several by"
-        " commas to get variants. auto: chosen by names and labels; auto:NAME: chosen by an"
-        " advisor.",
-        shown="what the stage says, else rubber", short="-m", commands=INSPECT,
+        ASSET, "A preset (see gf-usd materials) or a USD file with a material; separate several"
+        " by commas to get variants. auto chooses presets by names and labels; auto:NAME uses"
+        " the advisor NAME.",
+        shown="the stage's, else rubber", short="-m", commands=INSPECT,
         write=values.material,
     )] = None
     output: Annotated[Path | None, Option(
-        ASSET, "Root layer, a package (.usdz), or a folder if it ends in / or exists as one.",
+        ASSET, "Path of the root layer or package (.usdz), or a folder (an existing one, or a"
+        " path that ends in /).",
         shown="NAME.MATERIAL.usda in this folder", short="-o", commands=BAKE, write=values.path,
     )] = None
     prims: Annotated[str | Sequence[str], Option(
-        ASSET, "Bake this prim and those below it; repeatable.",
+        ASSET, "Bake this prim and its descendants; repeatable.",
         shown="the default prim", commands=INSPECT,
         write=values.prims,
     )] = ()
     meters_per_unit: Annotated[float | None, Option(
         ASSET, "Length of one unit of the file [m]: 0.01 for centimeters.",
-        shown="what the file says; where it says nothing 1, or 0.01 or 0.001 if only that makes a"
-        " body of a plausible size", commands=INSPECT,
+        shown="the file's; if it has none, 1, or 0.01 or 0.001 if only that gives a plausible"
+        " size", commands=INSPECT,
     )] = None
     up_axis: Annotated[str | None, Option(
-        ASSET, "Y or Z; -Y or -Z for splat files that appear upside down.",
-        shown="what the file says; Y for obj, ply, off and splat files, Z for stl",
+        ASSET, "Up axis of the file: Y or Z; -Y or -Z for splat files that appear upside down.",
+        shown="the file's; Y for obj, ply, off and splat files, Z for stl",
         commands=INSPECT,
     )] = None
     repair: Annotated[bool, Option(
-        ASSET, "Before filling, close small holes, unify the winding, drop faces that bound nothing"
-        " and give sheets thickness; the mesh itself does not change.",
+        ASSET, "Before filling, close small holes, make the winding consistent, drop faces that"
+        " bound no volume and thicken sheets; the mesh itself does not change.",
     )] = False
     law: Annotated[str | None, Option(
-        MATERIAL, "Compute stresses by this constitutive law, such as corotated or neoHookean.",
+        MATERIAL, "Compute stresses with this constitutive law, such as corotated or neoHookean.",
         shown="the material's",
     )] = None
 
@@ -94,28 +95,28 @@ class RequestOptions:
         above_zero=True, commands=INSPECT,
     )] = None
     seed: Annotated[int | None, Option(
-        PARTICLES, "Random seed of the particle positions of --preset paper; nothing else is"
-        " random.",
+        PARTICLES, "Random seed of the particle positions with --preset paper and of noise fields.",
         shown="the stage's, else 0", low=0, commands=INSPECT,
     )] = None
     frames: Annotated[int | str | None, Option(
-        TIME, "Simulate this many frames, at --fps. rest: until everything is at rest; rest:480:"
-        " the same, for at most 480 frames.",
-        shown="rest, for at most 108.8 T of the body; 13.6 T with pins, fields or nothing below",
+        TIME, "Number of frames to simulate, at --fps. rest: until everything is at rest;"
+        " rest:480: the same, but at most 480 frames.",
+        shown="rest, at most 108.8 T; 13.6 T with pins or fields, or without a floor or"
+        " obstacle. T = sqrt(r / g), r the radius of the body",
         noun="number of frames",
         parse=texts.parse_frames, commands=INSPECT, write=values.frames,
     )] = None
     fps: Annotated[float | None, Option(
-        TIME, "Write this many frames for each second of playback.",
+        TIME, "Frames per second of playback.",
         shown="the asset's, else 24", above_zero=True, commands=INSPECT,
     )] = None
     start: Annotated[float | None, Option(
-        TIME, "Give the first frame this time code.",
+        TIME, "Time code of the first frame.",
         shown="the asset's start, else 1", noun="time code", commands=INSPECT,
     )] = None
     time_scale: Annotated[float | str | None, Option(
-        TIME, "Simulated seconds per second of playback; auto plays a body of any size like one of"
-        " 1 m.",
+        TIME, "Simulated seconds per second of playback; auto makes a body of any size appear to"
+        " move like one of 1 m.",
         shown="1", parse=texts.parse_time_scale, write=values.rate,
     )] = None
     settle_only: Annotated[bool, Option(
@@ -123,91 +124,93 @@ class RequestOptions:
         " pose, without time samples.",
     )] = False
     drop: Annotated[float | str | None, Option(
-        SCENE, "Let the body fall from this height [stage units], or in radii of the body: 3r.",
-        shown="3r; 0 where the stage holds physics; as it is with --pin or no floor",
+        SCENE, "Height from which the body falls [stage units], or in radii of the body: 3r.",
+        shown="3r; 0 if the stage has physics; not moved with --pin or without a floor",
         parse=texts.parse_drop, commands=INSPECT, write=values.length,
     )] = None
     gravity: Annotated[float | Vector | str | None, Option(
-        SCENE, "Apply this gravity [m/s^2]: downward, along a vector x,y,z, or as of a .csv or"
-        " .txt file with a time code and the gravity on each line.",
-        shown="9.81", parse=texts.parse_gravity, write=values.gravity,
+        SCENE, "Gravity [m/s^2]: a number (downward), a vector x,y,z, or a .csv or .txt file"
+        " with a time code and the gravity on each line.",
+        shown="the stage's, else 9.81", parse=texts.parse_gravity, write=values.gravity,
     )] = None
     fields: Annotated[str | Sequence[str], Option(
-        SCENE, "Add a field of acceleration [m/s^2]; repeatable: wind:X,Y,Z, radial:A:at=X,Y,Z (A"
-        " below 0 pulls) or noise:A:length=L:rate=R. With at=X,Y,Z and radius=R it falls off"
-        " around that point [stage units].",
+        SCENE, "Add an acceleration field [m/s^2]; repeatable: wind:X,Y,Z, radial:A:at=X,Y,Z (A"
+        " below 0 attracts) or noise:A:length=L:rate=R. With at=X,Y,Z and radius=R the field"
+        " falls off around that point [stage units].",
         shown="none", write=values.fields,
     )] = ()
     floor: Annotated[Floor | None, Option(
-        SCENE, "Put the floor at this height [stage units], give it the normal x,y,z, or both:"
-        " 0.5:0.2,1,0; none leaves it out.",
+        SCENE, "Height of the floor [stage units], its normal x,y,z, or both: 0.5:0.2,1,0; none"
+        " for no floor.",
         shown="0", parse=texts.parse_floor, write=values.floor,
     )] = None
     velocity: Annotated[Vector | str | None, Option(
-        SCENE, "Velocity x,y,z of all bodies at the start [stage units per second].",
-        shown="what the stage says", parse=texts.parse_velocity, write=values.vector,
+        SCENE, "Initial velocity x,y,z of all bodies [stage units per second].",
+        shown="the stage's", parse=texts.parse_velocity, write=values.vector,
     )] = None
     spin: Annotated[Vector | str | None, Option(
-        SCENE, "Angular velocity x,y,z of each body at the start, about its own center [degrees"
-        " per second].",
-        shown="what the stage says", parse=texts.parse_spin, write=values.vector,
+        SCENE, "Initial angular velocity x,y,z of each body about its center [degrees per second].",
+        shown="the stage's", parse=texts.parse_spin, write=values.vector,
     )] = None
     colliders: Annotated[Path | Sequence[Path], Option(
-        SCENE, "File whose meshes are obstacles that stay where they are; repeatable. They take the"
-        " place of the floor, as those of the stage do.",
+        SCENE, "File whose meshes are static obstacles; repeatable. Like obstacles of the stage,"
+        " they replace the floor.",
         shown="none", commands=INSPECT, write=values.paths,
     )] = ()
     drag: Annotated[float | None, Option(
-        SCENE, "Slow all motion down with this drag [1/s], as air does.",
+        SCENE, "Drag coefficient that slows all motion down, like air [1/s].",
         shown="0", low=0.0, high=1e6,
     )] = None
     rolling_resistance: Annotated[float | None, Option(
-        SCENE, "Coefficient of rolling resistance on the floor and on obstacles: the moment that"
+        SCENE, "Coefficient of rolling resistance on the floor and obstacles: the moment that"
         " opposes rolling, divided by weight and radius.",
         shown="0.05; 0 with --preset paper", low=0.0, high=1.0,
     )] = None
     no_settling: Annotated[bool, Option(
-        SCENE, "Turn off the damping that ends bounces of less than half a radius and motion too"
-        " small to see.",
+        SCENE, "Turn off the damping of bounces below half a radius and of motion too small to"
+        " see.",
     )] = False
     device: Annotated[Literal["cpu", "cuda"], Option(
         METHOD, "Compute on the CPU, or on a GPU with CUDA.", choices=("cpu", "cuda"),
     )] = "cpu"
     threads: Annotated[int | None, Option(
-        METHOD, "Use this many CPU threads.", shown="all", above_zero=True, decides=False,
+        METHOD, "Number of CPU threads.", shown="all", above_zero=True, decides=False,
     )] = None
     pins: Annotated[str | Corners | Sequence[str | Corners], Option(
-        SCENE, "Region to hold still, or to move with the asset's animation; repeatable. A"
+        SCENE, "Region to pin, or to move with the asset's animation; repeatable. A"
         " GeomSubset, a mesh or a prim above meshes, box:x0,y0,z0,x1,y1,z1 [stage units],"
-        " paint:PRIMVAR for the faces with a painted weight of at least 0.5, or joint:NAME for"
-        " the faces with at least that weight on a joint.",
+        " paint:PRIMVAR for faces with a painted weight of at least 0.5, or joint:NAME for faces"
+        " with a joint weight of at least 0.5.",
         shown="nothing", write=values.pins,
     )] = ()
     rigid: Annotated[str | Corners | Sequence[str | Corners], Option(
-        SCENE, "Region that moves as a rigid body; repeatable. Regions as of --pin; a GeomSubset"
-        " stands for what lies nearest to its faces.",
+        SCENE, "Region that moves as a rigid body; repeatable. Regions are written as for --pin;"
+        " a GeomSubset selects the part of the body nearest to its faces.",
         shown="nothing", write=values.pins,
     )] = ()
     flesh: Annotated[bool, Option(
-        SCENE, "Make a character soft around its skeleton (UsdSkel, a skin of glTF; else the"
-        " middle of animated points): the bind pose is the rest shape, a core around each bone"
-        " moves with its joint, and the rest is free.",
+        SCENE, "Make a character soft around its skeleton (UsdSkel or a glTF skin; else the"
+        " medial axis of animated points): the bind pose is the rest shape, a core around each"
+        " bone moves with its joint, and the remaining flesh moves freely.",
         commands=INSPECT,
     )] = False
     bone_radius: Annotated[float | None, Option(
-        SCENE, "For --flesh: radius of the rigid cores around the bones, as a share of the"
+        SCENE, "For --flesh: radius of the rigid cores around the bones, as a fraction of the"
         " distance from bone to skin.",
         shown="0.5", low=0.05, high=1.0,
     )] = None
     goal_frequency: Annotated[float | None, Option(
-        SCENE, "For --flesh: frequency [Hz] of springs that pull the flesh to the skinned pose.",
-        shown="4 where a goal is painted, else no springs", above_zero=True,
+        SCENE, "For --flesh: frequency [Hz] of the springs that pull the flesh to the skinned"
+        " pose.",
+        shown="4 if a goal is painted, else no springs", above_zero=True,
     )] = None
     goal_damping: Annotated[float | None, Option(
-        SCENE, "Damping ratio of these springs; 1 is critical.", shown="0.5", low=0.0, high=100.0,
+        SCENE, "Damping ratio of the springs of --goal-frequency; 1 is critical"
+        " damping.", shown="0.5", low=0.0, high=100.0,
     )] = None
     squish: Annotated[float | None, Option(
-        SCENE, "For --flesh: smallest distance from flesh to bone, relative to that at rest.",
+        SCENE, "For --flesh: smallest distance from flesh to bone, relative to the distance at"
+        " rest.",
         shown="no limit", low=0.05, high=0.95,
     )] = None
     stretch: Annotated[float | None, Option(
@@ -216,7 +219,7 @@ class RequestOptions:
         shown="no limit", low=0.05, high=10.0,
     )] = None
     preroll: Annotated[int | None, Option(
-        SCENE, "For --flesh: frames that lead from the bind pose to the first pose; they are"
+        SCENE, "For --flesh: number of frames from the bind pose to the first pose; they are"
         " simulated but not written.",
         shown="enough to keep accelerations below that of gravity, and at least one second", low=1,
     )] = None
@@ -226,28 +229,27 @@ class RequestOptions:
         shown="1", parse=texts.parse_loop, write=values.repeats, bare=texts.AUTO,
     )] = None
     combine: Annotated[bool, Option(
-        SCENE, "Treat all meshes as one body, even if they are apart.", commands=INSPECT,
+        SCENE, "Treat all meshes as one body, even if they do not touch.", commands=INSPECT,
     )] = False
     self_contact: Annotated[bool | None, Option(
         SCENE, "Let bodies collide with themselves.",
         shown="yes, except for nearly convex bodies; no with --preset paper and --solver ul",
     )] = None
     damping_time: Annotated[float | None, Option(
-        MATERIAL, "Damp vibrations with this Kelvin-Voigt time [s]; more is calmer, and takes"
-        " longer.", shown="the material's", low=0.0, high=1e6,
+        MATERIAL, "Kelvin-Voigt damping time of vibrations [s]; a larger value damps more, and"
+        " makes the bake slower.", shown="the material's", low=0.0, high=1e6,
     )] = None
     friction: Annotated[float | None, Option(
-        MATERIAL, "Use this Coulomb friction coefficient; 0 is frictionless.",
+        MATERIAL, "Coulomb friction coefficient; 0 is frictionless.",
         shown="the material's", low=0.0, high=100.0,
     )] = None
     restitution: Annotated[float | None, Option(
-        MATERIAL, "Use this restitution of the contact springs, 0 to 1.",
+        MATERIAL, "Coefficient of restitution of contacts, 0 to 1.",
         shown="the material's", low=0.0, high=1.0,
     )] = None
     material_boxes: Annotated[Boxes, Option(
-        MATERIAL, "Preset for the particles that rest in a box, PRESET:x0,y0,z0,x1,y1,z1"
-        " [stage units];"
-        " repeatable, the later one applies.",
+        MATERIAL, "Preset for the particles that are in a box at rest, PRESET:x0,y0,z0,x1,y1,z1"
+        " [stage units]; repeatable, later boxes override earlier ones.",
         shown="nothing", commands=INSPECT, write=values.boxes,
     )] = ()
     material_labels: Annotated[Labels, Option(
@@ -259,18 +261,18 @@ class RequestOptions:
         shown="0", low=0.0, high=1e6,
     )] = None
     material_sweep: Annotated[tuple[str, float, float, int] | str | None, Option(
-        MATERIAL, "NAME=LOW:HIGH:COUNT, such as youngs=1e4:1e6:5: bake variants of the material"
-        " with these values, and write a contact sheet. NAME: youngs [Pa], poisson, density"
+        MATERIAL, "NAME=LOW:HIGH:COUNT, such as youngs=1e4:1e6:5: bake a variant of the material"
+        " for each value, and write a contact sheet. NAME: youngs [Pa], poisson, density"
         " [kg/m^3], damping [s], friction or restitution.",
         shown="none", parse=parse_sweep, write=values.sweep,
     )] = None
     mass_scaling: Annotated[float | None, Option(
-        MATERIAL, "Divide the elastic moduli of materials that flow by this number; time steps"
+        MATERIAL, "Divide the elastic moduli of plastic materials by this number; time steps"
         " grow with its square root, as they would with more mass and strength.",
         shown="1", low=1.0, high=1e6,
     )] = None
     filter_rate: Annotated[float | None, Option(
-        METHOD, "Rate of the APIC filter [1/T]; 0 and inf are its limits.", shown="10", low=0.0,
+        METHOD, "Rate of the APIC filter [1/T], from 0 to inf.", shown="10", low=0.0,
     )] = None
     skin: Annotated[Literal["embed", "idw", "paper"] | None, Option(
         METHOD, "How meshes follow the particles: embed (the solver's grid), idw"
@@ -282,12 +284,13 @@ class RequestOptions:
         METHOD, "tl (Total Lagrangian) or ul (Updated Lagrangian MLS-MPM, for comparison).",
         shown="tl", choices=("tl", "ul"), commands=INSPECT,
     )] = None
-    no_shortcuts: Annotated[bool, Option(METHOD, "Simulate free flight and sleep as well.")] = False
+    no_shortcuts: Annotated[bool, Option(METHOD, "Also simulate frames in which bodies fly"
+    " freely or sleep.")] = False
     preset: Annotated[Literal["paper"] | None, Option(
-        METHOD, "paper: the set-up of the GaussianFlesh paper.", choices=("paper",),
+        METHOD, "paper: settings of the GaussianFlesh paper.", choices=("paper",),
     )] = None
     wls: Annotated[bool | None, Option(
-        METHOD, "Recompute F from the particle positions once a frame (paper).",
+        METHOD, "Recompute F from the particle positions once per frame (paper).",
         shown="no; wls with --preset paper",
     )] = None
     procrustes: Annotated[float | None, Option(
@@ -295,7 +298,7 @@ class RequestOptions:
         shown="0; 0.02 for rubber with --preset paper", low=0.0, high=1.0,
     )] = None
     clamp: Annotated[tuple[float, float] | Literal[False] | str | None, Option(
-        METHOD, "LOW:HIGH, limits of the stretches at which stress is evaluated, or none (paper).",
+        METHOD, "Limits LOW:HIGH of the stretches at which stress is evaluated, or none (paper).",
         shown="none; 0.2:5 with --preset paper", parse=texts.parse_clamp, write=values.stretches,
     )] = None
     stress_cap: Annotated[float | Literal[False] | str | None, Option(
@@ -303,8 +306,8 @@ class RequestOptions:
         shown="none; 65 rho g r with --preset paper", parse=texts.parse_cap, write=values.cap,
     )] = None
     certify: Annotated[bool, Option(
-        WRITE, "Give each figure an interval of uncertainty: simulate at half and at a quarter of"
-        " the resolution as well.",
+        WRITE, "Estimate an uncertainty interval for each result, by simulating also at half and"
+        " at a quarter of the resolution.",
     )] = False
     deformation_gradients: Annotated[bool, Option(WRITE, "Write F of every particle.")] = False
     stress: Annotated[bool, Option(WRITE, "Write the von Mises stress of every particle.")] = False
@@ -316,40 +319,41 @@ class RequestOptions:
         shown="all three", parse=texts.parse_only, write=values.words,
     )] = None
     surface: Annotated[bool, Option(
-        WRITE, "Draw a surface around the particles of what flows (sand, snow, pastes, liquids), in"
-        " place of its mesh: a mesh whose faces change from frame to frame.",
+        WRITE, "Write a surface around the particles of flowing materials (sand, snow, pastes,"
+        " liquids) in place of their mesh; its topology changes from frame to frame.",
     )] = False
     tets: Annotated[bool, Option(
-        WRITE, "Write a TetMesh of each body, at rest and in motion, that other simulators read"
-        " (AOUSD volume deformable API).",
+        WRITE, "Write a TetMesh of each body, at rest and in motion, for other simulators (AOUSD"
+        " volume deformable API).",
     )] = False
     flatten: Annotated[bool, Option(
         WRITE, "Write one file that contains the asset, instead of layers.",
     )] = False
     half: Annotated[bool, Option(
-        WRITE, "Store Gaussians in half precision where it is safe.",
+        WRITE, "Store attributes of Gaussians in half precision where that is accurate enough.",
     )] = False
     precision: Annotated[float | str | None, Option(
-        WRITE, "Store motion with this precision, a share of the radius of each body or a length:"
-        " 0.5%, 0.2mm. Gaussians are stored in half precision where that is enough.",
+        WRITE, "Allowed error of the stored motion, as a fraction of the radius of each body or"
+        " a length: 0.5%, 0.2mm. Gaussians are stored in half precision if that is accurate"
+        " enough.",
         shown="single precision", parse=texts.parse_precision, write=values.precision,
     )] = None
     adaptive_samples: Annotated[bool, Option(
         WRITE, "Omit time samples that linear interpolation reproduces within --precision.",
     )] = False
     no_velocities: Annotated[bool, Option(
-        WRITE, "Do not write velocities; motion blur then depends on the time samples alone.",
+        WRITE, "Do not write velocities; motion blur then depends only on the time samples.",
     )] = False
     samples_per_frame: Annotated[int | None, Option(
-        WRITE, "Write this many simulated states per frame, for motion blur.", shown="1", low=1,
+        WRITE, "Number of simulated states to write per frame, for motion blur.", shown="1", low=1,
     )] = None
     range: Annotated[tuple[float | None, float | None] | str | None, Option(
-        WRITE, "FIRST:LAST, time codes to write; either may be omitted.",
+        WRITE, "Time codes FIRST:LAST to write; either may be omitted.",
         shown="all", parse=texts.parse_range, write=values.span,
     )] = None
     handles: Annotated[int | None, Option(
-        WRITE, "Additional frames written before and after; before the start they hold the rest"
-        " pose.",
+        WRITE, "Number of extra frames to write before and after the range; before the start"
+        " they hold the rest pose.",
         shown="0", low=0,
     )] = None
     clip_frames: Annotated[int | None, Option(
@@ -357,11 +361,11 @@ class RequestOptions:
         shown="one file up to 2 GB", low=0,
     )] = None
     export_ply: Annotated[Path | None, Option(
-        ASSET, "Folder for a sequence of 3DGS PLY files, one per frame.", shown="none",
+        ASSET, "Write a sequence of 3DGS PLY files, one per frame, to this folder.", shown="none",
         write=values.path,
     )] = None
     export_spz: Annotated[Path | None, Option(
-        ASSET, "Folder for a sequence of SPZ files, one per frame.", shown="none",
+        ASSET, "Write a sequence of SPZ files, one per frame, to this folder.", shown="none",
         write=values.path,
     )] = None
 
@@ -379,7 +383,8 @@ class BakeOptions(RequestOptions, AssetOptions):
     )] = None
     until: Annotated[str | None, Option(
         WRITE, "Bake again at higher resolution until the intervals of --certify are within this"
-        " share of their figures, all or those named before it, or until --max-hours is spent.",
+        " fraction of their values (of all results, or of those named before the colon), or"
+        " until --max-hours is used up.",
         shown="never", commands=BAKE,
     )] = None
     overwrite: Annotated[bool, Option(
@@ -389,12 +394,12 @@ class BakeOptions(RequestOptions, AssetOptions):
         WRITE, "Treat warnings about the result as an error (status 4).", decides=False,
     )] = False
     max_hours: Annotated[float, Option(
-        WRITE, "Refuse a bake that is estimated to take longer [h], and end one that takes twice as"
-        " long.", low=0.0, decides=False,
+        WRITE, "Refuse a bake with a longer estimated time [h], and end a bake that takes twice"
+        " as long.", low=0.0, decides=False,
     )] = MAX_HOURS
     limits: Annotated["Limits | Mapping[str, float] | Literal[False] | str | None", Option(
-        WRITE, "Limits of the process that reads an untrusted file: time [s], memory [B], output"
-        " [B], as time=600,memory=32G; none: no such process.",
+        WRITE, "Limits of the process that reads untrusted files: time [s], memory [B], output"
+        " [B], such as time=600,memory=32G; none reads them without a separate process.",
         shown="time=300,memory=16G,output=1G", commands=INSPECT, decides=False, write=values.limits,
     )] = None
     progress: Callable[[int, int], None] | None = None  # told (frames done, frames in all)

@@ -22,7 +22,7 @@ def test_what_lies_apart_is_a_body_each(plan) -> None:
     # Of a cube of 1 m^3; 2 %: the strata of 200 particles.
     np.testing.assert_allclose(seen.bodies.radius, np.cbrt(0.75 / np.pi), rtol=0.02)
     np.testing.assert_array_equal(seen.particles.body, (seen.particles.X[:, 0] > 2).astype(int))
-    assert noted(seen, "2 bodies, which meet by contact: </One>, </Two>; --combine")
+    assert noted(seen, "2 bodies, which collide: </One>, </Two>; --combine")
     one = plan(cubes(), combine=True)
     assert (one.bodies.count, one.particles.body) == (1, None)
     # One body of two lumps meets itself.
@@ -127,6 +127,6 @@ def test_the_animation_before_the_start_moves_the_body_on(plan) -> None:
 
 @pytest.mark.parametrize("options", [{"skin": "idw"}, {"wls": True}, {"procrustes": 0.5}])
 def test_options_that_know_one_body_refuse_two(plan, options) -> None:
-    with pytest.raises(UsageError, match="knows one body, and there are 2"):
+    with pytest.raises(UsageError, match="supports one body, but there are 2"):
         plan(cubes(), **options)
     assert plan(cubes(), combine=True, **options).bodies.count == 1

@@ -42,7 +42,7 @@ def test_a_law_that_flows_needs_a_yield_stress(plan, law: str, options: dict[str
     with pytest.raises(InputError) as caught:
         plan(mesh("One"), law=law, **options)
     name = options.get("material", "rubber")
-    assert f"asset.usda: </One>: the law {law} asks for a yield stress, and {name}" in str(
+    assert f"asset.usda: </One>: the law {law} needs a yield stress, and {name}" in str(
         caught.value.message
     )
     assert "gaussianFlesh:yieldStress" in caught.value.hint
@@ -50,7 +50,7 @@ def test_a_law_that_flows_needs_a_yield_stress(plan, law: str, options: dict[str
 
 def test_a_law_of_the_stage_needs_one_too(plan) -> None:
     law = 'uniform token gaussianFlesh:law = "vonMises"'
-    with pytest.raises(InputError, match="</One>: the law vonMises asks for a yield stress"):
+    with pytest.raises(InputError, match="</One>: the law vonMises needs a yield stress"):
         plan(mesh("One", bound("/Stuff"), apis=BINDING) + material(SOFT, law))
 
 
@@ -107,7 +107,7 @@ def test_a_law_that_does_not_flow_leaves_it_unused_and_says_so(plan, by: str) ->
     )
     assert table(made)[0].law == "neoHookean"
     (note,) = about_yield(made)
-    assert "</One>: a yield stress is stated and not used" in note
+    assert "</One>: the yield stress is not used" in note
 
 
 def test_a_painted_yield_stress_chooses_the_law_and_reaches_the_particles(plan) -> None:
@@ -126,7 +126,7 @@ def test_a_painted_yield_stress_chooses_the_law_and_reaches_the_particles(plan) 
 
 def test_paint_on_one_of_two_bodies_is_not_enough_for_the_other(plan) -> None:
     other = mesh("Two", at(3.0))
-    with pytest.raises(InputError, match="</Two>: the law vonMises asks for a yield stress"):
+    with pytest.raises(InputError, match="</Two>: the law vonMises needs a yield stress"):
         plan(mesh("One", PAINTED) + other, law="vonMises")
 
 
@@ -158,7 +158,7 @@ def test_mass_scaling_divides_the_moduli_of_what_flows_alone(plan) -> None:
     assert note == (
         "--mass-scaling 16: lead has a Young's modulus of 1e+09 Pa in place of 1.6e+10 Pa, and"
         " yields at an elastic strain of 1.2 % in place of 0.075 %; mass, weight and yield stress"
-        " stay"
+        " do not change"
     )
 
 
@@ -171,5 +171,7 @@ def test_mass_scaling_reaches_painted_moduli(plan) -> None:
 
 
 def test_mass_scaling_of_an_elastic_body_is_refused(plan) -> None:
-    with pytest.raises(UsageError, match="no material of the bake flows: rubber is neoHookean"):
+    with pytest.raises(
+        UsageError, match="the bake has no material with plastic flow: rubber is neoHookean"
+    ):
         plan(mesh("One"), mass_scaling=16.0)

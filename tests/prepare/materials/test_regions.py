@@ -40,10 +40,10 @@ def test_boxes_are_in_stage_units(plan, tmp_path) -> None:
 
 
 def test_a_box_that_holds_nothing_is_refused(plan) -> None:
-    with pytest.raises(InputError, match=r"holds none of the \d+ particles, which rest between"):
+    with pytest.raises(InputError, match=r"contains none of the \d+ particles, which are between"):
         plan(mesh("One"), particles=200, material_boxes=("metal:5,5,5,6,6,6",))
     inner = "metal:0.2,0.2,0.2,0.8,0.8,0.8"
-    with pytest.raises(InputError, match="later boxes take all"):
+    with pytest.raises(InputError, match="later boxes override it for all"):
         plan(mesh("One"), particles=200, material_boxes=(inner, "foam:-1,-1,-1,2,2,2"))
 
 

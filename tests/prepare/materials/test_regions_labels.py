@@ -122,7 +122,7 @@ def test_what_is_not_there_is_refused(tmp_path: Path, label: str, words: str) ->
 
 def test_a_label_without_particles_is_refused(tmp_path: Path) -> None:
     path = labeled_ply(tmp_path / "ball.ply")
-    with pytest.raises(InputError, match="boxes take all of its particles"):
+    with pytest.raises(InputError, match="boxes override it for all of its particles"):
         prepare(
             path, output=tmp_path / "out.usda", material_labels=("label=3:metal",),
             material_boxes=("foam:-0.2,-1,-1,1,1,1",), **FEW,
@@ -146,7 +146,7 @@ def test_gaussians_that_are_left_out_take_their_labels_along() -> None:
         (("3:metal",), "is no property, whole value and preset"),
         (("label=x:metal",), "is no property, whole value and preset"),
         (("label=3:butter",), "butter"),
-        (("label=3:metal", "label=3:foam"), "name one value twice"),
+        (("label=3:metal", "label=3:foam"), "name the same value twice"),
     ],
 )
 def test_what_is_no_label_is_refused_before_anything_is_read(labels, words: str) -> None:

@@ -164,11 +164,13 @@ def test_a_material_that_cannot_carry_its_height_is_advised_and_beyond_that_refu
 
     assert notes(0.99 * SPREADS) == ()
     (line,) = notes(1.01 * SPREADS)
-    assert line.startswith("mud cannot carry itself: 2 m of it weigh 1.96e+04 Pa, 3.03 times")
-    assert "a Young's modulus of 2e+04 Pa would hold its shape" in line
+    assert line.startswith(
+        "mud cannot carry its own weight: 2 m of it weigh 1.96e+04 Pa, 3.03 times"
+    )
+    assert "a Young's modulus of 2e+04 Pa would keep its shape" in line
     with pytest.raises(InputError) as caught:
         notes(1.01 * FLAT)
-    assert caught.value.message.startswith("tower.usda: mud cannot carry itself")
+    assert caught.value.message.startswith("tower.usda: mud cannot carry its own weight")
     assert "a Young's modulus of 2e+04 Pa or more" in caught.value.hint
     assert require_standing(path, [replace(soft, youngs_modulus=1.0)], height, 0.0) == ()
 

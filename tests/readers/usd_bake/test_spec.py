@@ -29,8 +29,8 @@ def test_colliders_are_obstacles_and_no_bodies(plan) -> None:
     assert soft(seen) == ["/One"]
     assert [c.path for c in seen.contact_setup.colliders] == ["/Table", "/Tray"]
     assert [c.moves for c in seen.contact_setup.colliders] == [False, True]
-    assert noted(seen, "</Table> is left as it is: it is a static collider: an obstacle")
-    assert noted(seen, "</Tray> is left as it is: it is a kinematic collider: an obstacle")
+    assert noted(seen, "</Table> is not baked: it is a static collider: an obstacle")
+    assert noted(seen, "</Tray> is not baked: it is a kinematic collider: an obstacle")
     # SLIDE moves by two meters a time code: frames 0, 1 and 2 are at 1, 2 and 3.
     np.testing.assert_allclose(seen.contact_setup.colliders[1].offset[:, 0], [0.0, 2.0, 4.0])
 
@@ -77,9 +77,9 @@ def test_obstacles_take_the_place_of_the_floor_unless_asked(plan) -> None:
 def test_seed_and_solver_are_the_stage_s_unless_asked(plan) -> None:
     said = cubes("int gaussianFlesh:seed = 7")
     seen = plan(said)
-    assert noted(seen, "seed is 7, as the stage asks for")
+    assert noted(seen, "seed is 7, from the stage")
     other = plan(said, seed=8)
-    assert not noted(other, "as the stage asks for")
+    assert not noted(other, "from the stage")
     assert (seen.settings.seed, other.settings.seed) == (7, 8)
     assert np.array_equal(seen.particles.X, other.particles.X), "nothing is drawn at random"
     paper = plan(said, preset="paper")

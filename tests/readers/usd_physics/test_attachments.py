@@ -64,7 +64,7 @@ def test_points_of_a_face_are_held_and_move_as_the_prim(tmp_path: Path, said: st
     np.testing.assert_allclose(rise, np.linspace(0.0, 2.0, 13)[:, None].repeat(4, 1), atol=1e-6)
     held = pin.inside(np.array([[0.5, 0.0, 0.5], [0.5, -0.1, 0.5], [0.5, 0.5, 0.5]]))
     np.testing.assert_array_equal(held, [True, True, False])
-    assert "attachments hold parts of the body: /Hook" in plan.notes
+    assert "attachments pin parts of the body: /Hook" in plan.notes
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_soft_attachment_is_a_spring_of_each_point(tmp_path: Path) -> None:
     np.testing.assert_allclose(springs.damping, 0.3)
     rise = np.linspace(0.0, 2.0, 13)[:, None, None] * np.array([0.0, 1.0, 0.0])
     np.testing.assert_allclose(springs.path, springs.X + [0.1, 0.0, 0.0] + rise, atol=1e-6)
-    assert "attachments draw parts of the body by springs: /Hook" in plan.notes
+    assert "attachments pull parts of the body with springs: /Hook" in plan.notes
 
 
 @pytest.mark.parametrize(
