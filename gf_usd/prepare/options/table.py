@@ -190,7 +190,8 @@ class RequestOptions:
     )] = ()
     flesh: Annotated[bool, Option(
         SCENE, "Make a character soft around its skeleton (UsdSkel or a glTF skin; else the"
-        " medial axis of animated points): the bind pose is the rest shape, a core around each"
+        " medial axis of animated points; captured Gaussians follow the nearest bones of the only"
+        " skeleton): the bind pose is the rest shape, a core around each"
         " bone moves with its joint, and the remaining flesh moves freely.",
         commands=INSPECT,
     )] = False
