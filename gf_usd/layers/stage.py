@@ -219,7 +219,8 @@ def hold_source(
             held.add(prim.GetPath())
     notes = [f"<{path}> is animated, and held as it is when everything rests" for path in held]
     notes += [
-        f"<{path}> moves as its source is animated, beside the pose at rest" for path in moving
+        f"<{path}> is animated by its source and keeps moving next to the pose at rest"
+        for path in moving
     ]
     return tuple(sorted(notes))
 

@@ -117,7 +117,7 @@ def outputs(
     for path in files.all:
         if path.resolve() == source.resolve():
             raise UsageError(
-                f"{path} is the asset itself, which is never written to", "choose another -o"
+                f"{path} is the asset itself, which is never modified", "choose another -o"
             )
         if files.all.count(path) > 1:
             raise UsageError(f"two results would be named {path}", "choose another -o")

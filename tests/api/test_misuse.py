@@ -94,7 +94,7 @@ MISUSES: list[tuple[dict[str, Any], str, str]] = [
     ({"only": []}, "only is [], of type list", "give a word, or a list of words"),
     ({"material_labels": {"label": {"3": "metal"}}}, "material_labels is", "{'label': {3: 'metal'"),
     ({"output": b"out"}, "output is b'out', of type bytes", "an object of pathlib"),
-    ({"solver": "ul", "pins": "/A"}, "solver ul does not know pins", "or use solver tl"),
+    ({"solver": "ul", "pins": "/A"}, "solver ul does not support pins", "or use solver tl"),
     ({"max_hours": "1"}, "max_hours is '1'", "without quotes: max_hours=1"),
 ]
 

@@ -35,7 +35,7 @@ def test_an_unknown_material(gf_usd, here: Path, block: Path) -> None:
 def test_the_asset_is_not_written_even_when_asked(gf_usd, here: Path, block: Path) -> None:
     before = block.read_bytes(), names(block.parent)
     done = gf_usd("bake", block, *SMALL, "-o", block, "--overwrite")
-    refused(done, 2, f"{block} is the asset itself, which is never written to", "another -o")
+    refused(done, 2, f"{block} is the asset itself, which is never modified", "another -o")
     assert (block.read_bytes(), names(block.parent)) == before
     assert names(here) == []
 

@@ -98,7 +98,7 @@ def test_a_baked_gltf_file_is_a_layer_over_its_skeleton(tmp_path: Path) -> None:
     [
         ({"flesh": True, "pins": ["box:0,0,0,1,1,1"]}, "flesh=True does not go with pins"),
         ({"flesh": True, "drop": "1"}, "flesh=True does not go with drop"),
-        ({"flesh": True, "solver": "ul"}, "does not know flesh=True"),
+        ({"flesh": True, "solver": "ul"}, "does not support flesh=True"),
         ({"bone_radius": 0.4}, "bone_radius 0.4 is for flesh=True"),
         ({"squish": 0.5}, "squish 0.5 is for flesh=True"),
         ({"preroll": 4}, "preroll 4 is for flesh=True"),

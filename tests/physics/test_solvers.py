@@ -45,7 +45,7 @@ def test_an_unknown_solver_is_refused():
 
 @pytest.mark.parametrize("option", [{"filter_rate": 10.0}, {"pins": ("/Root/Pin",)}])
 def test_options_that_ul_does_not_know_are_refused_before_anything_is_read(option):
-    with pytest.raises(UsageError, match="--solver ul does not know"):
+    with pytest.raises(UsageError, match="--solver ul does not support"):
         Request(solver="ul", **option).check()
     Request(solver="tl", **option).check()
     Request(solver="ul", filter_rate=np.inf).check()

@@ -51,7 +51,7 @@ def test_a_surface_is_planned_in_place_of_the_mesh() -> None:
         ({"surface": True, "certify": True}, "certify=True does not go with what flows"),
         ({"solver": "tl"}, "cannot be combined with dry-sand"),
         ({"material": ["rubber", "dry-sand"]}, "some of these materials flow without limit"),
-        ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not know --pin|pins"),
+        ({"pins": "box:-9,-9,-9,9,-0.5,9"}, "does not support --pin|pins"),
     ],
 )
 def test_what_sand_does_not_go_with_is_refused_in_words(more: dict[str, Any], said: str) -> None:

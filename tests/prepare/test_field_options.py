@@ -79,7 +79,7 @@ def test_a_missing_file_and_what_knows_no_fields_are_refused(tmp_path: Path) -> 
     for options, words in (
         ({"gravity": str(tmp_path / "gone.csv")}, "cannot be read"),
         ({"fields": ("wind:1,0,0",), "rigid": ("box:0,0,0,1,1,1",)}, "--rigid does not go with"),
-        ({"fields": ("wind:1,0,0",), "solver": "ul"}, "--solver ul does not know --field"),
+        ({"fields": ("wind:1,0,0",), "solver": "ul"}, "--solver ul does not support --field"),
     ):
         with pytest.raises(UsageError) as caught:
             Request.of(options).check()

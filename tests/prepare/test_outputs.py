@@ -115,7 +115,7 @@ def test_the_asset_is_never_a_result(
     path.write_text("asset")
     written = "a.cache.usdc" if output == "a.usda" else output
     assert refusal(outputs, path, ["rubber"], output) == (
-        f"{written} is the asset itself, which is never written to",
+        f"{written} is the asset itself, which is never modified",
         "choose another -o",
     )
 

@@ -36,12 +36,12 @@ REFUSED = [
     ({"stress_cap": "2kPa"}, "--stress-cap is '2kPa'", CAP),
     (
         {"solver": "ul", "wls": True},
-        "--solver ul does not know --wls",
+        "--solver ul does not support --wls",
         "leave --wls out, or use --solver tl",
     ),
     (
         {"solver": "ul", "procrustes": 0.1},
-        "--solver ul does not know --procrustes",
+        "--solver ul does not support --procrustes",
         "leave --procrustes out, or use --solver tl",
     ),
     (

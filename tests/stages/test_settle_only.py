@@ -98,7 +98,7 @@ def test_what_is_animated_beside_a_pose_at_rest_is_held_at_its_time() -> None:
     notes = hold_source(layer, source, [Sdf.Path("/A")], Usd.TimeCode(4.0))
     assert notes == (
         "</A/Light> is animated, and held as it is when everything rests",
-        "</B/Light> moves as its source is animated, beside the pose at rest",
+        "</B/Light> is animated by its source and keeps moving next to the pose at rest",
     )
     layer.subLayerPaths = [source.GetRootLayer().identifier]
     held = Usd.Stage.Open(layer)

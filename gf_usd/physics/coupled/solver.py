@@ -173,7 +173,7 @@ def refuse(settings: Settings, pins: Sequence[Pin], goals: Goals | None) -> None
     for what, wanted in asked.items():
         if wanted:
             raise UsageError(
-                f"a bake with bodies that flow without end beside others does not know {what}",
+                f"a bake with both flowing and solid bodies does not support {what}",
                 "leave it out, or bake the bodies apart with --prim",
             )
 

@@ -142,7 +142,7 @@ def refuse(settings: Settings, pins: Sequence[Pin]) -> None:
     for what, wanted in asked.items():
         if wanted:
             raise UsageError(
-                f"--solver ul does not know {what}: its grid has no rest state",
+                f"--solver ul does not support {what}: its grid has no rest state",
                 "leave it out, or use --solver tl",
             )
 

@@ -125,7 +125,7 @@ class Request(RequestOptions):
         self._check_sweep()
         if self.self_contact and self.preset:
             raise UsageError(
-                f"--preset {self.preset} does not know --self-contact",
+                f"--preset {self.preset} does not support --self-contact",
                 "leave one of the two out: there every particle meets the floor, and nothing else",
             )
         fields = [parse_field(text) for text in self.fields]
@@ -267,6 +267,6 @@ class Request(RequestOptions):
         ):
             if given:
                 raise UsageError(
-                    f"--solver ul does not know {option}",
+                    f"--solver ul does not support {option}",
                     f"leave {option} out, or use --solver tl",
                 )

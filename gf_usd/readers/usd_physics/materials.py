@@ -87,7 +87,7 @@ def _poissons_ratio(authored: Authored, where: str, assume: Assume | None) -> fl
         assume(f"no Poisson's ratio is stated: {POISSON:g} is assumed")
         return POISSON
     if nu == 0.5:
-        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} stands for it")
+        assume(f"Poisson's ratio is 0.5 (incompressible): {INCOMPRESSIBLE:g} is used instead")
         return INCOMPRESSIBLE
     return _within(where, "Poisson's ratio", nu, -1.0, 0.5)
 

@@ -274,7 +274,7 @@ def test_what_it_does_not_know_is_refused():
         name="box", inside=lambda X: X[:, 0] > 0.0, nearest=lambda X: X,
         anchors=np.zeros((1, 3)), path=np.zeros((1, 1, 3)),
     )  # fmt: skip
-    with pytest.raises(UsageError, match="does not know --pin"):
+    with pytest.raises(UsageError, match="does not support --pin"):
         UpdatedLagrangian(body, made, settings(), pins=[pin])
     with pytest.raises(UsageError, match="Procrustes"):
         UpdatedLagrangian(body, made, settings(procrustes=0.02))

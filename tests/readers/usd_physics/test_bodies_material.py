@@ -120,7 +120,7 @@ def test_what_is_assumed_is_said(said) -> None:
     found = said(material("Soft", SOFT[0], half, DENSE), duck(bound("/Soft")))
     assert found.bodies[0].material is not None
     assert found.bodies[0].material.poissons_ratio == 0.47
-    assert found.notes == ("/Soft: Poisson's ratio is 0.5 (incompressible): 0.47 stands for it",)
+    assert found.notes == ("/Soft: Poisson's ratio is 0.5 (incompressible): 0.47 is used instead",)
 
 
 def test_a_material_without_moduli_goes_over_the_preset(said) -> None:
