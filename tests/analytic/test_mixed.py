@@ -24,7 +24,11 @@ def crash(flowing: str, real: type, particles: int = 600):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("flowing", "real"),
-    [("dry-sand", np.float64), ("water", np.float64), ("powder-snow", np.float32)],
+    [
+        pytest.param("dry-sand", np.float64, marks=pytest.mark.acceptance),
+        pytest.param("water", np.float64, marks=pytest.mark.acceptance),
+        ("powder-snow", np.float32),
+    ],
 )
 def test_momentum_and_angular_momentum_are_kept(flowing: str, real: type) -> None:
     """Both to rounding: no step of the exchange knows another error.
@@ -56,6 +60,7 @@ def test_momentum_and_angular_momentum_are_kept(flowing: str, real: type) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_a_block_on_sand_presses_the_floor_with_the_weight_of_both() -> None:
     """At rest the springs of the floor under the sand carry the weights of sand and block, and the
     planes of the block's underside carry that of the block."""

@@ -18,11 +18,18 @@ LONG = {  # more than half of the time of all
     "incline", "burst", "law-fluid", "manufactured", "limbs", "bar",
     "hydrostatic", "dam", "puddle", "drop-of-both",
 }  # fmt: skip
+LONGEST = {"hydrostatic", "puddle", "taylor", "arms"}  # which `gf-usd verify` of the acceptance has
+
+
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    """Of a case, by how long it takes."""
+    longest = [pytest.mark.acceptance] if name in LONGEST else []
+    return [pytest.mark.slow, *longest] if name in LONG else []
 
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(c, marks=[pytest.mark.slow] if c.name in LONG else []) for c in ORDERED],
+    [pytest.param(c, marks=marks(c.name)) for c in ORDERED],
     ids=lambda case: case.name,
 )
 def test_every_figure_is_within_its_bound(case: Case) -> None:

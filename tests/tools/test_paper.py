@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.slow
+@pytest.mark.acceptance
 def test_the_paper_quickly(tmp_path: Path) -> None:
     pytest.importorskip(
         "open3d", reason="open3d or its libraries are missing", exc_type=ImportError
