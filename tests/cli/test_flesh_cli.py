@@ -353,8 +353,8 @@ def test_a_capture_beside_a_skeleton_follows_its_bones(tmp_path: Path) -> None:
     assert any("each point follows the nearest bones of /Arm/Skel" in n for n in result.notes)
     stage = Usd.Stage.Open(str(out))
     positions = stage.GetPrimAtPath("/Arm/Person").GetAttribute("positions")
-    rest = np.asarray(Usd.Stage.Open(str(path)).GetPrimAtPath("/Arm/Person")
-                      .GetAttribute("positions").Get())  # fmt: skip
+    source = Usd.Stage.Open(str(path))
+    rest = np.asarray(source.GetPrimAtPath("/Arm/Person").GetAttribute("positions").Get())
     # B turns by 60 degrees about (1, 0, 0): its flesh goes there, as that of the skinned arm does.
     turn = np.deg2rad(60.0)
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])

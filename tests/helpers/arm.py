@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 RINGS, WIDTH = 9, 0.4  # [m] of a side; the prism is 2 m long, with the joints at x = 0 and 1
 FIRST, LAST = 1, 13  # time codes of the animation
@@ -184,7 +184,8 @@ def captured(folder: Path) -> Path:
     rig = folder / "rig.usda"
     rig.write_text(arm(), encoding="utf-8")
     stage = Usd.Stage.CreateNew(str(folder / "person.usda"))
-    stage.GetRootLayer().TransferContent(Usd.Stage.Open(str(rig)).GetRootLayer())
+    source = Sdf.Layer.FindOrOpen(str(rig))
+    stage.GetRootLayer().TransferContent(source)
     stage.RemovePrim("/Arm/Skin")
     splats = Splats(
         positions=at.astype(np.float32), orientations=facing(normals),
