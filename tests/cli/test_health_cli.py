@@ -125,7 +125,7 @@ def test_what_would_take_hours_is_refused_in_seconds(gf_usd, here: Path, block: 
     found = re.search(
         r"error: .+: the bake would take about (\S+) minutes: \d+ particles of Hard \(Young's"
         r" modulus 1e\+13 Pa, damping time 0 s\), dropped \S+ m, need (\d+) substeps of \S+ s in"
-        r" each of (\d+) frames\n\nhint: .+ --max-hours (\d+) lets it run",
+        r" each of (\d+) frames\n\nhint: .+ --max-hours (\d+) allows it",
         done.err,
     )
     assert found is not None, done.err
