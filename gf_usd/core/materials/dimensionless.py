@@ -82,17 +82,18 @@ DIMENSIONLESS: dict[str, DimensionlessPreset] = {
         ),
         DimensionlessPreset(
             name="dented", mu=196.0, lam=980.0, density=7800.0, damping=0.0005, friction=0.8,
-            restitution=0.5, law="vonMises", note="a soft metal: keeps every dent, hardly bounces",
+            restitution=0.5, law="vonMises", note="a soft metal: dents permanently, hardly bounces",
             parameters={"yield_stress": 8.0, "hardening": 20.0},
         ),
         DimensionlessPreset(
             name="clay", mu=65.0, lam=325.0, density=1800.0, damping=0.002, friction=0.9,
-            restitution=0.1, law="vonMises", note="stays as it was pressed",
+            restitution=0.1, law="vonMises", note="keeps the shape it is pressed into",
             parameters={"yield_stress": 3.0, "hardening": 3.0, "flow_viscosity": 0.3},
         ),
         DimensionlessPreset(
             name="styrofoam", mu=26.0, lam=13.0, density=60.0, damping=0.005, friction=0.9,
-            restitution=0.1, law="crushable", note="is crushed where it is hit, and stays smaller",
+            restitution=0.1, law="crushable",
+            note="crushes where it is hit, and does not expand again",
             parameters={"yield_stress": 4.0, "hardening": 15.0, "cap_shape": 2.12},
         ),
         DimensionlessPreset(
