@@ -22,9 +22,10 @@ the bake of a stage that has them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ from gf_usd.readers.usd.select import named_prim
 from gf_usd.readers.usd.stage import open_stage, reading
 from gf_usd.readers.usd_physics.attributes import authored, refuse, switch
 from gf_usd.readers.usd_physics.motion import Readings, matrix, transform_varies
+
+T = TypeVar("T")
 
 AOUSD, OMNI = "PhysicsAttachment", "OmniPhysicsVtxXformAttachment"
 # by type of prim: prefix of its attributes, and names of the points' and the places' arrays
@@ -131,14 +134,26 @@ def read_attachments(
     Raises InputError for arrays that do not fit each other or the mesh, and for a source that is
     not there.
     """
-    with reading(file):
-        stage, notes, readings = open_stage(file), Notes(), Readings(facts)
-        time = Usd.TimeCode(first_time_code(facts, rest))
-        regions = [
-            _region(named_prim(stage, facts.path, path), readings, time, times, notes)
-            for path in paths
-        ]
+    notes = Notes()
+    regions = _each(
+        file, paths, facts, rest,
+        lambda prim, readings, time: _region(prim, readings, time, times, notes),
+    )  # fmt: skip
     return tuple(regions), notes.lines()
+
+
+def _each(
+    file: Path,
+    paths: Sequence[str],
+    facts: StageFacts,
+    rest: float | None,
+    read: Callable[[Usd.Prim, Readings, Usd.TimeCode], T],
+) -> list[T]:
+    """What is read of each attachment; rest : time code of the rest pose."""
+    with reading(file):
+        stage, readings = open_stage(file), Readings(facts)
+        time = Usd.TimeCode(first_time_code(facts, rest))
+        return [read(named_prim(stage, facts.path, path), readings, time) for path in paths]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,28 +176,25 @@ def read_written_pins(
     """Those of the attachments that say which pin they stand for; arguments and errors as of
     `read_attachments`.
     """
-    out = []
-    with reading(file):
-        stage, readings = open_stage(file), Readings(facts)
-        time = Usd.TimeCode(first_time_code(facts, rest))
-        for path in paths:
-            prim = named_prim(stage, facts.path, path)
-            region = authored(prim, PIN, time)
-            if region is None:
-                continue
-            if not isinstance(region, str) or not region:
-                raise refuse(facts.path, prim, PIN, region, "author a region as --pin names it")
-            if region.startswith("/") and not stage.GetPrimAtPath(region):
-                raise refuse(facts.path, prim, PIN, region, "author a path where there is a prim")
-            said = authored(prim, ANCHORS, time) is not None
-            places = _Places(prim, readings, ANCHORS if said else "")
-            if not places.at(time).size:
-                raise refuse(
-                    facts.path, prim, places.name, [], "author the places that are held, or bake"
-                    " the asset again with --pin and --tets",
-                )  # fmt: skip
-            out.append(WrittenPin(name=path, region=region, path=places.over(time, times)))
-    return tuple(out)
+
+    def read(prim: Usd.Prim, readings: Readings, time: Usd.TimeCode) -> WrittenPin | None:
+        region = authored(prim, PIN, time)
+        if region is None:
+            return None
+        if not isinstance(region, str) or not region:
+            raise refuse(facts.path, prim, PIN, region, "author a region as --pin names it")
+        if region.startswith("/") and not prim.GetStage().GetPrimAtPath(region):
+            raise refuse(facts.path, prim, PIN, region, "author a path where there is a prim")
+        said = authored(prim, ANCHORS, time) is not None
+        places = _Places(prim, readings, ANCHORS if said else "")
+        if not places.at(time).size:
+            raise refuse(
+                facts.path, prim, places.name, [], "author the places that are held, or bake"
+                " the asset again with --pin and --tets",
+            )  # fmt: skip
+        return WrittenPin(name=str(prim.GetPath()), region=region, path=places.over(time, times))
+
+    return tuple(one for one in _each(file, paths, facts, rest, read) if one is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,25 +218,20 @@ def read_soft_attachments(
     times: Sequence[float],
 ) -> tuple[SoftAttachment, ...]:
     """The springs of attachments; arguments and errors as of `read_attachments`."""
-    out = []
-    with reading(file):
-        stage, readings = open_stage(file), Readings(facts)
-        time = Usd.TimeCode(first_time_code(facts, rest))
-        for path in paths:
-            prim = named_prim(stage, facts.path, path)
-            surface, indices, places = _attached(prim, readings, time)
-            each = [_constant(facts.path, prim, name, time) or 0.0 for name in (STIFFNESS, DAMPING)]
-            out.append(
-                SoftAttachment(
-                    body=surface.path,
-                    points=indices,
-                    X=surface.points[indices],
-                    path=places.over(time, times),
-                    stiffness=each[0] * facts.units.mass,
-                    damping=each[1] * facts.units.mass,
-                )
-            )
-    return tuple(out)
+
+    def read(prim: Usd.Prim, readings: Readings, time: Usd.TimeCode) -> SoftAttachment:
+        surface, indices, places = _attached(prim, readings, time)
+        each = [_constant(facts.path, prim, name, time) or 0.0 for name in (STIFFNESS, DAMPING)]
+        return SoftAttachment(
+            body=surface.path,
+            points=indices,
+            X=surface.points[indices],
+            path=places.over(time, times),
+            stiffness=each[0] * facts.units.mass,
+            damping=each[1] * facts.units.mass,
+        )
+
+    return tuple(_each(file, paths, facts, rest, read))
 
 
 def _name(prim: Usd.Prim, name: str) -> str:
