@@ -10,6 +10,7 @@ The job is one JSON object on the command line, the result one JSON line on stdo
 
     speed    {"n", "seconds"}: substeps for so long, after a warm-up, from the start again and again
     drop     {"n"}: the drop once, frame by frame: peak squash, rebound and what they cost
+    motion   {"n", "frames", "to"}: positions in every frame, in the file `to` (.npz)
 """
 
 from __future__ import annotations
@@ -50,8 +51,10 @@ def main(solver: Any, versions: dict[str, str]) -> None:
     }
     if job["kind"] == "speed":
         out |= speed(partial(solver, n, dt, threads, **given), body, dt, float(job["seconds"]))
-    else:
+    elif job["kind"] == "drop":
         out |= drop(solver(n, dt, threads, **given), dt)
+    else:
+        out |= motion(solver(n, dt, threads, **given), dt, int(job["frames"]), job["to"])
     out["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     print("\n" + json.dumps(out), flush=True)
 
@@ -100,6 +103,18 @@ def drop(body: Any, dt: float) -> dict[str, Any]:
         "wall": wall,
         "cpu": cpu,
     }
+
+
+def motion(body: Any, dt: float, frames: int, to: str) -> dict[str, Any]:
+    """Write x (1 + frames, n, 3) [m] from the start on, and their times [s]."""
+    every = chunk(dt)
+    x = [body.positions()]
+    for _ in range(frames):
+        body.advance(every)
+        x.append(body.positions())
+    times = every * dt * np.arange(len(x))
+    np.savez(to, x=np.asarray(x, np.float32), times=times)
+    return {"simulated": float(times[-1])}
 
 
 def peak(y: np.ndarray) -> float:

@@ -26,6 +26,7 @@ COURANT = 0.25  # dt c / h: half of what the strictest of the explicit solvers s
 FPS = 120.0  # frames a second of the drop
 SECONDS = 0.65  # [s] from touching the floor to past the top of the rebound
 GAP = 0.02  # [m] between ball and floor at the start
+FIELD_AT = 1.5  # [m] above and below the center, from where a field pushes the ball together
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,8 @@ from gf_usd.layers.tracks.gaussians import SplatTrack
 from gf_usd.layers.tracks.meshes import check
 from gf_usd.layers.tracks.points import PointsTrack
 from gf_usd.layers.tracks.sparse import Saved
-from gf_usd.layers.tracks.tets import Attachments, TetTrack, unknown_to
+from gf_usd.layers.tracks.tets.attachments import Attachments, unknown_to
+from gf_usd.layers.tracks.tets.mesh import TetTrack
 from gf_usd.system import usd_schema  # noqa: F401  (registers the schema before its APIs are applied)
 
 Types = Sdf.ValueTypeNames

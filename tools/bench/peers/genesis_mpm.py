@@ -1,4 +1,7 @@
-"""genesis-world's MPM on its CPU backend, with its own sampling of the ball and its own floor."""
+"""genesis-world's MPM on its CPU backend, with its own sampling of the ball and its own floor.
+
+Option: squeeze [m/s^2], from two points above and below it, without gravity, floor and speed.
+"""
 
 import sys
 from functools import cache
@@ -16,7 +19,7 @@ SIDE = 1.4  # [m] that the ball may spread to, without the padding that genesis 
 
 
 @cache
-def built(n: int, dt: float):
+def built(n: int, dt: float, squeeze: float):
     """A scene, its ball, and the substeps of one of its steps: compiled once a process."""
     gs.init(backend=gs.cpu, precision="32", logging_level="error")
     substeps = play.chunk(dt)
@@ -25,7 +28,9 @@ def built(n: int, dt: float):
     side = SIDE + 5.0 * scene.cell(n)
     world = gs.Scene(
         sim_options=gs.options.SimOptions(
-            dt=substeps * dt, substeps=substeps, gravity=(0.0, 0.0, -scene.GRAVITY)
+            dt=substeps * dt,
+            substeps=substeps,
+            gravity=(0.0, 0.0, 0.0 if squeeze else -scene.GRAVITY),
         ),
         mpm_options=gs.options.MPMOptions(
             lower_bound=(-side, -side, -10.0 * lattice),
@@ -35,7 +40,14 @@ def built(n: int, dt: float):
         ),
         show_viewer=False,
     )
-    world.add_entity(morph=gs.morphs.Plane())
+    if squeeze:
+        for side in (-scene.FIELD_AT, scene.FIELD_AT):
+            place = (0.0, 0.0, lowest + side)
+            field = gs.force_fields.Point(strength=squeeze, position=place, flow=0.0)
+            field.activate()
+            world.add_force_field(force_field=field)
+    else:
+        world.add_entity(morph=gs.morphs.Plane())
     ball = world.add_entity(
         material=gs.materials.MPM.Elastic(
             E=scene.YOUNG, nu=scene.POISSON, rho=scene.DENSITY, model="corotation"
@@ -49,10 +61,11 @@ def built(n: int, dt: float):
 class Genesis:
     """z is up in genesis; heights are handed over in column 1."""
 
-    def __init__(self, n: int, dt: float, threads: int) -> None:
-        self.world, self.ball, self.substeps = built(n, dt)
+    def __init__(self, n: int, dt: float, threads: int, squeeze: float = 0.0) -> None:
+        self.world, self.ball, self.substeps = built(n, dt, squeeze)
         self.world.reset()
-        self.ball.set_velocity(np.array((0.0, 0.0, -scene.SPEED)))
+        if not squeeze:
+            self.ball.set_velocity(np.array((0.0, 0.0, -scene.SPEED)))
 
     def advance(self, count: int) -> None:
         for _ in range(-(-count // self.substeps)):

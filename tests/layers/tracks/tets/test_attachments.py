@@ -14,7 +14,7 @@ from gf_usd.core.errors import InputError
 from gf_usd.core.frames import MeshPose, sampled
 from gf_usd.layers.check.run import check_file
 from gf_usd.layers.stage import clock, open_source
-from gf_usd.layers.tracks.tets import Attachments, unknown_to
+from gf_usd.layers.tracks.tets.attachments import Attachments, unknown_to
 from gf_usd.physics.grid.pins import Motion, PinConstraint, pinned_by
 from gf_usd.pipeline.frames.attachments import tet_attachments
 from gf_usd.prepare.plan import Plan

@@ -12,7 +12,7 @@ from small_stages import info_of, particles_of
 
 from gf_usd.core.frames import Choices, MeshPose, TetLattice
 from gf_usd.layers.materials import write_materials
-from gf_usd.layers.tracks.tets import TetTrack, point_shares
+from gf_usd.layers.tracks.tets.mesh import TetTrack, point_shares
 
 CUBE = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 KUHN = np.array(

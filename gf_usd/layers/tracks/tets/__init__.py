@@ -1,0 +1,1 @@
+"""Bodies as TetMeshes, with what pins hold of them, for other simulators."""
