@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gf_usd.pipeline.measures.convergence import COARSE, TINY, WIDEST, band, capped, estimate
+from gf_usd.pipeline.measures.convergence import (
+    COARSE,
+    SWINGING,
+    TINY,
+    UNORDERED,
+    WIDEST,
+    band,
+    capped,
+    estimate,
+)
 
 
 def sequence(limit, slope, order):
@@ -55,13 +64,14 @@ def test_differences_that_grow_are_no_convergence():
 def test_small_differences_without_order_are_a_wide_interval():
     found = estimate([np.array([x]) for x in (1.012, 1.002, 1.0)], 1.0)
     assert found.known
-    assert found.half == pytest.approx(0.02)
+    assert found.half == pytest.approx(UNORDERED * 0.01)
+    assert found.half > abs(1.012 - 1.002)
 
 
 def test_signs_that_alternate_are_centered_on_the_finest():
     found = estimate([np.array([x]) for x in (1.1, 1.2, 1.0)], 1.0)
     assert found.value == pytest.approx(1.1)
-    assert found.half == pytest.approx(0.1)
+    assert found.half == pytest.approx(SWINGING * 0.1)
 
 
 def test_a_difference_that_vanishes_by_luck_does_not_make_it_certain():
