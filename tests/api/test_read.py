@@ -102,7 +102,7 @@ def test_meshes_are_in_meters(result: gf_usd.BakeResult, bake: gf_usd.Bake) -> N
 
 
 def test_what_cannot_be_read_is_said(result: gf_usd.BakeResult, tmp_path: Path) -> None:
-    with pytest.raises(gf_usd.InputError, match="nothing in it was baked by gf-usd"):
+    with pytest.raises(gf_usd.InputError, match="the file contains no bake by gf-usd"):
         gf_usd.read(SPHERE)
     with pytest.raises(gf_usd.InputError, match="does not exist"):
         gf_usd.read(tmp_path / "nope.usda")

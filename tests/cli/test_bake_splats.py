@@ -202,7 +202,7 @@ def test_a_held_capture_stands_still_under_a_turning_prim(gf_usd, here, tmp_path
     stage.Save()
     done = gf_usd("bake", path, *SMALL, "--handles", "1", "--start", "4")
     assert done.status == 0, done.err
-    assert "is made of Gaussians: no initial velocity is read" in done.err
+    assert "consists of Gaussians: no initial velocity is read" in done.err
     stage = Usd.Stage.Open("ball.rubber.usda")
     prim = stage.GetPrimAtPath("/ball")
     turned = []

@@ -99,7 +99,9 @@ def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None
     found = events(done.out)
     notes = [event["message"] for event in found if event["event"] == "note"]
     assert notes == found[-2]["notes"]
-    assert "metersPerUnit is not authored: 0.01 (centimeters) is assumed, as USD says" in notes
+    assert (
+        "metersPerUnit is not authored: 0.01 (centimeters), the default of USD, is assumed" in notes
+    )
     warnings = [event for event in found if event["event"] == "warning"]
     assert [{k: w[k] for k in w.keys() - TOLD} for w in warnings] == found[-2]["warnings"]
     assert "inside-out" in [warning["about"] for warning in warnings]

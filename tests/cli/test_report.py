@@ -105,7 +105,7 @@ def test_a_page_is_replaced(gf_usd, work):
         (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is no folder"),
         (("block.soft.usda", "-o", "folder.html"), 2, "folder.html is a folder"),
         (("block.soft.usda", "--max-frames", 1), 2, "max-frames"),
-        (("block.usda",), 3, "nothing in it moves"),
+        (("block.usda",), 3, "nothing in this file moves"),
         (("gone.usda",), 3, "does not exist"),
     ],
 )

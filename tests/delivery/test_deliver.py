@@ -359,7 +359,7 @@ def test_an_input_is_never_replaced(ball: Path, tmp_path: Path) -> None:
 
 def test_what_stands_still_is_refused(tmp_path: Path) -> None:
     still = write(tmp_path / "still.usda", 'def Xform "a" {}\n', BALL)
-    with pytest.raises(InputError, match="nothing in it moves"):
+    with pytest.raises(InputError, match="nothing in this file moves"):
         deliver(still, tmp_path / "out.glb")
     assert Sdf.Layer.FindOrOpen(str(still)) is not None
 

@@ -101,5 +101,5 @@ def test_what_shows_nothing_of_the_asset_is_refused(tmp_path: Path) -> None:
         read_motion(parse(written(tmp_path, CURVES % "9")), far)
     with pytest.raises(InputError, match="does not exist"):
         read_motion(parse(str(tmp_path / "none.usda")), scene())
-    with pytest.raises(InputError, match="nothing in it moves"):
+    with pytest.raises(InputError, match="nothing in this file moves"):
         read_motion(parse(written(tmp_path, '#usda 1.0\ndef Xform "A" {}\n')), scene())
