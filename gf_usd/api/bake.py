@@ -85,7 +85,7 @@ def bake(
     asked = {"path": path, "max_hours": max_hours, "slice": slice, "until": until, **options}
     result, why = here_or_away("gf_usd.api.bake:prepare_and_run", asked, progress)
     if why:
-        result = replace(result, notes=(*result.notes, f"baked in a process of its own: {why}"))
+        result = replace(result, notes=(*result.notes, f"baked in a separate process: {why}"))
     require_healthy(result, strict=strict)
     return result
 

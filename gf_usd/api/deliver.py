@@ -145,7 +145,7 @@ def read_keys(text: str) -> list[tuple[float, float]]:
             new, old = (float(number) for number in pair.split(":"))
         except ValueError:
             raise UsageError(
-                f"--keys is {text!r}, of which {pair!r} is no pair of time codes",
+                f"--keys is {text!r}, but {pair!r} is not a pair of time codes",
                 "give NEW:OLD pairs, such as 1:1,48:24,60:48",
             ) from None
         found.append((new, old))

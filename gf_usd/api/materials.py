@@ -150,7 +150,7 @@ def prepared_fit(
         name, _, pair = text.partition("=")
         low, _, high = pair.partition(":")
         if not (name and low and high):
-            raise UsageError(f"--bounds {text!r} are none", f"give {form}")
+            raise UsageError(f"--bounds {text!r} is not a pair of bounds", f"give {form}")
         where = f"--bounds {text}"
         limits[name.strip()] = (number(where, low, form), number(where, high, form))
     for file, kinds, option in ((output, LAYERS, "-o"), (picture, PICTURES, "--picture")):
@@ -159,9 +159,11 @@ def prepared_fit(
         if file.suffix.lower() not in kinds:
             raise UsageError(f"{option} {file} does not end in {' or '.join(kinds)}", "rename it")
         if file.exists() and not overwrite:
-            raise UsageError(f"{file} exists", f"add --overwrite, or give another {option}")
+            raise UsageError(
+                f"{file} exists", f"add --overwrite, or give another file with {option}"
+            )
         if not file.absolute().parent.is_dir():
-            raise UsageError(f"the folder of {file} does not exist", "make it first")
+            raise UsageError(f"the folder of {file} does not exist", "create it first")
     known = {name: value for name, value in options.items() if value not in (None, [], ())}
     one = known.get("device") == "cuda"
     limited = {**known, "limits": options.get("limits")}

@@ -101,7 +101,7 @@ class Bake(Sequence[BakeFrame]):
             return [self[one] for one in range(*index.indices(len(self)))]
         at = index + len(self) if index < 0 else index
         if not 0 <= at < len(self):
-            raise IndexError(f"{self.path.name} has {len(self)} frames, and no frame {index}")
+            raise IndexError(f"{self.path.name} has {len(self)} frames but no frame {index}")
         return BakeFrame(self._arrays, at)
 
     def __iter__(self) -> Iterator[BakeFrame]:

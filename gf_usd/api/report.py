@@ -130,6 +130,8 @@ def require_target(target: Path, inputs: tuple[Path, ...]) -> None:
         if target.resolve() == source.resolve():
             raise UsageError(f"{target} is the input itself.", "choose another -o")
     if not target.parent.is_dir():
-        raise UsageError(f"{target.parent} is no folder.", "choose a folder that exists, with -o")
+        raise UsageError(
+            f"{target.parent} is not a folder.", "choose a folder that exists, with -o"
+        )
     if target.is_dir():
         raise UsageError(f"{target} is a folder.", "name the page: -o report.html")

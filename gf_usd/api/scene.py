@@ -192,7 +192,7 @@ class Scene:
             )
         held = tuple(bool(axis) for axis in axes)
         if len(held) != 3 or not any(held):
-            raise UsageError(f"axes is {axes!r}", "give three of True and False, one of them True")
+            raise UsageError(f"axes is {axes!r}", "give three booleans, at least one of them True")
         self._pins.append(
             _Moving(
                 name=name, points=least + (most - least) * BOX_CORNERS, triangles=BOX_TRIANGLES,
@@ -208,7 +208,7 @@ class Scene:
         if not isinstance(name, str) or not name.isidentifier():
             raise UsageError(f"name is {name!r}", "give letters, digits and _")
         if name in taken:
-            raise UsageError(f"the scene has a {name} already", "give it another name")
+            raise UsageError(f"the scene already has a {name}", "give it another name")
         return name
 
 
@@ -242,7 +242,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     if faces is None:
         if not (hasattr(points, "vertices") and hasattr(points, "faces")):
             raise UsageError(
-                f"{what} has points and no faces", "give both, or a mesh of trimesh: (mesh)"
+                f"{what} has points but no faces", "give both, or a mesh of trimesh: (mesh)"
             )
         points, faces = points.vertices, points.faces
     try:
@@ -251,7 +251,7 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
         xyz = np.zeros(0)
     if xyz.shape[1:] != (3,) or len(xyz) < 4:
         raise UsageError(
-            f"{what}: points are an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
+            f"{what}: points is an array of shape {xyz.shape}", "give (V, 3) numbers, V at least 4"
         )
     if not np.isfinite(xyz).all():
         lost = int((~np.isfinite(xyz)).any(axis=1).sum())
@@ -261,15 +261,15 @@ def _mesh(what: str, points: Any, faces: Any) -> tuple[Array, NDArray[np.int64],
     fewest = min(map(len, rings), default=0)
     if fewest < 3:
         raise UsageError(
-            f"{what} has {len(counts)} faces, the smallest of {fewest} corners",
-            "give faces of three or more corners each",
+            f"{what} has {len(counts)} faces, the smallest with {fewest} corners",
+            "give faces with at least three corners",
         )
     indices = np.concatenate(rings)
     if indices.min() < 0 or indices.max() >= len(xyz):
         wrong = indices[(indices < 0) | (indices >= len(xyz))][0]
         raise UsageError(
-            f"{what}: a face has the point {wrong}, and there are {len(xyz)}",
-            f"count points from 0 to {len(xyz) - 1}",
+            f"{what}: a face refers to point {wrong}, but there are {len(xyz)}",
+            f"number the points from 0 to {len(xyz) - 1}",
         )
     return xyz, counts, indices
 
@@ -279,7 +279,7 @@ def _ring(what: str, ring: Any) -> NDArray[np.int64]:
         found = np.asarray(list(ring))
         if found.ndim == 1 and np.issubdtype(found.dtype, np.integer):
             return found.astype(np.int64)
-    raise UsageError(f"{what}: a face is {ring!r}", "give whole numbers, one a corner")
+    raise UsageError(f"{what}: a face is {ring!r}", "give integers, one per corner")
 
 
 def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
@@ -297,13 +297,13 @@ def _poses(one: _Moving, times: Sequence[float]) -> Array | None:
     if poses.shape[1:] not in ((4, 4), one.points.shape):
         raise UsageError(
             f"{one.name}: its motion is an array of shape {poses.shape}",
-            f"give (F, 4, 4) matrices or (F, {len(one.points)}, 3) points, one a frame, or a"
-            " function of the time that gives one of them",
+            f"give (F, 4, 4) matrices or (F, {len(one.points)}, 3) points, one per frame, or a "
+            f"function of the time that returns one of them",
         )
     if len(poses) < len(times):
         raise UsageError(
-            f"{one.name}: its motion has {len(poses)} frames of {len(times)}",
-            "give one for every frame that is simulated",
+            f"{one.name}: its motion has {len(poses)} frames, but {len(times)} are simulated",
+            "give one for each simulated frame",
         )
     if not np.isfinite(poses).all():
         raise UsageError(f"{one.name}: its motion is not finite", "repair it")

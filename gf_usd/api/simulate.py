@@ -167,7 +167,7 @@ class Simulation(Iterator[SimulationFrame]):
     def save(self) -> dict[str, Any]:
         """The state after the last frame, for `load` of a simulation of the same scene."""
         if self._last is None:
-            raise UsageError("the simulation has not begun", "ask for its first frame: next(it)")
+            raise UsageError("the simulation has not started", "request its first frame: next(it)")
         with guest():
             return {**self._running().save(), "index": self._index, "health": self._last}
 
@@ -203,13 +203,13 @@ class Simulation(Iterator[SimulationFrame]):
             self._solver = None
             raise UsageError(
                 "another part of this program started or reset Taichi, which ended the simulation",
-                "let one of the two run in a process of its own",
+                "run one of the two in a separate process",
             )
         if epoch() != self._epoch:
             self._solver = None
             raise UsageError(
-                "Taichi was started anew since, with another device or number of threads, which"
-                " ended the simulation",
+                "Taichi was restarted with another device or number of threads, which ended the "
+                "simulation",
                 "give all simulations and bakes of a process the same device and threads",
             )
         return self._solver
@@ -219,8 +219,8 @@ class Simulation(Iterator[SimulationFrame]):
         count = len(self._plan.particles)
         if rows.shape != (count, 3) or not np.isfinite(rows).all():
             raise UsageError(
-                f"{name} are an array of shape {rows.shape}, or not finite",
-                f"give finite numbers of shape ({count}, 3), one row a particle",
+                f"{name} has the shape {rows.shape}, or is not finite",
+                f"give finite numbers of shape ({count}, 3), one row per particle",
             )
         return rows
 

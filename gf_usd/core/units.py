@@ -99,7 +99,7 @@ def number(option: str, text: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise UsageError(f"{option}: {text!r} is no number", f"give {what}")
+        raise UsageError(f"{option}: {text!r} is not a number", f"give {what}")
     return value
 
 

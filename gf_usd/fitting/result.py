@@ -154,11 +154,14 @@ def not_identifiable(rows: Sequence[Unknown], found: Uncertainty) -> tuple[str, 
         if told <= 0:
             said += [f"{name} is not identifiable from these targets" for name in names]
             continue
-        listed = f"{', '.join(names[:-1])} and {names[-1]} are not identifiable from these targets"
+        listed = (
+            f"{', '.join(names[:-1])} and {names[-1]} are not separately identifiable from these"
+            " targets"
+        )
         if len(directions) == 1:
-            said.append(f"{listed} apart from each other: {_balance(rows, directions[0], members)}")
+            said.append(f"{listed}: {_balance(rows, directions[0], members)}")
         else:
-            said.append(f"{listed} apart from each other: they tell {told} combination of them")
+            said.append(f"{listed}: they determine only {told} combination of them")
     named = {k for members in groups for k in members}
     said += [
         f"{rows[k].name} is not identifiable from these targets"
@@ -178,7 +181,7 @@ def _balance(rows: Sequence[Unknown], direction: Floats, members: Sequence[int])
             words.append(f"{row.name} times {(row.high / row.low) ** change:.3g}")
         else:
             words.append(f"{row.name} {(row.high - row.low) * change:+.3g}")
-    return " with ".join(words) + " changes next to nothing"
+    return " with ".join(words) + " changes almost nothing"
 
 
 def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:
@@ -186,7 +189,7 @@ def at_bounds(rows: Sequence[Unknown], z: Floats) -> tuple[str, ...]:
     return tuple(
         f"{row.name} ended at its {'lower' if one < 0.5 else 'upper'} bound,"
         f" {row.value(float(one)):.4g} {row.unit}".rstrip()
-        + f": --bounds {row.name}=LOW:HIGH moves it"
+        + f": --bounds {row.name}=LOW:HIGH changes it"
         for row, one in zip(rows, z)
         if min(one, 1.0 - one) < AT_BOUND
     )

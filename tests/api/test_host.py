@@ -87,7 +87,7 @@ ti.init(arch=ti.cpu, log_level=ti.ERROR)
 mine = ti.field(float, 3)
 mine.fill(7.0)
 result = bake()
-print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy())
 for call in (lambda: gf_usd.inspect(SPHERE), lambda: gf_usd.simulate(gf_usd.Scene())):
     try:
         call()
@@ -98,10 +98,10 @@ print(gf_usd.preview(result.root, size=(32, 24)).pixels.shape, mine.to_numpy())
     ).splitlines()
     assert said[2:5] == [  # behind Taichi's own words
         "True [7. 7. 7.]",
-        "Taichi runs for another part of this program already, and there is one in a process:"
-        " inspect would end what it computes",
-        "Taichi runs for another part of this program already, and there is one in a process:"
-        " simulate would end what it computes",
+        "another part of this program already runs Taichi, and a process can run it only once:"
+        " inspect would end that computation",
+        "another part of this program already runs Taichi, and a process can run it only once:"
+        " simulate would end that computation",
     ]
     assert said[5] == "(24, 32, 3) [7. 7. 7.]"
 
@@ -133,7 +133,7 @@ mine = ti.field(float, 3)
 mine.fill(7.0)
 told(running)
 result = bake()
-print(any('Taichi runs for another part' in note for note in result.notes), mine.to_numpy())
+print(any('already runs Taichi' in note for note in result.notes), mine.to_numpy())
 """,
     )
     ended = "another part of this program started or reset Taichi, which ended the simulation"

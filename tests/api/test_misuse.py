@@ -120,7 +120,7 @@ def test_a_misuse_is_answered_in_our_words(
         (("",), "the asset is ''", "give the path of a file"),
         ((["a.usda", "b.usda"],), "of type list", "gf-usd batch, bakes several"),
         ((Usd.Stage.CreateInMemory(),), "the asset is a stage", "stage.Export('asset.usda')"),
-        ((str(SPHERE), "rubber"), "'rubber' has no name", "material='rubber'"),
+        ((str(SPHERE), "rubber"), "'rubber' has no keyword", "material='rubber'"),
     ],
 )
 def test_what_is_no_asset_is_refused(arguments: tuple[Any, ...], message: str, hint: str) -> None:

@@ -188,7 +188,7 @@ def test_taichi_started_anew_ends_a_simulation_in_words() -> None:
     one = gf_usd.simulate(alone(), frames=3, particles=100, threads=1)
     next(one)
     other = gf_usd.simulate(alone(), frames=3, particles=100, threads=2)
-    with pytest.raises(gf_usd.UsageError, match="Taichi was started anew"):
+    with pytest.raises(gf_usd.UsageError, match="Taichi was restarted"):
         next(one)
     assert next(other).index == 0
 
@@ -197,11 +197,11 @@ MISUSES: list[tuple[Any, str]] = [
     (lambda s: gf_usd.Scene(up="X"), "up is 'X'"),
     (lambda s: gf_usd.Scene(gravity=(0, 1)), "gravity is (0, 1), of type tuple"),
     (lambda s: gf_usd.Scene(floor="0"), "floor is '0', of type str"),
-    (lambda s: s.add_body(UNIT), "has points and no faces"),
-    (lambda s: s.add_body(UNIT[:, :2], FACES), "points are an array of shape (8, 2)"),
+    (lambda s: s.add_body(UNIT), "has points but no faces"),
+    (lambda s: s.add_body(UNIT[:, :2], FACES), "points is an array of shape (8, 2)"),
     (lambda s: s.add_body(UNIT * np.nan, FACES), "8 of 8 points are not finite"),
-    (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face has the point 8, and there are 8"),
-    (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest of 2 corners"),
+    (lambda s: s.add_body(UNIT, [[0, 1, 8]]), "a face refers to point 8, and there are 8"),
+    (lambda s: s.add_body(UNIT, [[0, 1]]), "the smallest with 2 corners"),
     (lambda s: s.add_body(UNIT, [[0.0, 1.0, 2.0]]), "a face is [0.0, 1.0, 2.0]"),
     (lambda s: s.add_body(UNIT, FACES, material="ruber"), "there is no material 'ruber'"),
     (lambda s: s.add_body(UNIT, FACES, name="block"), "has a block already"),

@@ -182,13 +182,13 @@ def test_a_killed_bake_is_baked_again(here: Path, block: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("nothing*.usda",), "no file is called nothing*.usda"),
+        (("nothing*.usda",), "no file matches nothing*.usda"),
         (("a.usda", "b.toml"), "give one manifest, or assets"),
         (("a.usda", "-m", "ruber"), "no material 'ruber'"),
         (("a.usda", "--set", "seed"), "--set seed: there is no value"),
         (("a.usda", "--set", "speed=1"), "no option 'speed'"),
         (("a.usda", "--seed", "a"), "'a' is no int"),
-        (("a.usda", "--select", "b"), "no job is called b"),
+        (("a.usda", "--select", "b"), "no job matches b"),
         (("a.usda", "--slice", "2"), "a.rubber: --slice counts value clips"),
         (("a.usda", "--part", "1/2"), "--part 1/2 is given without --slice"),
         (("a.usda", "--path-mapping", "x.json"), "--path-mapping goes with"),

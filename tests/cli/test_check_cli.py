@@ -97,7 +97,7 @@ def test_a_bake_passes(gf_usd, here: Path, block: Path) -> None:
     ("file", "message"),
     [
         ("no.usda", "no.usda is no file."),
-        ("notes.txt", "notes.txt is not USD, as far as its name says."),
+        ("notes.txt", "notes.txt does not have the suffix of a USD file."),
         ("text.usda", "text.usda cannot be opened as USD: "),
     ],
 )

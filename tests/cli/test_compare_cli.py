@@ -131,7 +131,7 @@ def test_a_film_has_three_parts(run: Run, tmp_path: Path) -> None:
     [
         (["--tolerance", "3"], "has no unit"),
         (["--align", "middle"], "choose one of: time, start"),
-        (["-o", "out.txt"], "compare writes a page, a picture or a film"),
+        (["-o", "out.txt"], "compare writes a page, an image or a film"),
         (["-o", "nowhere/out.html"], "no folder"),
         (["--fps", "12"], "write a film"),
         (["--variant", "jelly"], "has no variant 'jelly'"),

@@ -20,4 +20,4 @@ def test_it_says_how_far_off_gaussians_are(gf_usd, tmp_path: Path) -> None:
     assert len(told["covariance"]) == 3
     done = gf_usd("deliver", source, "-o", tmp_path / "out.usdz", "--splats", "only")
     assert done.status == 2
-    assert "--splats only is for .glb" in done.err
+    assert "--splats only is only for .glb" in done.err

@@ -56,7 +56,7 @@ def test_range_rate_and_odd_sizes_of_a_film(stage, tmp_path):
     out = tmp_path / "a.mp4"
     done = run(stage, "-o", out, "--size", "81x61", "--time-codes", "2:3:0.25", "--fps", "10")
     assert done.exit_code == 0, done.output
-    assert "H.264 wants even sizes: 82x62" in done.output
+    assert "H.264 needs an even width and height: 82x62" in done.output
     facts, frames = mp4(out)
     assert (facts["size"], facts["fps"], len(frames)) == ((82, 62), 10.0, 5)
 
@@ -122,9 +122,9 @@ def Camera "cam" {
         (("--fps", "12"), "--fps does not go"),
         (("--columns", "2"), "--columns does not go"),
         (("--color-range", "0:1"), "--color-range does not go"),
-        (("-o", "a.gif", "--sheet", "4"), "--sheet makes a PNG"),
-        (("--sheet", "0"), "--sheet 0 is too few"),
-        (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a rate"),
+        (("-o", "a.gif", "--sheet", "4"), "--sheet writes a PNG"),
+        (("--sheet", "0"), "--sheet 0 is too small"),
+        (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a frame rate"),
         (("-o", "a.mp4", "--time-codes", "0:2"), "outside the motion"),
         (("-o", "a.mp4", "--time-codes", "3:1"), "ends before it begins"),
         (("-o", "a.mp4", "--time-codes", "1"), "is not a range"),

@@ -102,7 +102,7 @@ def test_a_page_is_replaced(gf_usd, work):
     [
         (("block.soft.usda", "--variant", "liquid"), 2, "no variant 'liquid'"),
         (("block.soft.usda", "-o", "page.pdf"), 2, "does not end in .html"),
-        (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is no folder"),
+        (("block.soft.usda", "-o", "nowhere/page.html"), 2, "nowhere is not a folder"),
         (("block.soft.usda", "-o", "folder.html"), 2, "folder.html is a folder"),
         (("block.soft.usda", "--max-frames", 1), 2, "max-frames"),
         (("block.usda",), 3, "nothing in this file moves"),

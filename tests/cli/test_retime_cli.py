@@ -41,11 +41,11 @@ def test_json(gf_usd, here: Path, root: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), "one of them is needed"),
+        ((), "either --speed or --keys is needed, but not both"),
         (("--speed", "0"), "--speed is 0"),
         (("--keys", "1:10;2:11"), "is no pair of time codes"),
         (("--keys", "1:10"), "two pairs NEW:OLD"),
-        (("--keys", "1:10,2:99"), "is outside of the time codes 10 to 13"),
+        (("--keys", "1:10,2:99"), "is outside the time codes 10 to 13"),
     ],
 )
 def test_misuse_ends_in_words(gf_usd, here: Path, root: Path, words, said: str) -> None:

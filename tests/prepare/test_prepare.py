@@ -148,7 +148,7 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path, stage):
         inspect(tmp_path / "nothing.usda")
     with pytest.raises(InputError, match="there is no mesh"):
         inspect(stage())
-    with pytest.raises(UsageError, match="no option 'particle'"):
+    with pytest.raises(UsageError, match="unknown option 'particle'"):
         inspect(DUCK, particle=3)
 
 

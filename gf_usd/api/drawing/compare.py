@@ -74,7 +74,9 @@ def compare(
     """
     with keywords("tolerance", "variant", "other_variant", "align", "size", "fps"):
         if isinstance(tolerance, bool) or not isinstance(tolerance, str | float | int | None):
-            raise values.refuse("tolerance", tolerance, "meters, or a text such as '2mm' or '0.5%'")
+            raise values.refuse(
+                "tolerance", tolerance, "meters, or a string such as '2mm' or '0.5%'"
+            )
         many = [output] if isinstance(output, str | os.PathLike) else list(output)
         asked: dict[str, Any] = {
             "path": asset_path(path),
@@ -142,7 +144,7 @@ def _judge(
         if target.suffix.lower() not in (".png", *FILMS):
             raise UsageError(
                 f"{target} does not end in .html, .png, .mp4 or .gif.",
-                "compare writes a page, a picture or a film: -o difference.html",
+                "compare writes a page, an image or a film: -o difference.html",
             )
         film = target.suffix.lower() in FILMS
         small = size or ("360x270" if film else "480x360")
@@ -160,7 +162,7 @@ def _judge(
         require_folder(target)
         pictures.append(options)
     if fps is not None and not any(options.film for options in pictures):
-        raise UsageError("--fps does not go with the rest.", "write a film: -o out.mp4")
+        raise UsageError("--fps does not apply to the other options.", "write a film: -o out.mp4")
     return pictures
 
 

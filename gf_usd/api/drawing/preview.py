@@ -151,7 +151,7 @@ def _renamed(former: str, old: T | None, name: str, new: T | None) -> T | None:
         return new
     if new is not None:
         raise UsageError(f"{name} and {former} mean the same", f"leave {former} out")
-    words = f"{former} is called {name} now; the old name works until 1.0"
+    words = f"{former} is now called {name}; the old name works until 1.0"
     warnings.warn(words, FutureWarning, stacklevel=3)  # the line that calls `preview`
     return old
 
@@ -193,7 +193,7 @@ def draw(
     if options.target.suffix.lower() == ".mp4" and (options.size[0] % 2 or options.size[1] % 2):
         width, height = (n + n % 2 for n in options.size)
         options = replace(options, size=(width, height))
-        notes.append(f"H.264 wants even sizes: {width}x{height}")
+        notes.append(f"H.264 needs an even width and height: {width}x{height} is used")
     source = PictureStage(path, show, camera=camera, color=color, variant=variant)
     motion = source.motion
     if options.film:
@@ -204,7 +204,7 @@ def draw(
             total = len(codes)
             codes, rate = drawing.thin_for_gif(codes, rate)
             if len(codes) < total:
-                notes.append(f"a gif shows at most 50 frames a second: {rate:g} are kept")
+                notes.append(f"a GIF has at most 50 frames per second: {rate:g} are kept")
         drawing.write_film(paint, codes, rate, options, progress or (lambda done, total: None))
         return Preview(
             path=options.target, pixels=None, size=options.size, frames=len(codes), fps=rate,

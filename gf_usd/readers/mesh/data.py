@@ -158,7 +158,9 @@ def require_sound(file: MeshFile) -> MeshFile:
     """
     meshes = [mesh for node in file.nodes for mesh in node.meshes()]
     if not any(len(mesh.counts) for mesh in meshes):
-        raise InputError(f"{file.path}: there is no face in it", "give a file that contains a mesh")
+        raise InputError(
+            f"{file.path}: the file contains no faces", "give a file that contains a mesh"
+        )
     for mesh in meshes:
         where = f"{file.path}: mesh '{mesh.name}'"
         lost = int((~np.isfinite(mesh.points)).any(axis=1).sum())

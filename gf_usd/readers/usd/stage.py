@@ -75,7 +75,7 @@ def open_stage(path: Path) -> Usd.Stage:
         shown = head.split(b"\n")[0][:24].decode("ascii", errors="replace")
         raise InputError(
             f"{path} is not a USD file: it begins with {shown!r}",
-            "a text layer begins with '#usda 1.0'; check what the file really is",
+            "a text layer begins with '#usda 1.0'; check the type of the file",
         )
     root = Sdf.Layer.FindOrOpen(str(path))
     if root is None:

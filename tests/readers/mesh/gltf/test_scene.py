@@ -472,7 +472,7 @@ def test_damaged_containers_are_refused(tmp_path):
         (whole[:-20], f"is truncated: it has {len(whole) - 20} of {len(whole)} bytes"),
         (whole[:15], "is truncated: 15 bytes"),
         (b"glTF\1" + whole[5:], "is binary glTF 1"),
-        (b"\x89PNG and so on", "is not a glTF file: its JSON"),
+        (b"\x89PNG and so on", "is not a valid glTF file: its JSON"),
         (b"[1, 2]", "is not a glTF file: it has no 'asset'"),
         (json.dumps({"asset": {"version": "1.0"}}).encode(), "is glTF 1.0"),
         (b"version https://git-lfs.github.com/spec/v1\n", "is a git-lfs pointer"),
