@@ -167,7 +167,7 @@ def draw(
     width, height = done.size
     made = f"{done.path}: {width}x{height}"
     if done.fps is not None:
-        made += f", {done.frames} frames, {done.fps:g} a second"
+        made += f", {done.frames} frames, {done.fps:g} per second"
     return [made, *(f"note: {note}" for note in done.notes)]
 
 

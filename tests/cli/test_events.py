@@ -140,7 +140,7 @@ def test_what_cannot_be_written_is_said_before_the_bake(gf_usd, here: Path, bloc
 def test_a_full_disk_ends_the_bake_in_words(gf_usd, here: Path, block: Path) -> None:
     done = gf_usd("bake", block, *SMALL, "--events", "/dev/full")
     assert done.status == 1
-    assert "--events /dev/full: no event can be written: No space left on device" in done.err
+    assert "--events /dev/full: events cannot be written: No space left on device" in done.err
     assert "Traceback" not in done.err
 
 

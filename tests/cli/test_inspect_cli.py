@@ -121,7 +121,7 @@ def test_oddities_and_what_to_do_about_them(gf_usd, odd, tmp_path):
     options = ["--repair", "--meters-per-unit", "0.01"]
     mended = gf_usd("inspect", odd, *options, *FEW)
     assert "repaired for the fill: turned 1 part that faced the wrong way" in mended.out
-    assert "1 unit = 0.01 m (as asked)" in mended.out
+    assert "1 unit = 0.01 m (as requested)" in mended.out
     assert "warning" not in mended.out
 
 

@@ -75,7 +75,7 @@ def test_a_gif_shows_what_the_pictures_show(stage, tmp_path):
 def test_a_gif_is_thinned_to_what_browsers_play(stage, tmp_path):
     done = run(stage, "-o", tmp_path / "a.gif", "--size", "60x40", "--time-codes", "1:3:0.25")
     # a quarter of a time code at 24 a second are 96 frames a second: every second one is kept
-    assert "at most 50 frames a second: 48 are kept" in done.output
+    assert "at most 50 frames per second: 48 are kept" in done.output
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 5
 

@@ -402,7 +402,11 @@ CASES: dict[str, list[tuple[str, Break, str]]] = {
     ],
     "mesh-topology": [
         ("range", put(MESH, "faceVertexIndices", [*FACES[:-1], 8]), "from 0 to 8"),
-        ("sum", put(MESH, "faceVertexCounts", [4] * 5), "add up to 20, but faceVertexIndices has 24"),
+        (
+            "sum",
+            put(MESH, "faceVertexCounts", [4] * 5),
+            "add up to 20, but faceVertexIndices has 24",
+        ),
         ("line", put(MESH, "faceVertexCounts", [4] * 5 + [2, 2]), "a face of 2 corners"),
         (
             "no points",

@@ -254,7 +254,9 @@ def test_what_a_task_prints_is_not_its_result(tmp_path: Path, capfd) -> None:
 def test_what_does_not_pass_between_processes_is_said(tmp_path: Path) -> None:
     file = tmp_path / "a.usda"
     file.write_text("#usda 1.0\n")
-    with pytest.raises(InputError, match="TypeError: <class 'object'> cannot be passed between processes"):
+    with pytest.raises(
+        InputError, match="TypeError: <class 'object'> cannot be passed between processes"
+    ):
         attempt(file, "isolated_tasks:unknown", Limits())
 
 
