@@ -56,7 +56,7 @@ class Scene:
     Parameters
     ----------
     gravity : [m/s^2] downward, or a vector (3,).
-    floor : height [m] of the floor; None: there is none.
+    floor : height [m] of the floor; None: no floor.
     up : "Y" or "Z".
     """
 
@@ -107,7 +107,7 @@ class Scene:
         name : letters, digits and _; None: body0, body1 and so on.
         velocity : [m/s] at the start; spin : [rad/s] about its middle, at the start.
 
-        Raises UsageError for arrays that are no mesh, and a name that is taken.
+        Raises UsageError if the arrays are not a mesh or the name is taken.
         """
         name = self._name(name, "body")
         points, counts, indices = _mesh(f"body {name}", points, faces)
@@ -142,11 +142,12 @@ class Scene:
         Parameters
         ----------
         points, faces : as of `add_body`; where it is at the start, or what `motion` moves.
-        motion : (F, 4, 4) matrices, one a frame, with x = M[:3, :3] X + M[:3, 3]; or (F, V, 3)
-            points; or a function of the time [s] that gives one of them.  None: it stays.
-        friction, restitution : in place of those of the bodies.
+        motion : (F, 4, 4) matrices, one per frame, with x = M[:3, :3] X + M[:3, 3]; or (F, V, 3)
+            points; or a function of the time [s] that returns one of them.  None: it does not
+            move.
+        friction, restitution : instead of those of the bodies.
 
-        Raises UsageError for arrays that are no mesh, and a name that is taken.
+        Raises UsageError if the arrays are not a mesh or the name is taken.
         """
         name = self._name(name, "obstacle")
         points, counts, indices = _mesh(f"obstacle {name}", points, faces)
@@ -170,15 +171,15 @@ class Scene:
         axes: tuple[bool, bool, bool] = (True, True, True),
         name: str | None = None,
     ) -> str:
-        """Hold what lies in a box, or move it, and return the pin's name.
+        """Hold or move the part of the bodies inside a box, and return the name of the pin.
 
         Parameters
         ----------
         low, high : (3,) [m] two opposite corners of the box at the start.
-        motion : as of `add_obstacle`, of the box; None: it is held where it is.
-        axes : world axes that are held; along the others it slides.
+        motion : of the box, as for `add_obstacle`; None: it is held in place.
+        axes : world axes along which it is held; it slides along the others.
 
-        Raises UsageError for a box without volume, and a name that is taken.
+        Raises UsageError if the box has no volume or the name is taken.
         """
         from gf_usd.geometry.regions import BOX_CORNERS, BOX_TRIANGLES
 

@@ -48,9 +48,9 @@ class BakeError(GfUsdError):
 
 
 class Unfinished(GfUsdError):
-    """A slice of a bake is done, and the rest is to be resumed (exit status 5); no fault.
+    """A slice of a bake is done, and the rest can be resumed (exit status 5).
 
-    variant : the one that it ended in; done : of its frames, of which there are so many.
+    variant : in which it ended; done : frames of it that are done, of `frames`.
     """
 
     exit_status = 5
@@ -63,9 +63,10 @@ class Unfinished(GfUsdError):
 
 
 class SolverError(BakeError):
-    """The simulation could not go on.
+    """The simulation failed.
 
-    frame : the first frame that could not be had; particle : the one where it went wrong, or -1.
+    frame : the first frame that could not be computed; particle : the one where it went wrong, or
+        -1.
     """
 
     def __init__(self, message: str, hint: str, *, frame: int, particle: int = -1) -> None:
@@ -79,7 +80,7 @@ class OutOfResources(SolverError):
 
 
 class UnhealthyError(GfUsdError):
-    """The bake is complete and written, but wrong, or it has warnings under --strict (status 4).
+    """The bake was written, but its result is wrong, or it has warnings under --strict (status 4).
 
     warnings : the `HealthWarning`s; result : the `BakeResult`.
     """

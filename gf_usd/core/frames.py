@@ -243,18 +243,18 @@ class Health:
     min_stretch: float = 1.0  # smallest singular value of F
     max_stretch: float = 1.0
     inverted: int = 0  # particles with J <= 0
-    penetration: float = 0.0  # [m] deepest of a contact sample in the floor during the frame
-    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
-    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    penetration: float = 0.0  # [m] deepest contact sample in the floor during the frame
+    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0  # contact samples that crept at the stability limit (paper friction)
-    rollbacks: int = 0  # times the frame was redone with half the step
+    rollbacks: int = 0  # times the frame was recomputed with half the step
     work: float = 0.0  # [J] done on the body by pins, goals, fields, obstacles and new moduli
     clamped: int = 0  # particles whose singular values of F were clipped during the frame
     stress_capped: int = 0  # particles whose stress was cut during the frame
-    flying: int = 0  # bodies that flew by the closed form, in a frame without substeps
-    sleeping: int = 0  # bodies that slept, in a frame without substeps
+    flying: int = 0  # bodies in free flight, in a frame without substeps
+    sleeping: int = 0  # bodies asleep, in a frame without substeps
     injected: float = 0.0  # [J] given between substeps: WLS, shape correction, new contact planes
-    planes: float = 0.0  # [J] of `injected`, that new contact planes gave
+    planes: float = 0.0  # [J] of `injected`, from new contact planes
     plastic_dissipation: float | None = None  # [J] lost to flow in the frame; None: no law flows
     # [J] lost to rolling resistance and settling in the frame; None: neither acts
     settling_dissipation: float | None = None

@@ -47,19 +47,19 @@ AGAIN = 0.9  # of that error, where rounding took more
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveredBody:
-    """How a body of one variant is described."""
+    """The joints or blend shapes of a body of one variant."""
 
     variant: str  # "" where the bake has none
     meshes: tuple[str, ...]  # prim paths
     splats: tuple[str, ...]  # prim paths of Gaussians that follow the same joints or shapes
     joints: int  # without the root joint
     shapes: int  # blend shapes
-    radius: float  # [m] that the error is a share of
+    radius: float  # [m] to which the error is relative
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeliveredSplats:
-    """A set of Gaussians, and how far it is from the bake as read back from the file."""
+    """A set of Gaussians, with its error as read back from the file."""
 
     variant: str  # "" where the bake has none
     path: str  # of the prim

@@ -31,7 +31,7 @@ class Retimed:
     """A retimed bake."""
 
     path: Path  # root layer
-    caches: tuple[Path, ...]  # one of each variant
+    caches: tuple[Path, ...]  # one per variant
     frames: int  # samples of the longest
     start: float  # time codes
     end: float

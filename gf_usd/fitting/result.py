@@ -23,29 +23,29 @@ AT_BOUND = 1e-3  # of what lies between the bounds
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A value that was sought, in SI."""
+    """A fitted value, in SI."""
 
     name: str  # of a field of Material, or of a parameter of its law
     unit: str
     value: float
-    low: float  # of the interval of 95 %
+    low: float  # of the 95 % interval
     high: float
-    identifiable: bool  # False: the targets tell little more than the bounds do
+    identifiable: bool  # False: the targets add little to the bounds
     start: float
     bounds: tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduced:
-    """A target and what the fitted material makes of it, in SI."""
+    """A target and its value with the fitted material, in SI."""
 
     name: str
     unit: str
     target: float  # a number; of points 0
-    sigma: float  # standard deviation that it was given
-    stated: bool  # somebody stated it
-    start: float  # simulated with the material that was started from; of points the rms distance
-    fitted: float  # with the fitted one
+    sigma: float  # its standard deviation
+    stated: bool  # whether the standard deviation was stated
+    start: float  # with the initial material; of points the rms distance
+    fitted: float  # with the fitted material
     sensitivity: Mapping[str, float]  # change for +10 % of each value, for +0.01 of a ratio
 
 
@@ -56,10 +56,10 @@ class FitResult:
     material: Material  # with the fitted values
     estimates: tuple[Estimate, ...]
     targets: tuple[Reproduced, ...]
-    not_identifiable: tuple[str, ...]  # sentences; empty where the targets tell all values
+    not_identifiable: tuple[str, ...]  # sentences; empty if the targets determine all values
     correlation: tuple[tuple[float, ...], ...]  # of the estimates, in their order
-    noise: float  # scatter of what is left over the standard deviations of the targets
-    converged: bool  # False: the time was over first
+    noise: float  # scatter of the residuals over the standard deviations of the targets
+    converged: bool  # False: the time limit was reached first
     simulations: int  # that were run
     read: int  # that were kept from before
     seconds: float

@@ -33,8 +33,8 @@ class FrameStats:
     """What was noticed between two frames, on the substeps, under the names of `Health`."""
 
     penetration: float = 0.0  # [m] deepest of a contact sample in the floor
-    overlap: float = 0.0  # [m] deepest of a contact sample in another body or an obstacle
-    let_go: int = 0  # contact samples at once that seemed deeper than they can have come
+    overlap: float = 0.0  # [m] deepest contact sample in a body or obstacle
+    let_go: int = 0  # most contact samples released at the same time
     friction_capped: int = 0
     work: float = 0.0  # [J] done on the body by what holds it
     injected: float = 0.0  # [J] given to the body between substeps: see `shape_correction`

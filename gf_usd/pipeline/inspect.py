@@ -57,21 +57,21 @@ KEPT = 0.9  # of the volume that meshes enclose: less is worth a warning; overla
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What was found of one asset; made by `inspect`."""
+    """What `inspect` found about an asset."""
 
     asset: Asset  # as it was read
-    diagnoses: tuple[Diagnosis, ...]  # one a surface, before any repair
+    diagnoses: tuple[Diagnosis, ...]  # one per surface, before any repair
     repairs: tuple[Repairs, ...] = ()
     plan: Plan | None = None  # None: refused
     cost: Cost | None = None
     parts: tuple[Part, ...] = ()
     warnings: tuple[str, ...] = ()
     refusal: InputError | None = None
-    thickness: Thickness | None = None  # of what is filled
+    thickness: Thickness | None = None  # of the filled bodies
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Of the plan, else of the reader."""
+        """Notes of the plan, or of the reader if there is no plan."""
         return self.plan.notes if self.plan else self.asset.facts.notes
 
     def fill_of(self, path: str) -> tuple[str, str]:
@@ -247,7 +247,7 @@ def inspect(
     Raises
     ------
     UsageError : the options make no sense.
-    InputError : the file cannot be read, or holds nothing that could be made soft.
+    InputError : the file cannot be read, or contains nothing to bake.
     """
     from gf_usd.geometry.thin.parts import poor_parts
 

@@ -48,7 +48,7 @@ class Comparison:
     time_codes: Floats  # (T,) of A
     other_time_codes: Floats  # (T,) of B at the same moments
     seconds: Floats  # (T,) [s] of playback since A's first frame
-    largest: Floats  # (T,) [m] distance of the point that is farthest off
+    largest: Floats  # (T,) [m] largest distance of a point
     rms: Floats  # (T,) [m] root of the mean square of the distances
     volumes: Floats  # (T, 2) [m^3] of A and of B
     center: Floats  # (T,) [m] distance of the centers of mass

@@ -48,28 +48,28 @@ def compare(
     Parameters
     ----------
     path : root layer of a bake, or any USD file in which meshes move: A.
-    other : another one, of this or another program: B.  Meshes are paired by path, else by name.
-    output : files to write, each replaced: a page (.html) with both motions and their distances, a
-        film (.mp4, .gif) of A, B, and B colored by distance, or a picture (.png) of the worst
-        frame.
-    tolerance : the largest distance that counts as the same: [m], or a text such as "2mm" or
+    other : another file, from this or another program: B.  Meshes are paired by path, else by name.
+    output : files to write; existing ones are replaced: a page (.html) with both motions and their
+        distances, a film (.mp4, .gif) of A, B, and B colored by distance, or an image (.png) of
+        the worst frame.
+    tolerance : the largest distance that counts as the same: [m], or a string such as "2mm" or
         "0.5%" (of the radius of a sphere of A's volume); None: 0.
-    variant, other_variant : of the bakes; None: what the files select.
-    align : "time": equal times of the two stages are the same moment; "start": their first frames.
-    size : (width, height) [pixels] of each of the three parts of a picture or film.
+    variant, other_variant : of the bakes; None: those selected in the files.
+    align : "time": compare at equal times of the two stages; "start": from the first frame of each.
+    size : (width, height) [pixels] of each of the three parts of an image or film.
     fps : frames per second of the film; None: real time.
-    progress : called after each frame of a film with (frames done, frames in all).
+    progress : called after each frame of a film with (frames done, total frames).
 
     Returns
     -------
     Comparison : largest and rms distances, volumes and centers of mass over time, the first time
-        over the tolerance, and `same`.
+        at which the tolerance is exceeded, and `same`.
 
     Raises
     ------
     UsageError : an option makes no sense, no such variant, or an output cannot be written.
-    InputError : a file cannot be read, nothing in it moves, or the two have no mesh or no time in
-        common.
+    InputError : a file cannot be read, nothing in it moves, or the two files have no common mesh
+        or time.
     BakeError : the disk refuses.
     """
     with keywords("tolerance", "variant", "other_variant", "align", "size", "fps"):

@@ -33,12 +33,12 @@ class CheckResult:
 
     path: str
     findings: tuple[Finding, ...]  # errors first
-    skipped: tuple[Skip, ...]  # what could not be judged, and why
-    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source has, too
+    skipped: tuple[Skip, ...]  # what could not be checked, and why
+    inherited: tuple[Finding, ...] = ()  # of a bake: errors that its source also has
     warned: tuple[str, ...] = ()  # USD's own warnings, counted
     layers: int
     prims: int
-    rules: int  # rules of ours that ran
+    rules: int  # number of gf-usd rules that ran
 
     @property
     def errors(self) -> int:
@@ -61,7 +61,7 @@ def check_file(path: str | Path) -> CheckResult:
 
     Raises
     ------
-    InputError : there is no such file, or USD cannot open it.
+    InputError : the file does not exist, or USD cannot open it.
     """
     file = Path(path)
     if not file.is_file():
