@@ -1,4 +1,4 @@
-"""`gf_usd.bake`: an asset in, USD layers with its motion out."""
+"""`gf_usd.bake`: turns an asset into USD layers with its motion."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""How a function of an asset is called from Python: its keywords are the table of options.
+"""Calls from Python of functions that take an asset: their keywords are the table of options.
 
-Type checkers and editors read the keywords from the types, ``help()`` and notebooks when it runs.
+Type checkers and editors get the keywords from the types; ``help()`` and notebooks get them at run
+time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`gf_usd.check`: is a file sound?"""
+"""`gf_usd.check`: finds problems in a USD file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gf_usd.deliver` and `gf_usd.retime`: a bake as a small file, or at another speed."""
+"""`gf_usd.deliver` and `gf_usd.retime`: write a bake as a small file, or at another speed."""
 
 from __future__ import annotations
 

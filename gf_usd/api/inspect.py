@@ -1,4 +1,4 @@
-"""`gf_usd.inspect`: what would be baked, and what is wrong with it."""
+"""`gf_usd.inspect`: reports what a bake would do, and the problems of an asset."""
 
 from __future__ import annotations
 

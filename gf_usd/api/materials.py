@@ -1,4 +1,4 @@
-"""`gf_usd.materials`: the presets.  `gf_usd.fit`: the material of what was observed."""
+"""`gf_usd.materials`: the presets.  `gf_usd.fit`: the material that reproduces an observation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gf_usd.read`: a bake as arrays of NumPy, read frame by frame when they are asked for."""
+"""`gf_usd.read`: a bake as NumPy arrays, read frame by frame when they are accessed."""
 
 from __future__ import annotations
 

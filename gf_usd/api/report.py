@@ -1,4 +1,4 @@
-"""`gf_usd.report`: a bake as one page for a browser."""
+"""`gf_usd.report`: a bake as a single page for a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gf_usd.Scene`: bodies, obstacles and pins out of arrays, without a file."""
+"""`gf_usd.Scene`: bodies, obstacles and pins from arrays, without a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gf_usd.simulate`: a scene, one frame at a time."""
+"""`gf_usd.simulate`: simulates a scene one frame at a time."""
 
 from __future__ import annotations
 

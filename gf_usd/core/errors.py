@@ -1,4 +1,4 @@
-"""Errors that a person can act on: what is wrong, with its numbers, and what to do."""
+"""Errors that a user can act on: what is wrong, with the numbers, and what to do."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class InputError(GfUsdError):
 
 
 class SchemaTooLate(GfUsdError):
-    """USD had read its schema definitions before those of gf-usd were registered."""
+    """USD read its schema definitions before those of gf-usd were registered."""
 
 
 class BakeError(GfUsdError):
@@ -76,7 +76,7 @@ class SolverError(BakeError):
 
 
 class OutOfResources(SolverError):
-    """The disk or the memory is nearly full; what was had is kept, and clips can be resumed."""
+    """The disk or the memory is nearly full; finished frames are kept, and clips can be resumed."""
 
 
 class UnhealthyError(GfUsdError):

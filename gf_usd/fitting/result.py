@@ -108,7 +108,7 @@ def reproduced(
     seen: Observation,
     start: Observation | None,
 ) -> tuple[Reproduced, ...]:
-    """The targets beside the simulation of the fitted material; start : None where it failed."""
+    """The targets and their values with the fitted material; start : None where it failed."""
     made, row, first = [], 0, 0
     steps = np.array([one.change_of_z for one in rows])
     for target in targets:

@@ -1,4 +1,4 @@
-"""`gf_usd.compare`: two bakes, or a bake and a motion of another program, point by point."""
+"""`gf_usd.compare`: compares a bake with another bake or animation, point by point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The words of ``preview``: sizes, spans and ranges, and which options go together."""
+"""The option values of ``preview``: sizes, spans and ranges, and which options can be combined."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FRAMES = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What was asked for, as far as it can be judged before the stage is opened."""
+    """The requested output, as far as it can be checked before the stage is opened."""
 
     target: Path
     size: tuple[int, int]  # (width, height) [pixels] of a picture, a frame or a tile

@@ -1,4 +1,4 @@
-"""`gf_usd.preview`: a stage as a picture, a contact sheet or a film."""
+"""`gf_usd.preview`: renders a stage as an image, a contact sheet or a film."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """A call as a guest of another program: a notebook, a DCC, a daemon.
 
 The program may have opened stages before, which makes it too late to register the schema, or may
-use Taichi itself, of which there is one in a process.  What writes or checks layers, or computes
-with Taichi, then runs in a process of its own.  What is left in this process is what was there
-before: no signal handlers, no log settings, no environment variables, nothing of Taichi replaced.
+use Taichi itself, which can run only once in a process.  Code that writes or checks layers, or
+computes with Taichi, then runs in a separate process.  This process is left as it was: no signal
+handlers, log settings or environment variables are changed, and nothing in Taichi is replaced.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A function in a process of its own, where this one cannot run it: an answer, or its error.
+"""Runs a function in a separate process if this one cannot run it, and returns its result or error.
 
 A host may have read USD's schema definitions before gf-usd was loaded, or may use Taichi itself,
-of which there is one in a process.
+which can run only once in a process.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The laws as data: a row of `LAWS` says everything about a law but its formulas.
+"""The laws as data: a row of `LAWS` contains everything about a law except its formulas.
 
 The command line, readers, writers, check rules and the schema read it here, without Taichi; the
 formulas are in the module of gf_usd.physics.laws that the row names.
@@ -14,7 +14,7 @@ from gf_usd.core.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number of a law besides its moduli, constant in time."""
+    """A parameter of a law in addition to its moduli, constant in time."""
 
     name: str  # of Material.parameters; the same in every law that has it
     unit: str  # of `StageUnits.factor`, e.g. "Pa"
@@ -29,7 +29,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Internal:
-    """A number that a law remembers of each particle."""
+    """An internal variable that a law stores for each particle."""
 
     name: str
     rest: float  # before anything has happened

@@ -1,4 +1,4 @@
-"""A material: a constitutive law with its numbers, in SI."""
+"""A material: a constitutive law with its parameters, in SI."""
 
 from __future__ import annotations
 

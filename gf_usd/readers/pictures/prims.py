@@ -30,7 +30,7 @@ def is_ours(prim: Usd.Prim) -> bool:
 
 
 def stands_for_meshes(prim: Usd.Prim) -> bool:
-    """True for points that a bake shows beside meshes, of bodies that flow."""
+    """True for points of flowing bodies, which a bake shows in addition to meshes."""
     named = prim.HasRelationship("gaussianFlesh:sourceMeshes")
     return prim.IsA(UsdGeom.Points) and named and not is_ours(prim)
 
