@@ -205,9 +205,7 @@ def lost_volume(seen: Inspection) -> str:
     whole, fill = sum(d.volume for d in filled), seen.plan.particles.volume
     if fill >= KEPT * whole or not any(faults(d) for d in filled):
         return ""
-    return (
-        f"only {fill:.3g} of the {whole:.3g} m^3 that the meshes enclose are filled: try --repair"
-    )
+    return f"only {fill:.3g} of the {whole:.3g} m^3 enclosed by the meshes are filled: try --repair"
 
 
 def _part(part: Part) -> dict[str, Any]:
@@ -269,7 +267,7 @@ def inspect(
     except InputError as refusal:
         warnings = [implausible_size(asset)]
         if not repair and would_fill(mend(asset, request, spec)[1]):
-            warnings.append("with --repair it can be baked")
+            warnings.append("it can be baked with --repair")
         return replace(seen, refusal=refusal, warnings=tuple(w for w in warnings if w))
     prepared = of_a_shot(Prepared(plan=plan))
     seen = replace(seen, plan=prepared.plan, cost=prepared.cost, thickness=thickness(solid))

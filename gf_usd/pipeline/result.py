@@ -34,7 +34,7 @@ def require_healthy(result: BakeResult, *, strict: bool) -> None:
     raise UnhealthyError(
         f"{result.root}: the bake is complete and its files are written, but it has {count}:"
         f"{lines}",
-        "; ".join(hints) + ("" if errors else "; without --strict this is no error"),
+        "; ".join(hints) + ("" if errors else "; without --strict this is not an error"),
         warnings=tuple(warning for _, warning in warnings),
         result=result,
     )

@@ -44,7 +44,7 @@ def test_a_bake_after_stages_were_opened(tmp_path: Path) -> None:
 result = bake(progress=lambda done, total: seen.append((done, total)), material=gf_usd.Material(
     name='soft', law='neoHookean', density=1e3, youngs_modulus=1e5, poissons_ratio=.3))
 print(type(result).__name__, result.root, result.bakes[0].material.name, seen)
-print([note for note in result.notes if 'own' in note])
+print([note for note in result.notes if 'separate' in note])
 read = gf_usd.read(result.root)
 print(gf_usd.check(result.root).ok, len(read), len(read.health))
 print(gf_usd.inspect(SPHERE, particles=60).refusal)
@@ -52,7 +52,7 @@ print(gf_usd.inspect(SPHERE, particles=60).refusal)
     )
     first, notes, *rest = said.splitlines()
     assert first == "BakeResult out/sphere.soft.usda soft [(1, 3), (2, 3), (3, 3)]"
-    assert "a process of its own: USD had read its schema definitions before" in notes
+    assert "a separate process: USD read its schema definitions before" in notes
     assert rest[0].startswith("True 3 2")
     assert rest[1:] == ["None"]
 

@@ -107,7 +107,7 @@ def test_notes_and_warnings_are_told(gf_usd, here: Path, tmp_path: Path) -> None
     assert "inside-out" in [warning["about"] for warning in warnings]
     assert kinds(found)[-2:] == ["finished", "error"]
     assert found[-1]["status"] == 4
-    assert found[-1]["hint"].endswith("without --strict this is no error")
+    assert found[-1]["hint"].endswith("without --strict this is not an error")
 
 
 def test_an_error_is_told_with_its_status_and_hint(gf_usd, here: Path, tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def cache_of_truth(folder: Path, frames: int) -> Path:
         (["rebound=0.6"], {"picture": "x.jpg"}, "does not end in .png"),
         (["rebound=0.6"], {"output": SPHERE}, "exists"),
         (["rebound=0.6"], {"output": "nowhere/x.usda"}, "does not exist"),
-        (["rebound=0.6"], {"unknowns": ["friction"], "friction": 0.5}, "leave one of the two out"),
+        (["rebound=0.6"], {"unknowns": ["friction"], "friction": 0.5}, "leave out one of the two"),
         (["rebound=0.6"], {"bounds": {"E": (1.0, float("inf"))}}, "is not a number"),
     ],
 )

@@ -58,7 +58,7 @@ def test_strict_ends_with_status_4_and_keeps_the_files(gf_usd, here: Path, block
     assert result["warnings"] != []
     for warning in result["warnings"]:
         assert f"\n  jelly: {warning['message']}\n" in error
-    assert error.rstrip().endswith("without --strict this is no error")
+    assert error.rstrip().endswith("without --strict this is not an error")
 
 
 def test_strict_passes_a_sound_bake(gf_usd, here: Path, block: Path) -> None:

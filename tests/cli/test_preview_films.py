@@ -110,18 +110,18 @@ def Camera "cam" {
     side = 90 * 2 * 50 / 15.2908 / 25
     assert red.mean(axis=0) == pytest.approx((44.5, 59.5), abs=0.6)
     assert np.ptp(red, axis=0) + 1 == pytest.approx((side, side), abs=2)
-    with pytest.raises(InputError, match="no camera </none>"):
+    with pytest.raises(InputError, match="The camera </none> does not exist"):
         raise run(path, "--camera", "/none").exception
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("-o", "a.mp4", "--frame", "1"), "--frame does not go with the rest"),
-        (("--time-codes", "1:2"), "--time-codes does not go"),
-        (("--fps", "12"), "--fps does not go"),
-        (("--columns", "2"), "--columns does not go"),
-        (("--color-range", "0:1"), "--color-range does not go"),
+        (("-o", "a.mp4", "--frame", "1"), "--frame does not apply to the other options"),
+        (("--time-codes", "1:2"), "--time-codes does not apply"),
+        (("--fps", "12"), "--fps does not apply"),
+        (("--columns", "2"), "--columns does not apply"),
+        (("--color-range", "0:1"), "--color-range does not apply"),
         (("-o", "a.gif", "--sheet", "4"), "--sheet writes a PNG"),
         (("--sheet", "0"), "--sheet 0 is too small"),
         (("-o", "a.mp4", "--fps", "0"), "--fps 0.0 is not a frame rate"),
@@ -129,7 +129,7 @@ def Camera "cam" {
         (("-o", "a.mp4", "--time-codes", "3:1"), "ends before it begins"),
         (("-o", "a.mp4", "--time-codes", "1"), "is not a range"),
         (("-o", "a.mp4", "--time-codes", "1:2:0"), "the step is not above 0"),
-        (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than 100000"),
+        (("-o", "a.mp4", "--time-codes", "1:3:1e-9"), "more than the limit of 100000"),
         (("-o", "none/a.mp4",), "none is not a folder"),
         (("-o", "a.mkv",), "does not end in .png, .mp4 or .gif"),
         (("--color", "heat"), "Unknown --color heat"),

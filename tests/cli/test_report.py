@@ -84,7 +84,7 @@ def test_without_the_json_the_root_layer_is_asked(gf_usd, work):
     (work / "block.soft.report.json").unlink()
     assert gf_usd("report", "block.soft.usda", "--variant", "rubber").status == 0
     text = (work / "block.soft.html").read_text(encoding="utf-8")
-    assert "Missing: block.soft.report.json next to the file" in text
+    assert "Missing: there is no block.soft.report.json next to the file" in text
     assert "Smallest volume ratio" in text
     assert "neoHookean" in text
     titles = [plot["title"] for plot in data(work / "block.soft.html")["variants"][0]["plots"]]

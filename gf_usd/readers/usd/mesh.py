@@ -219,7 +219,9 @@ def _cloud(cloud: UsdGeom.Points, prim: Usd.Prim, reading: Reading) -> Polygons:
         raise LeftAlone("has no points")
     wide = widths(prim, points, reading.time, reading.notes)
     around, triangles = cover(points, wide)
-    reading.notes.add(f"a surface was put around its {len(points)} points", str(prim.GetPath()))
+    reading.notes.add(
+        f"a surface was constructed around its {len(points)} points", str(prim.GetPath())
+    )
     if cloud.GetPointsAttr().ValueMightBeTimeVarying():
         reading.notes.add(ANIMATED, str(prim.GetPath()))
     nearest = kd_tree(points).query(around)[1]

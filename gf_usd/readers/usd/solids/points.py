@@ -98,7 +98,7 @@ def cover(points: Floats, wide: Floats) -> tuple[NDArray[np.float64], Ints]:
         g = ndimage.gaussian_filter(g, BLUR)
     vertices, triangles = _contour(-g, nodes, h)
     if len(triangles) == 0:
-        raise LeftAlone(f"no surface could be put around its {len(points)} points")
+        raise LeftAlone(f"no surface could be constructed around its {len(points)} points")
     return vertices, triangles
 
 

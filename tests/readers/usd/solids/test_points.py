@@ -77,7 +77,7 @@ def test_points_come_first_and_the_surface_around_them_after(read) -> None:
     np.testing.assert_allclose(surface.points[: len(LATTICE)], LATTICE, atol=1e-7)
     assert surface.triangles.min() == len(LATTICE)
     assert signed_volume(surface.points, surface.triangles) > 0.0
-    assert "/P: a surface was put around its 64 points" in asset.facts.notes
+    assert "/P: a surface was constructed around its 64 points" in asset.facts.notes
 
 
 def test_the_surface_has_the_color_of_the_nearest_point(read) -> None:
