@@ -73,7 +73,7 @@ def test_a_particle_that_flew_off_is_named() -> None:
     x[3, 1] = 2.0 * ESCAPE
     particle, fault = Guard(SCALE, 1.0).judge(health(), health(), place(x))
     assert particle == 3
-    assert "200 m from the others" in fault
+    assert "200 m away from the others" in fault
     x[3, 1] = 0.5 * ESCAPE
     assert Guard(SCALE, 1.0).judge(health(), health(), place(x)) == (-1, "")
 
@@ -227,7 +227,7 @@ def test_it_gives_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         f" halvings of the step to {coarse / 2**RETRIES:.3g} s"
     )
     assert caught.value.hint == (
-        "this preset uses the same small number of substeps for every frame: leave out --preset;"
+        "this preset uses the same few substeps for every frame: leave out --preset;"
         " the frames before it are in the partial cache"
     )
     body, _ = ball(300)
