@@ -48,7 +48,7 @@ REFUSED = [
         {"pins": ("/Duck",), "procrustes": 0.1},
         "--procrustes 0.1 moves the body towards its rest shape about its mean, and --pin holds it"
         " elsewhere",
-        "leave out one of the two",
+        "leave one of the two out",
     ),
 ]
 

@@ -46,7 +46,7 @@ REFUSED = [
     ({"friction": 101.0}, "--friction is 101", "give a number from 0 to 100"),
     ({"restitution": 1.5}, "--restitution is 1.5", "give a number from 0 to 1"),
     ({"preset": "fast"}, "there is no preset 'fast'", "the only preset is paper"),
-    ({"skin": "glue"}, "unknown skin 'glue'", "choose embed, idw, paper"),
+    ({"skin": "glue"}, "there is no skin 'glue'", "choose embed, idw, paper"),
     (
         {"particles": 100, "spacing": 0.5},
         "--particles 100 and --spacing 0.5 were both given",

@@ -256,7 +256,7 @@ def test_what_would_take_too_long_to_rest_ends_with_the_shot(monkeypatch, limit,
     (note,) = (note for note in plan.notes if "not until rest" in note)
     assert note.startswith(f"{plan.settings.frames} frames are simulated")
     assert re.search(
-        r"usually takes about \d+ frames and at most \d+ and about [\d.]+ (s|minutes|hours);",
+        r"usually takes about \d+ frames, at most \d+ frames in about [\d.]+ (s|minutes|hours);",
         note,
     )
 
